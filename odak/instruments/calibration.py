@@ -465,7 +465,8 @@ def measure_phase_response(
     Returns
     -------
     numpy.ndarray
-        Phases in radians ``[2^bits]``, less that of level 0, unwrapped; the phase is taken to grow with the level.
+        Phases in radians ``[2^bits]``, less that of level 0, unwrapped; they fall with the level where a lens pattern
+        focuses for that sign.
         Where the response varies over the panel, it is a mean over what lies near the line between the halves.
 
     Raises
@@ -476,7 +477,8 @@ def measure_phase_response(
     Warns
     -----
     AccuracyWarning
-        If the captures deviate from such sums by more than 10 %: a level does not have the same phase at all pixels.
+        If the captures deviate from such sums by more than 10 %: a level does not have the same phase at all pixels;
+        if the phases leave out more than 0.15π of 2π; or if the camera sees no focus that would tell their sign.
 
     Notes
     -----
@@ -544,7 +546,7 @@ def phases_with_uncertainty(
         found.append(_phases_of_interference(np.stack(frames)))
     camera.region = None
     (one, first), (other, second) = found
-    seen = (one + other) / 2
+    seen = _sign(modulator, camera, wavelength, distance, levels, (one + other) / 2) * (one + other) / 2
     phases, fewer = (CubicSpline(levels[used], seen[used])(np.arange(top + 1)) for used in (np.s_[:], np.s_[::2]))
     # Near level 0, a power law is interpolated by half the samples with about twice the error. What captures deviate
     # from one phase at all pixels, as a share of the interference, is about the error that fringing fields cause.
@@ -552,6 +554,33 @@ def phases_with_uncertainty(
     interpolation = 1.5 * float(np.abs(phases - fewer)[:within].max())
     spread = max(first, second)
     return phases, math.hypot(float(np.abs(one - other).max()), interpolation, spread), spread
+
+
+def _sign(
+    modulator: Modulator, camera: Camera, wavelength: float, distance: float, levels: np.ndarray, phases: np.ndarray
+) -> int:
+    """Return the sign of phases of levels, which interference does not tell, as that for which a lens focuses."""
+    y, x = _axes(modulator)
+    # The focus of so small an aperture is deep enough for a nominal distance.
+    inside = np.maximum(abs(x), abs(y)) <= 3 * math.sqrt(wavelength * distance)
+    lens = np.where(inside, lens_phase(modulator, wavelength, distance), _deflected(modulator))
+    every = CubicSpline(levels, phases)(np.arange(levels[-1] + 1))
+    peaks = []
+    for sign in (1, -1):
+        modulator.show(nearest_levels(lens, sign * every))
+        if sign == 1:
+            set_exposure(camera)
+        smooth = uniform_filter(_averaged(camera, 1), 3)
+        peaks.append(float(smooth.max() - np.median(smooth)))
+    if max(peaks) < 2 * min(peaks):
+        warn(
+            "whether the phase grows or falls with the level is not known and is taken to grow: a lens pattern and its "
+            f"inverse give spots of {peaks[0]:.0f} and {peaks[1]:.0f} counts; check the distance, and that the camera "
+            "sees the axis of the modulator",
+            AccuracyWarning,
+        )
+        return 1
+    return 1 if peaks[0] > peaks[1] else -1
 
 
 def check_frames_are_new(modulator: Modulator, camera: Camera, other: np.ndarray, count: int = 5) -> None:
@@ -682,7 +711,8 @@ def measure_regional_response(
     Returns
     -------
     numpy.ndarray
-        Phases in radians ``[region rows, region columns, 2^bits]``, less that of level 0 of the region.
+        Phases in radians ``[region rows, region columns, 2^bits]``, less that of level 0 of the region; they are taken
+        to grow with the level, but for :func:`calibrate_table`, which knows the sign.
 
     Warns
     -----
@@ -800,6 +830,7 @@ def regions_with_uncertainty(
             frames.append([(weight * frame)[place] for weight, place in zip(weights, places, strict=True)])
         for row, seen in enumerate(zip(*frames, strict=True)):
             found, others[row, column] = _phases_of_interference(np.stack(seen))
+            found = found * (1 if whole[-1] >= whole[0] else -1)
             like = whole * (found @ whole[levels]) / (whole[levels] @ whole[levels])
             phases[row, column] = like + CubicSpline(levels, found - like[levels])(np.arange(top + 1))
     _warn_of_deviations(others.max())

@@ -387,7 +387,7 @@ def measure_settling(
     tolerance = float(_validate.number("tolerance", tolerance, positive=True))
     exposure = longest / 50 if exposure is None else float(_validate.number("exposure", exposure, positive=True))
     rows, columns = modulator.shape
-    final = int(np.abs(phases - phases[0] - 0.9 * np.pi).argmin())
+    final = int(np.abs(np.abs(phases - phases[0]) - 0.9 * np.pi).argmin())
     step = float(phases[final] - phases[0])
     # Fringing fields smooth the edges of the squares, which must therefore not be small.
     cell = max(1, min(SQUARE, rows // 4, columns // 4))
@@ -435,7 +435,7 @@ def measure_settling(
     time_constant = longest * abs(best.x[0])
     scatter = 2 * best.cost / (2 * samples - 2)
     covariance = scatter * np.linalg.pinv(best.jac.T @ best.jac)
-    settling = time_constant * math.log(max(step / tolerance, math.e))
+    settling = time_constant * math.log(max(abs(step) / tolerance, math.e))
     if settling > longest or math.sqrt(scatter) > 0.1:
         warn(
             f"the settling time is uncertain: {settling:.3g} s, with delays up to {longest:.3g} s and a scatter of "

@@ -103,6 +103,14 @@ def test_phase_response_of_small_and_large_ranges(span):
     assert np.abs(found - table.truth.phases).max() < 0.02
 
 
+@pytest.mark.parametrize("wrong", [-0.1, 0.1])
+def test_a_response_that_falls_with_the_level(wrong):
+    table = Laboratory((96, 128), distance=0.01, camera_shape=(200, 240), phases=-2 * np.pi * np.arange(256) / 256)
+    there = (*instruments_of(table), 532e-9, 0.01 * (1 + wrong))
+    found = instruments.measure_phase_response(*there, samples=9, captures=1)
+    assert np.abs(found - table.phases).max() < 0.01
+
+
 @pytest.mark.parametrize(("fringing", "bound"), [(0.2, 0.03), (0.4, 0.1)])
 def test_fringing_fields_do_not_falsify_the_phase_response_in_silence(fringing, bound):
     """The bounds are 0.5 % and 5 % of the largest phase; more than a tenth of a radian comes with a warning."""
