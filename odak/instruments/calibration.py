@@ -77,6 +77,10 @@ SMALLEST_REGION = 12
 SPREAD = 0.6
 # Displacement of the rays at the edge of an aperture, as a share of its radius, to measure its curvature.
 BLUR = 0.4
+# Distance from the axis of spots of a first estimate of the registration, as a share of that of the others.
+NEAR = 0.4
+# Pixels around the spots of the outermost lenslets, and share of the modulator that is calibrated, at least.
+LEAST_MARGIN, SMALLEST_SHARE = 8, 0.3
 # Rows and columns of the lenslets of which one in four is lit at a time; even.
 COARSE = 4
 # Zernike polynomials of orders 1 to 4.
@@ -287,6 +291,7 @@ def calibrate_table(
     *,
     rounds: int = 2,
     regions: Sequence[int] | None = None,
+    partial: bool = False,
 ) -> Calibration:
     """Calibrate an optical table: phase response, registration, wavefront, distance and illumination.
 
@@ -314,12 +319,21 @@ def calibrate_table(
         the later steps; a response that varies over the modulator acts as an aberration and shifts the image. The
         phases are then the mean over the modulator. None, the default, measures 3 × 3 regions where the captures of the
         phase response deviate by more than 1 % from those of levels with one phase at all pixels; (1, 1) measures none.
+    partial : bool
+        If the camera does not see the whole modulator, calibrate the largest middle part that it sees; the amplitude of
+        the other pixels is then 0.
 
     Returns
     -------
     Calibration
         The results with their uncertainties; its wavefront has no tilt and no defocus, which are in the registration
         and the distance.
+
+    Raises
+    ------
+    RuntimeError
+        If the camera does not see the whole modulator, after the first registration: the message says in which
+        direction to move it and how far; and as the functions of the steps.
 
     Warns
     -----
@@ -350,7 +364,7 @@ def calibrate_table(
     >>> bool(abs(found.phases - table.truth.phases).max() < 0.02)
     True
     """
-    rounds = _validate.integer("rounds", rounds, minimum=1)
+    rounds, partial = _validate.integer("rounds", rounds, minimum=1), _validate.flag("partial", partial)
     check_square_pixels(modulator, camera)
     camera = checked_camera(camera)
     there = (modulator, camera, wavelength)
@@ -377,6 +391,21 @@ def calibrate_table(
         if turn >= rounds and change < UNSETTLED:
             break
         registration = register_camera(*there, distance, response, wavefront=wavefront, middle=turn == 0)
+        if turn == 0:
+            view = (modulator, camera, wavelength, distance, registration)
+            share = np.ones(2)
+            # The registration of the part differs by some pixels.
+            spare = 0
+            while partial and (beyond := _beyond(*view, share) + spare).max() > 0 and share.min() > SMALLEST_SHARE:
+                share -= 0.02 * (beyond[::-1] > 0).any(-1)
+                spare = 4
+            _check_view(_beyond(*view, share), camera)
+            if (share < 1).any():
+                rows, columns = (2 * int(n * part / 2) for n, part in zip(modulator.shape, share, strict=True))
+                part = _Middle(modulator, (rows, columns))
+                return part.embedded(
+                    calibrate_table(part, *there[1:], distance, rounds=rounds, regions=regions, partial=True)
+                )
         # An aberration falsifies the first registration, and so where the regions are thought to be.
         if turn == min(1, rounds - 1) and regions != (1, 1):
             regional, doubts = regions_with_uncertainty(
@@ -947,16 +976,34 @@ def register_camera(
         phase[inside_part] = spots_phase(part, wavelength, distance, points, seed=seed)
         modulator.show(nearest_levels(np.where(lit, phase + extra - curved, outwards) - wavefront, phases))
 
-    three = np.array([[0.0, 0.0], [half[0], 0.0], [0.0, half[1]]])
-    show(three[:1])
-    set_exposure(camera)
     around = max(8, math.ceil(1.5 * wavelength * distance / (size.min() * pitch * camera.pitch)))
-    pixels = []
-    for point in three:
+
+    def place_of(point: np.ndarray, count: int) -> np.ndarray:
         show(point[None])
-        frame = _averaged(camera, captures)
-        pixels.append(_centroid(frame, _brightest(frame), around))
+        frame = _averaged(camera, count)
+        return _centroid(frame, _brightest(frame), around)
+
+    captures = _validate.integer("captures", captures, minimum=1)
+    show(np.zeros((1, 2)))
+    set_exposure(camera)
+    # Spots near the axis tell which of the farther ones the camera sees.
+    steps = NEAR * np.diag(half)
+    axis, *beside = (place_of(point, 1) for point in (np.zeros(2), *steps))
+    roughly = (np.array(beside) - axis) / (NEAR * half[:, None])
+    three = np.diag(half)
+    for number in range(2):
+        for share in (1, -1, 0.8, -0.8, 0.6, -0.6, 0.4, -0.4):
+            three[number] = share * np.diag(half)[number]
+            there = axis + three[number] @ roughly
+            if (there >= around).all() and (there <= np.array(camera.shape[::-1]) - 1 - around).all():
+                break
+        else:
+            three[number] = steps[number]
+    three = np.vstack([np.zeros(2), three])
+    pixels = [place_of(point, captures) for point in three]
     matrix = np.linalg.solve(np.column_stack([three, np.ones(3)]), np.array(pixels))
+    missed = np.linalg.norm(pixels - axis - three @ roughly, axis=-1)
+    _check_places(axis, roughly, camera, bool((missed > 2 * around + 0.3 * np.abs(three @ roughly).max()).any()))
     if middle:
         for _ in range(4):
             curved += _curvature(modulator, camera, partial(show, three[:1]), wavelength, distance, size, matrix)
@@ -968,7 +1015,7 @@ def register_camera(
     show(points)
     set_exposure(camera)
     frame = np.zeros(tuple(camera.shape))
-    for seed in range(_validate.integer("captures", captures, minimum=1)):
+    for seed in range(captures):
         show(points, seed)
         frame += _averaged(camera, 1)
     reach = int(0.4 * spacing)
@@ -1012,6 +1059,101 @@ def register_camera(
             AccuracyWarning,
         )
     return Registration(found.homography, found.distortion, found.shape, residual, 2 * math.sqrt(variance))
+
+
+def _check_places(axis: np.ndarray, matrix: np.ndarray, camera: Camera, missed: bool) -> None:
+    """Raise an error if the places of spots are not those of a camera without a lens: the image may be beside it."""
+    scale = np.linalg.norm(matrix, axis=-1) * camera.pitch
+    flat = abs(np.linalg.det(matrix)) * camera.pitch**2 < 0.3 * scale.prod()
+    if missed or flat or (scale > 3).any() or (scale < 1 / 3).any():
+        raise RuntimeError(
+            f"no spot was found on the axis of the modulator: the brightest light is at column {axis[0]:.0f}, row "
+            f"{axis[1]:.0f} and does not move as the pattern does; the image may lie outside the camera's, of "
+            f"{camera.shape[1]} columns and {camera.shape[0]} rows: move the camera until the spot of a lens pattern "
+            "lies near its middle"
+        )
+
+
+def _lenslets(shape: Sequence[int], wavelength: float, distance: float, pitch: float) -> np.ndarray:
+    """Return the number of lenslets along rows and columns: diffraction spreads the light of smaller ones."""
+    smallest = SMALLEST_LENSLET * math.sqrt(wavelength * distance) / pitch
+    return np.clip((np.array(shape) / smallest).astype(int), 4, 6)
+
+
+def _beyond(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float,
+    registration: Registration,
+    share=(1.0, 1.0),
+) -> np.ndarray:
+    """Return how many pixels the spots of the outermost lenslets lie outside the image of a camera; inside: negative.
+
+    The axes are columns and rows, and the sides of each the first and the last ``[2, 2]``. `share` is that of the
+    modulator's rows and columns that is used.
+    """
+    size = np.array(modulator.shape) * share
+    half = (size * (1 - 1 / _lenslets(size, wavelength, distance, modulator.pitch)))[::-1] * modulator.pitch / 2
+    points = half * np.array(list(itertools.product((-1, 0, 1), repeat=2)))
+    axis, seen = registration.camera_pixels(np.zeros(2)), registration.camera_pixels(points)
+    # Lenslets focus straight ahead: without a lens the scale is 1, and another one is an error of the distance.
+    scale = math.sqrt(abs(np.linalg.det(registration.homography[:2, :2]))) / camera.pitch
+    sides = []
+    for places in (seen, axis + (seen - axis) * scale):
+        last = np.array(camera.shape[::-1]) - 1
+        sides.append(np.stack([-places.min(0), places.max(0) - last], axis=-1) + LEAST_MARGIN)
+    return np.minimum(*sides)
+
+
+def _check_view(beyond: np.ndarray, camera: Camera) -> None:
+    """Raise an error that says how to move a camera that does not see the whole modulator."""
+    remedies = []
+    for name, (first, last) in zip(("columns", "rows"), beyond, strict=True):
+        if max(first, last) <= 0:
+            continue
+        if first + last <= 0:
+            side, move = ("smaller", first) if first > last else ("larger", last)
+            remedies.append(
+                f"it ends {move:.0f} pixels too early on the side of {side} {name}: move the camera by at least "
+                f"{1e3 * move * camera.pitch:.2g} mm toward {side} {name}"
+            )
+        else:
+            remedies.append(
+                f"the light of the modulator is {first + last:.0f} pixels, {1e3 * (first + last) * camera.pitch:.2g} "
+                f"mm, wider than it along {name}: use a larger sensor, or calibrate the middle with partial=True"
+            )
+    if remedies:
+        raise RuntimeError(f"the camera does not see the whole modulator: {'; '.join(remedies)}")
+
+
+class _Middle:
+    """Middle part of a modulator as a modulator of its own; the light of the other pixels is deflected."""
+
+    def __init__(self, modulator: Modulator, shape: tuple[int, int]):
+        self.modulator, self.shape, self.pitch, self.bits = modulator, shape, modulator.pitch, modulator.bits
+        self.settling_time = modulator.settling_time
+        self.inside = tuple(
+            slice(n // 2 - m // 2, n // 2 - m // 2 + m) for n, m in zip(modulator.shape, shape, strict=True)
+        )
+        self.levels = (_deflected(modulator) > 0) * (1 << modulator.bits - 1)
+
+    def show(self, levels: np.ndarray) -> None:
+        self.levels[self.inside] = levels
+        self.modulator.show(self.levels)
+
+    def embedded(self, found: Calibration) -> Calibration:
+        """Return a calibration of the part as one of the whole modulator, with amplitude 0 beside the part."""
+        amplitude, wavefront = np.zeros((2, *self.modulator.shape))
+        amplitude[self.inside], wavefront[self.inside] = found.amplitude, found.wavefront
+        regional = found.regional_phases
+        if regional is not None:
+            weights = []
+            for whole, part, count in zip(self.modulator.shape, self.shape, regional.shape[:2], strict=True):
+                middles = ((np.arange(count) + 0.5) * whole / count - whole / 2 + part / 2).astype(int)
+                weights.append(_between_regions(part, count)[np.clip(middles, 0, part - 1)])
+            regional = np.einsum("ij,kl,jln->ikn", *weights, regional)
+        return replace(found, amplitude=amplitude, wavefront=wavefront, regional_phases=regional)
 
 
 def _curvature(modulator, camera, show, wavelength, distance, size, matrix) -> np.ndarray:
@@ -1167,9 +1309,7 @@ def wavefront_with_uncertainty(
     modes = _modes(modulator, order)
     slopes = np.stack([np.gradient(mode, modulator.pitch) for mode in modes])[:, ::-1]
     if cells is None:
-        # Diffraction spreads the light of smaller lenslets over their neighbours.
-        smallest = SMALLEST_LENSLET * math.sqrt(wavelength * distance) / modulator.pitch
-        fine = np.clip((shape / smallest).astype(int), 4, 6)
+        fine = _lenslets(modulator.shape, wavelength, distance, modulator.pitch)
     else:
         fine = np.full(2, _validate.integer("cells", cells, minimum=3))
 

@@ -9,6 +9,8 @@ product of the two, which is expanded. All orders of diffraction are there, and 
 import numpy as np
 
 WELL = 20_000.0
+# Rows or columns of images whose pixels are averaged over their area, at most.
+FINE = 300
 
 
 class Laboratory:
@@ -40,7 +42,10 @@ class Laboratory:
         key = (first, count, axis)
         if key not in self.waves:
             panel, p, d = self.modulator.shape[axis], self.modulator.pitch, self.distance
-            away = self.points(np.arange(first, first + count), axis)[:, None] - (np.arange(panel) - panel // 2) * p
+            # A pixel of the camera averages over its area: two points along each axis, but one of large images.
+            offsets = np.array([-1, 1]) / np.sqrt(12) if count <= FINE else np.zeros(1)
+            places = self.points(np.add.outer(np.arange(first, first + count), offsets).ravel(), axis)
+            away = places[:, None] - (np.arange(panel) - panel // 2) * p
             path = np.hypot(d, away)
             width = p * np.sqrt(self.fill)
             wave = np.sinc(width * away / (self.wavelength * path)) * width / np.sqrt(self.wavelength * d)
@@ -61,7 +66,8 @@ class Laboratory:
             # The narrow side first.
             product = left @ self.field @ right.T if rows <= columns else left @ (self.field @ right.T)
             seen = seen + np.complex64(factor) * product
-        return self.power * (seen.real**2 + seen.imag**2)
+        finely = (rows, len(seen) // rows, columns, seen.shape[1] // columns)
+        return self.power * (seen.real**2 + seen.imag**2).reshape(finely).mean((1, 3))
 
 
 class Panel:

@@ -103,6 +103,49 @@ def test_phase_response_of_small_and_large_ranges(span):
     assert np.abs(found - table.truth.phases).max() < 0.02
 
 
+@pytest.mark.parametrize(
+    ("shape", "offset", "message"),
+    [
+        (
+            (96, 128),
+            (2.4e-4, 0.0),
+            r"on the side of smaller columns: move the camera by at least 0\.\d+ mm toward smaller",
+        ),
+        (
+            (96, 128),
+            (0.0, -1.6e-4),
+            r"on the side of larger rows: move the camera by at least 0\.\d+ mm toward larger rows",
+        ),
+        ((150, 128), (0.0, 0.0), r"the light of the modulator is \d+ pixels, .* mm, wider than it along rows"),
+    ],
+)
+def test_a_camera_that_does_not_see_the_panel_is_told_where_to_move(shape, offset, message):
+    table = Laboratory(shape, distance=0.01, camera_shape=(200, 260), offset=offset)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(calibrating, "phases_with_uncertainty", lambda *_: (table.phases, 0.0, 0.0))
+        with pytest.raises(RuntimeError, match=message):
+            instruments.calibrate_table(*instruments_of(table), 532e-9, 0.01)
+    assert table.camera.taken < 150
+
+
+@pytest.mark.slow
+def test_the_middle_of_a_panel_that_is_larger_than_the_camera():
+    y, x = ((np.arange(n) - n // 2) / 64 for n in (150, 128))
+    wavefront = np.pi * (x**2 * y[:, None] + 0.5 * x**3)
+    table = Laboratory((150, 128), distance=0.02, camera_shape=(200, 260), wavefront=wavefront)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(calibrating, "phases_with_uncertainty", lambda *_: (table.phases, 0.0, 0.0))
+        patch.setattr(calibrating, "illumination_with_uncertainty", lambda part, *_, **__: (np.ones(part.shape), 0.0))
+        found = instruments.calibrate_table(*instruments_of(table), 532e-9, 0.02, partial=True)
+    seen = np.flatnonzero(found.amplitude.any(-1))
+    assert found.amplitude.shape == (150, 128) and 90 < len(seen) < 140 and found.amplitude[seen].all()
+    assert seen.mean() == pytest.approx(74.5)
+    part = np.s_[seen[0] : seen[-1] + 1]
+    low = np.stack(np.broadcast_arrays(x, y[part, None], x**2 + y[part, None] ** 2))
+    assert rms(calibrating.without((found.wavefront - wavefront)[part], low)) < 2 * np.pi / 100
+    assert found.distance == pytest.approx(0.02, rel=2e-3)
+
+
 @pytest.mark.parametrize("wrong", [-0.1, 0.1])
 def test_a_response_that_falls_with_the_level(wrong):
     table = Laboratory((96, 128), distance=0.01, camera_shape=(200, 240), phases=-2 * np.pi * np.arange(256) / 256)
@@ -413,7 +456,7 @@ def test_a_camera_that_sees_few_spots_is_reported():
         pytest.raises(RuntimeError, match=r"\d+ of 36 spots lie inside the image"),
         pytest.MonkeyPatch.context() as patch,
     ):
-        patch.setattr(calibrating, "_centroid", lambda frame, place, reach: np.asarray(place, float) * 4)
+        patch.setattr(calibrating, "_centroid", lambda frame, place, reach: np.asarray(place, float) * 2.8)
         instruments.register_camera(*instruments_of(table), 532e-9, 20e-3, table.truth.phases)
 
 
@@ -464,6 +507,12 @@ def test_distance_without_light_is_an_error_that_says_what_was_seen():
         instruments.measure_distance(*instruments_of(still), *there[2:])
     with pytest.raises(ValueError, match="span must be a share of the distance below 1, got 1"):
         instruments.measure_distance(*there, span=1.0)
+
+
+def test_spots_that_do_not_move_with_the_pattern_are_reported():
+    still = Laboratory((96, 128), distance=0.01, camera_shape=(200, 240), phases=np.zeros(256))
+    with pytest.raises(RuntimeError, match=r"no spot was found on the axis .* does not move as the pattern does"):
+        instruments.register_camera(*instruments_of(still), 532e-9, 0.01, 2 * np.pi * np.arange(256) / 256)
 
 
 def test_nearest_levels_are_nearest():
