@@ -1,5 +1,6 @@
 """Targets of a hologram: the intensity of a picture on the modulator's frame, and on planes by a depth map."""
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,6 @@ from odak.learn.wave import multiplane_loss
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 BLUR_RATIO, BLUR_SIZE = 1.0, 5
 _ASPECT_TOLERANCE = 0.02
-_ORIENTATION = 0x0112
 
 
 @dataclass(frozen=True)
@@ -157,29 +157,15 @@ def read_picture(path: Path, name: str = "IMAGE") -> torch.Tensor:
         picture = load_image(str(path), normalizeby=None).float()
     except (OSError, ValueError, TypeError) as error:
         raise InputError(" ".join(str(error).split())) from None
-    picture = _upright(path, picture[None] if picture.ndim == 2 else picture.movedim(-1, 0))
+    picture = picture[None] if picture.ndim == 2 else picture.movedim(-1, 0)
+    with contextlib.suppress(OSError, ValueError, SyntaxError), Image.open(path) as image:
+        if (frames := getattr(image, "n_frames", 1)) > 1:
+            warn(f"{str(path)!r} has {frames} frames or pages; the first one is used", ArgumentWarning)
     if len(picture) in (2, 4):
         picture = picture[:-1] * picture[-1:]
     if not bool(((picture >= 0) & (picture <= 1)).all()):
         raise InputError(f"{name} must have values from 0 to 1, but {str(path)!r} has values outside this range")
     return picture[:1] if bool((picture == picture[:1]).all()) else picture
-
-
-def _upright(path: Path, picture: torch.Tensor) -> torch.Tensor:
-    """Return a picture rotated by its EXIF orientation, 1 to 8: the sides of its first row and first column."""
-    try:
-        with Image.open(path) as image:
-            orientation = image.getexif().get(_ORIENTATION, 1)
-            frames = getattr(image, "n_frames", 1)
-    except (OSError, ValueError, SyntaxError):
-        return picture
-    if frames > 1:
-        warn(f"{str(path)!r} has {frames} frames or pages; the first one is used", ArgumentWarning)
-    if orientation in (5, 6, 7, 8):
-        picture = picture.mT
-    rows = orientation in (3, 4, 7, 8)
-    columns = orientation in (2, 3, 6, 7)
-    return picture.flip([axis for axis, turned in ((-2, rows), (-1, columns)) if turned])
 
 
 def to_grey(picture: torch.Tensor) -> torch.Tensor:

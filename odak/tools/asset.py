@@ -25,7 +25,8 @@ def read_PLY(
     Parameters
     ----------
     fn : str or os.PathLike
-        A ``.ply`` file, text or binary. Polygons become fans of triangles about their first corner.
+        A ``.ply`` file, text or binary. Convex polygons become fans of triangles about their first corner, others are
+        cut by their ears; strips of triangles (``tristrips``) are read too.
     offset : sequence of float
         Shift after the rotation.
     angles : sequence of float
@@ -36,14 +37,16 @@ def read_PLY(
     Returns
     -------
     numpy.ndarray
-        float32 ``[t, 3, 3]``: triangle, corner, coordinate.
+        float32 ``[t, 3, 3]``: triangle, corner, coordinate; float64 where float32 would move vertices by more than a
+        hundred-thousandth of the size of the mesh, as it does far from the origin.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it is not a PLY file of a mesh, or a face names a vertex that does not exist.
+        If it is not a PLY file of a mesh, or a face names a vertex that does not exist. Files of points are read by
+        :func:`read_PLY_point_cloud`.
 
     See Also
     --------
@@ -62,7 +65,11 @@ def read_PLY(
     """
     vertices, faces = read_mesh(validate_path(fn, [".ply"]))
     vertices = rotate_points(vertices.astype(np.float64), angles, mode, offset=offset)
-    return vertices.astype(np.float32)[faces]
+    with np.errstate(over="ignore", invalid="ignore"):
+        single = vertices.astype(np.float32)
+        if len(vertices) and not np.abs(single - vertices).max() <= _LOST * np.ptp(vertices, axis=0).max():
+            return vertices[faces]
+    return single[faces]
 
 
 def read_PLY_point_cloud(filename: str | os.PathLike) -> np.ndarray:
@@ -171,6 +178,10 @@ def write_PLY_from_points(points: np.ndarray, savefn: str | os.PathLike = "outpu
 
 
 LONGEST_HEADER = 1 << 16
+# Share of the size of a mesh by which float32 may move its vertices; corners of a polygon that is not convex.
+_LOST, _MOST_CORNERS = 1e-5, 2048
+# Times that all corners of a polygon are looked through for ears; one that crosses itself is cut anyhow afterwards.
+_MOST_ROUNDS = 8
 # Exceptions that plyfile and NumPy raise on broken files.
 _BROKEN = (plyfile.PlyParseError, KeyError, ValueError, TypeError, ArithmeticError, IndexError)
 _BYTES = {"char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2}
@@ -216,9 +227,10 @@ def write_mesh(filename: str, vertices: np.ndarray, faces: np.ndarray, text: boo
 
 
 def read_mesh(filename: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices ``[v, 3]``, float64 if the file's are, else float32, and faces int64 ``[t, 3]``.
+    """Return vertices ``[v, 3]`` and the numbers of the three vertices of each triangle, int64 ``[t, 3]``.
 
-    Polygons become fans of triangles about their first corner.
+    Vertices are float64 if the file's are float64 or integers of four bytes, else float32. Convex polygons become fans
+    of triangles about their first corner, others are cut by their ears; strips of triangles are taken apart.
 
     Raises
     ------
@@ -230,19 +242,35 @@ def read_mesh(filename: str) -> tuple[np.ndarray, np.ndarray]:
     _check_name(filename)
     try:
         data = read_elements(os.path.expanduser(filename))
-        points, sides = data["vertex"].data, data["face"].data
+        points = data["vertex"].data
         vertices = np.stack([points[axis] for axis in "xyz"], axis=-1)
-        name = next(name for name in ("vertex_indices", "vertex_index") if name in sides.dtype.names)
-    except (*_BROKEN, StopIteration) as error:
+        kinds = [element.name for element in data.elements]
+        place = next((name for name in ("face", "tristrips") if name in kinds), None)
+        if place is None:
+            raise ValueError(
+                f"it has no faces, but {', '.join(kinds)}; odak.tools.read_PLY_point_cloud reads its vertices"
+            )
+        sides = data[place].data
+        name = next((name for name in ("vertex_indices", "vertex_index") if name in sides.dtype.names), None)
+        if name is None:
+            raise ValueError(f"its {place} have no list vertex_indices, but {', '.join(sides.dtype.names)}")
+    except _BROKEN as error:
         raise ValueError(f"{filename!r} cannot be read as a PLY file of a mesh: {error}") from error
-    vertices = vertices.astype(np.float64 if vertices.dtype == np.float64 else np.float32)
+    wide = vertices.dtype == np.float64 or (vertices.dtype.kind in "iu" and vertices.dtype.itemsize >= 4)
+    vertices = vertices.astype(np.float64 if wide else np.float32)
     if sides[name].ndim == 1 and sides[name].dtype != object:
         raise ValueError(f"{filename!r} has faces of one vertex: {name} is not a list")
-    faces = _fans(sides[name])
+    polygons = sides[name] if place == "face" else _triangles_of_strips(sides[name])
+    counts, corners = _flattened(polygons)
     # Some programs write these numbers as floats; a NaN is not within any bounds.
-    if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices) and np.array_equal(faces, faces // 1)):
+    if len(corners) and not (
+        corners.min() >= 0 and corners.max() < len(vertices) and np.array_equal(corners, corners // 1)
+    ):
         raise ValueError(f"{filename!r} has a face that names a vertex other than 0 to {len(vertices) - 1}")
-    return vertices, faces.astype(np.int64)
+    try:
+        return vertices, _cut(vertices, counts, corners.astype(np.int64))
+    except ValueError as error:
+        raise ValueError(f"{filename!r} cannot be read as a PLY file of a mesh: {error}") from error
 
 
 def read_points(filename: str) -> np.ndarray:
@@ -287,18 +315,121 @@ def _check_promise(start: bytes, size: int) -> None:
         raise ValueError(f"its header promises at least {promised} bytes, and the file has {size}")
 
 
-def _fans(polygons: np.ndarray) -> np.ndarray:
-    """Return triangles (0, k, k + 1) of all polygons, in order."""
+def _flattened(polygons: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the number of corners of each polygon, and the vertices of all corners one after another."""
     if not len(polygons):
-        return np.zeros((0, 3), dtype=np.int64)
-    counts = (
-        np.array([len(p) for p in polygons]) if polygons.dtype == object else np.full(len(polygons), polygons.shape[1])
-    )
-    corners = np.concatenate([np.ravel(p) for p in polygons]) if polygons.dtype == object else polygons.ravel()
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    if polygons.dtype != object:
+        return np.full(len(polygons), polygons.shape[1]), polygons.ravel()
+    return np.array([len(p) for p in polygons]), np.concatenate([np.ravel(p) for p in polygons])
+
+
+def _triangles_of_strips(strips: np.ndarray) -> np.ndarray:
+    """Return the triangles ``[t, 3]`` of strips, in which −1 begins a new one and each second triangle is turned."""
+    found = [np.zeros((0, 3), dtype=np.int64)]
+    for strip in strips:
+        strip = np.ravel(strip)
+        for part in np.split(strip, np.flatnonzero(strip == -1)):
+            part = part[part != -1]
+            triangles = np.stack([part[:-2], part[1:-1], part[2:]], axis=-1) if len(part) > 2 else found[0]
+            triangles[1::2] = triangles[1::2, [1, 0, 2]]
+            # Strips are joined by triangles without area, which name a vertex twice.
+            a, b, c = triangles.T
+            found.append(triangles[(a != b) & (b != c) & (c != a)])
+    return np.concatenate(found)
+
+
+def _cut(vertices: np.ndarray, counts: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Return the triangles of all polygons in order: fans (0, k, k + 1) where they are convex, and ears elsewhere."""
     first, fans = np.cumsum(counts) - counts, np.maximum(counts - 2, 0)
     start = np.repeat(first, fans)
     step = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
-    return np.stack((corners[start], corners[start + step + 1], corners[start + step + 2]), axis=-1)
+    triangles = np.stack((corners[start], corners[start + step + 1], corners[start + step + 2]), axis=-1)
+    ends = np.cumsum(fans)
+    for count in np.unique(counts[counts > 3]):
+        chosen = np.flatnonzero(counts == count)
+        for part in np.array_split(chosen, -(-chosen.size * int(count) // (1 << 20))):
+            for place, flat in _bent(vertices, corners[first[part][:, None] + np.arange(count)]):
+                polygon = part[place]
+                own = corners[first[polygon] : first[polygon] + count]
+                triangles[ends[polygon] - count + 2 : ends[polygon]] = own[_ears(flat)]
+    return triangles
+
+
+def _bent(vertices, polygons):
+    """Yield the places and the flat corners ``[n, 2]`` of those of polygons ``[p, n]`` that are not convex."""
+    # A difference to the first corner keeps what far coordinates have in common out of the products.
+    x = vertices[polygons].astype(np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        x = x - x[:, :1]
+        # Newell's normal, that of the plane that fits best.
+        normal = np.cross(x, np.roll(x, -1, axis=1)).sum(1)
+        before, after = x - np.roll(x, 1, axis=1), np.roll(x, -1, axis=1) - x
+        turns = np.einsum("pnc,pc->pn", np.cross(before, after), normal)
+        bent = (turns < -1e-9 * np.abs(turns).max(1, keepdims=True)).any(1)
+    for place in np.flatnonzero(bent):
+        if polygons.shape[1] > _MOST_CORNERS:
+            raise ValueError(
+                f"a polygon that is not convex has {polygons.shape[1]} corners; at most {_MOST_CORNERS} are cut"
+            )
+        # Seen along the axis nearest to the normal, counterclockwise.
+        axis = int(np.abs(normal[place]).argmax())
+        flat = np.delete(x[place], axis, axis=1)
+        yield place, flat if (normal[place, axis] > 0) == (axis != 1) else flat[:, ::-1]
+
+
+def _ears(flat: np.ndarray) -> np.ndarray:
+    """Return the triangles ``[n − 2, 3]``, by numbers of corners, of a simple polygon ``[n, 2]``, counterclockwise.
+
+    An ear is a corner that bulges outwards and whose triangle contains no other corner; it is cut off until a triangle
+    is left (G. H. Meisters, "Polygons have ears", Amer. Math. Monthly 82, 648, 1975). Where a polygon crosses itself
+    and has none, the corner that bulges most is cut.
+    """
+    left, cut = np.arange(len(flat)), []
+    # Corners on the edge of an ear, to the digits of float32, lie within it: what is left without it has no area.
+    least = 1e-6 * float(np.ptp(flat, axis=0).max()) ** 2
+    # Whether a corner has to be tested: at first, and when a neighbour was cut off.
+    untested, slack, place, rounds = np.ones(len(flat), dtype=bool), least, 0, 0
+    while len(left) > 3:
+        now = flat[left]
+        before, after = np.roll(now, 1, axis=0), np.roll(now, -1, axis=0)
+        turns = _doubled_area(before, now, after)
+        waiting = np.flatnonzero(untested)
+        ear = None
+        for candidate in np.roll(waiting, -int(np.searchsorted(waiting, place))):
+            untested[candidate] = False
+            if _is_ear(before, now, after, turns, candidate, slack):
+                ear = int(candidate)
+                break
+        if ear is None:
+            if rounds < _MOST_ROUNDS:
+                # Corners that turned inwards before may not be in the way any more; thin ears are cut every other time.
+                untested[:], slack, rounds = True, 0.0 if slack else least, rounds + 1
+                continue
+            ear = int(turns.argmax())
+        last, following = (ear - 1) % len(left), (ear + 1) % len(left)
+        cut.append((left[last], left[ear], left[following]))
+        untested[[last, following]] = True
+        left, untested, place = np.delete(left, ear), np.delete(untested, ear), ear
+    return np.array([*cut, left])
+
+
+def _is_ear(before, now, after, turns, place, slack):
+    """Return whether a corner bulges outwards by more than a slack, and no other lies in its triangle or so near."""
+    if turns[place] <= slack:
+        return False
+    a, b, c = before[place], now[place], after[place]
+    # Only corners at which the outline turns inwards can lie within an ear; those at its own corners are no obstacle.
+    inward = now[turns <= slack]
+    inside = np.ones(len(inward), dtype=bool)
+    for one, other in ((a, b), (b, c), (c, a)):
+        inside &= (_doubled_area(one, other, inward) >= -slack) & (inward != one).any(-1)
+    return not inside.any()
+
+
+def _doubled_area(a, b, c):
+    """Return twice the area of triangles whose corners are counterclockwise."""
+    return (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (c[..., 0] - a[..., 0])
 
 
 def _check_name(filename: str) -> None:

@@ -747,8 +747,8 @@ def load_image(fn: str | os.PathLike, normalizeby: float = 0.0, torch_style: boo
     Returns
     -------
     numpy.ndarray
-        float64 ``[H, W]`` for grey, ``[H, W, 3]`` or ``[H, W, 4]`` for colour (channels first on request), row 0 at
-        the top; 0 … 255, or 0 … 65535 for 16 bits.
+        float64, turned upright by its EXIF orientation: ``[H, W]`` for grey, ``[H, W, 3]`` or ``[H, W, 4]`` for colour
+        (channels first on request), row 0 at the top; 0 … 255, or 0 … 65535 for 16 bits.
 
     Raises
     ------
@@ -807,7 +807,7 @@ def read_levels(fn: str | os.PathLike, torch_style: bool = False) -> np.ndarray:
     except Exception as error:
         # On broken files Pillow's decoders raise errors of many types: OSError, SyntaxError, struct.error, KeyError, …
         raise ValueError(f"Failed to load image {path!r}: {error or type(error).__name__}") from error
-    return np.ascontiguousarray(np.moveaxis(levels, -1, 0)) if torch_style and levels.ndim == 3 else levels
+    return np.ascontiguousarray(np.moveaxis(levels, -1, 0) if torch_style and levels.ndim == 3 else levels)
 
 
 def white_level(levels: np.ndarray) -> float:
@@ -834,8 +834,19 @@ def _read(path):
                 checked.verify()
         if _is_deep(image):
             with _open(path) as again:
-                return _read_deep(image, again)
-        return _shallow(image)
+                levels = _read_deep(image, again)
+        else:
+            levels = _shallow(image)
+        # Read last: in PNG it may follow the pixels. Pillow turns TIFF while it decodes, and no other format.
+        return levels if image.format == "TIFF" else _upright(levels, image.getexif().get(_ORIENTATION, 1))
+
+
+def _upright(levels, orientation):
+    """Return an image turned by its EXIF orientation, 1 to 8: the sides of its first row and first column."""
+    if orientation in (5, 6, 7, 8):
+        levels = levels.swapaxes(0, 1)
+    rows, columns = orientation in (3, 4, 7, 8), orientation in (2, 3, 6, 7)
+    return levels[:: -1 if rows else 1, :: -1 if columns else 1]
 
 
 def _open(path):
@@ -921,7 +932,7 @@ def _encoder(path, levels) -> Callable:
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _COLOUR_TYPES = {3: 2, 4: 6}
 _HALVES = {"RGB": ("RGB;16B", "RGB;16L"), "RGBA": ("RGBA;16B", "RGBA;16L")}
-_BITS_PER_SAMPLE = 258
+_BITS_PER_SAMPLE, _ORIENTATION = 258, 0x0112
 
 
 def _is_deep(image: Any) -> bool:
@@ -1009,7 +1020,13 @@ def _raw_mode(image):
 
 
 def _decode(image, raw):
-    image.tile = [(*tile[:3], (raw, *tile[3][1:]) if isinstance(tile[3], tuple) else raw) for tile in image.tile]
+    tiles = [(*tile[:3], (raw, *tile[3][1:]) if isinstance(tile[3], tuple) else raw) for tile in image.tile]
+    # Named tuples in newer releases of Pillow, whose decoder of compressed TIFF takes nothing else.
+    image.tile = [
+        type(old)(*new) if hasattr(old, "_fields") else new for old, new in zip(image.tile, tiles, strict=True)
+    ]
+    # What cannot be decoded is an error here; NumPy would ask for another type.
+    image.load()
     return np.asarray(image)
 
 

@@ -109,3 +109,75 @@ def test_tensors_with_gradients_are_written(write, shape, tmp_path):
     write(values, tmp_path / "given.ply")
     write(values.detach().numpy(), tmp_path / "plain.ply")
     np.testing.assert_array_equal(read_PLY(tmp_path / "given.ply"), read_PLY(tmp_path / "plain.ply"))
+
+
+def ply(points, faces, kind="double", element="face"):
+    lines = [f"ply\nformat ascii 1.0\nelement vertex {len(points)}"]
+    lines += [f"property {kind} {axis}" for axis in "xyz"]
+    if element:
+        lines += [f"element {element} {len(faces)}", "property list int int vertex_indices"]
+    lines += ["end_header", *(" ".join(map(repr, map(float if kind != "int" else int, p))) for p in points)]
+    return "\n".join([*lines, *(" ".join(map(str, (len(face), *face))) for face in faces)]) + "\n"
+
+
+def areas(triangles):
+    sides = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    return np.linalg.norm(sides.astype(np.float64), axis=-1) / 2
+
+
+def outline(name):
+    if name == "L":
+        return np.array([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]], float)
+    if name == "comb":
+        teeth = [[(2 * k, 0), (2 * k + 1, 0), (2 * k + 1, 3), (2 * k + 2, 3)] for k in range(5)]
+        return np.array([*np.concatenate(teeth), (10, 4), (0, 4)], float)
+    angle = np.linspace(0, 2 * np.pi, 14, endpoint=False)
+    radius = np.where(np.arange(14) % 2, 1.0, 0.4)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], -1)
+
+
+@pytest.mark.parametrize("name", ["L", "comb", "star"])
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("first", [0, 1, 3])
+def test_polygons_that_are_not_convex_keep_their_area(name, turned, first, tmp_path):
+    """An outline in any plane: the areas of its triangles add to that of the shoelace formula, and all face one way."""
+    flat = np.roll(outline(name), first, axis=0)
+    x, y = flat.T
+    area = (x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+    flat = flat[::-1] if turned else flat
+    points = rotate_points(np.column_stack([flat, 0 * x]), [20.0, 70.0, 40.0], offset=[1.0, -2.0, 3.0])
+    both = np.concatenate([points, points + np.array([9, 0, 0])])
+    (tmp_path / "a.ply").write_text(ply(both, [range(len(x)), range(len(x), 2 * len(x))]))
+    triangles = read_PLY(tmp_path / "a.ply")
+    assert triangles.shape == (2 * (len(x) - 2), 3, 3)
+    assert areas(triangles).sum() == pytest.approx(2 * area, rel=1e-5)
+    sides = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    facing = rotate_points(np.array([[0, 0, -1.0 if turned else 1.0]]), [20.0, 70.0, 40.0])
+    assert (sides @ facing.ravel() > 0).all()
+
+
+def test_strips_of_triangles_and_points(tmp_path):
+    grid = [[x, y, 0] for x in range(3) for y in range(2)]
+    strips = [[0, 2, 1, 3, -1, 2, 4, 3, 5], [0, 2, 1]]
+    (tmp_path / "a.ply").write_text(ply(grid, strips, element="tristrips"))
+    triangles = read_PLY(tmp_path / "a.ply")
+    assert len(triangles) == 5 and np.allclose(areas(triangles), 0.5)
+    sides = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    assert (sides[:, 2] > 0).all()
+    (tmp_path / "b.ply").write_text(ply(grid, [], element=None))
+    with pytest.raises(ValueError, match=r"b\.ply.* has no faces, but vertex; odak\.tools\.read_PLY_point_cloud reads"):
+        read_PLY(tmp_path / "b.ply")
+    assert read_PLY_point_cloud(tmp_path / "b.ply").tolist() == grid
+
+
+def test_far_coordinates_keep_their_digits(tmp_path):
+    near = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    for kind, far in (("double", np.array([4.5e6 + 0.3, 5e6, 300.25])), ("int", np.array([2**24 + 1, 0, 0]))):
+        (tmp_path / "a.ply").write_text(ply(near + far, [[0, 1, 2]], kind))
+        triangles = read_PLY(tmp_path / "a.ply")
+        assert triangles.dtype == np.float64 and np.array_equal(triangles[0], near + far)
+        assert areas(triangles)[0] == pytest.approx(0.5, rel=1e-8)
+    (tmp_path / "a.ply").write_text(ply(1e60 * near, [[0, 1, 2]]))
+    assert read_PLY(tmp_path / "a.ply").max() == 1e60
+    (tmp_path / "a.ply").write_text(ply(0.1 * near + 3, [[0, 1, 2]]))
+    assert read_PLY(tmp_path / "a.ply").dtype == np.float32

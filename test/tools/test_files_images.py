@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
 
+from odak.learn import tools as learned
 from odak.tools import file
 from odak.tools.file import load_image, resize_image, save_image
 
@@ -104,6 +105,50 @@ def test_deep_colour_is_read_from_tiff(tmp_path, random, order):
     path = tmp_path / "deep.tif"
     path.write_bytes(head + data + directory + bytes(4))
     assert np.array_equal(load_image(path), samples)
+
+
+@pytest.mark.parametrize("compression", [1, 5, 8, 32773], ids=["none", "lzw", "deflate", "packbits"])
+@pytest.mark.parametrize("channels", [3, 4])
+def test_deep_colour_is_read_from_compressed_tiff(tmp_path, random, compression, channels):
+    """OpenCV writes LZW with differences of neighbours by default."""
+    cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed")
+    samples = random.integers(0, 65536, (41, 29, channels)).astype(np.uint16)
+    path, order = tmp_path / "deep.tif", [2, 1, 0, 3][:channels]
+    assert cv2.imwrite(str(path), samples[..., order], [cv2.IMWRITE_TIFF_COMPRESSION, compression])
+    assert np.array_equal(load_image(path), samples)
+    path.write_bytes(path.read_bytes()[: -len(path.read_bytes()) // 2])
+    with pytest.raises(ValueError, match=r"Failed to load image .*deep\.tif'"):
+        load_image(path)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.webp"])
+def test_photographs_are_turned_upright_once(tmp_path, orientation, name):
+    """As Pillow's exif_transpose turns them, whatever the format; the corner that is brightest says where up is."""
+    picture = np.zeros((16, 32, 3), np.uint8)
+    picture[:8, :8], picture[8:, :8] = 250, 120
+    image = Image.fromarray(picture)
+    exif = image.getexif()
+    exif[0x0112] = orientation
+    image.save(tmp_path / name, exif=exif, **({"lossless": True} if name.endswith("webp") else {}))
+    upright = {
+        1: picture, 2: picture[:, ::-1], 3: picture[::-1, ::-1], 4: picture[::-1], 5: picture.swapaxes(0, 1),
+        6: np.rot90(picture, -1), 7: picture[::-1, ::-1].swapaxes(0, 1), 8: np.rot90(picture),
+    }[orientation]  # fmt: skip
+    for found in (load_image(tmp_path / name), learned.load_image(tmp_path / name, normalizeby=0).numpy()):
+        assert found.shape == upright.shape and np.abs(found - upright).max() < 30
+
+
+def test_a_deep_photograph_is_turned_too(tmp_path, random):
+    samples = random.integers(0, 65536, (3, 5, 3)).astype(np.uint16)
+    save_image(tmp_path / "a.png", samples, 0, 65535, color_depth=16)
+    image = Image.new("RGB", (1, 1))
+    exif = image.getexif()
+    exif[0x0112] = 6
+    content = exif.tobytes()[6:] if exif.tobytes().startswith(b"Exif") else exif.tobytes()
+    data = (tmp_path / "a.png").read_bytes()
+    (tmp_path / "a.png").write_bytes(data[:33] + chunk(b"eXIf", content) + data[33:])
+    assert np.array_equal(load_image(tmp_path / "a.png"), np.rot90(samples, -1))
 
 
 def test_deep_colour_that_would_lose_bits_is_refused(tmp_path):
