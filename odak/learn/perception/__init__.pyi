@@ -2,6 +2,11 @@ from odak.learn._tensors import check_loss_inputs as check_loss_inputs
 from odak.learn.tools.matrix import blur_gaussian as blur_gaussian
 from odak.learn.tools.matrix import slice_rgbd_targets as slice_rgbd_targets
 
+from .appearance import cam16_ucs_to_xyz as cam16_ucs_to_xyz
+from .appearance import correlated_color_temperature as correlated_color_temperature
+from .appearance import dkl_to_xyz as dkl_to_xyz
+from .appearance import xyz_to_cam16_ucs as xyz_to_cam16_ucs
+from .appearance import xyz_to_dkl as xyz_to_dkl
 from .color import adapt_chromatically as adapt_chromatically
 from .color import change_primaries as change_primaries
 from .color import ciede2000 as ciede2000

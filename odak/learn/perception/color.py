@@ -84,7 +84,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def _decoded_in_float32(function: Callable[P, R]) -> Callable[P, R]:
+def decoded_in_float32(function: Callable[P, R]) -> Callable[P, R]:
     """Return the function, which computes pictures of half precision in float32 and returns them in their own."""
 
     @functools.wraps(function)
@@ -99,7 +99,7 @@ def _decoded_in_float32(function: Callable[P, R]) -> Callable[P, R]:
     return careful
 
 
-@_decoded_in_float32
+@decoded_in_float32
 def change_primaries(
     image: torch.Tensor,
     source: str | Sequence = "BT.709",
@@ -172,7 +172,7 @@ def _space(name, space):
     return _rgb_to_xyz_rows(tuple(primaries), white), white
 
 
-@_decoded_in_float32
+@decoded_in_float32
 def xyz_to_xyy(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch.Tensor:
     """Return chromaticity and luminance x, y, Y of CIE XYZ.
 
@@ -216,7 +216,7 @@ def xyz_to_xyy(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
     return torch.stack([*shares, y], -3)
 
 
-@_decoded_in_float32
+@decoded_in_float32
 def xyy_to_xyz(image: torch.Tensor) -> torch.Tensor:
     """Return CIE XYZ of x, y, Y: the inverse of :func:`xyz_to_xyy`.
 
@@ -600,7 +600,7 @@ def hsv_to_rgb(image: torch.Tensor) -> torch.Tensor:
     return torch.stack([value - lost * (1 - ramp.clamp(0, 1)) for ramp in ramps], -3)
 
 
-@_decoded_in_float32
+@decoded_in_float32
 def srgb_to_lab(image: torch.Tensor) -> torch.Tensor:
     """Return CIE 1976 L*a*b* of sRGB.
 
@@ -639,7 +639,7 @@ def srgb_to_lab(image: torch.Tensor) -> torch.Tensor:
     return by_pixels(_to_lab, _single("image", image), _to_lab_gradient)
 
 
-@_decoded_in_float32
+@decoded_in_float32
 def lab_to_srgb(image: torch.Tensor) -> torch.Tensor:
     """Return sRGB of CIE 1976 L*a*b*: the inverse of :func:`srgb_to_lab`.
 
@@ -1090,7 +1090,7 @@ _DARKEST = 1 / (255 * 12.92)
 _BISECTIONS = 40
 
 
-@_decoded_in_float32
+@decoded_in_float32
 def xyz_to_lab(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch.Tensor:
     """Return CIE 1976 L*a*b* of CIE XYZ.
 
@@ -1128,7 +1128,7 @@ def xyz_to_lab(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
     return torch.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], -3)
 
 
-@_decoded_in_float32
+@decoded_in_float32
 def lab_to_xyz(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch.Tensor:
     """Return CIE XYZ of CIE 1976 L*a*b*: the inverse of :func:`xyz_to_lab`.
 
@@ -1166,7 +1166,7 @@ def lab_to_xyz(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
     return relative * _column(_white(white), relative)
 
 
-@_decoded_in_float32
+@decoded_in_float32
 def xyz_to_luv(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch.Tensor:
     """Return CIE 1976 L*u*v* of CIE XYZ.
 
@@ -1212,7 +1212,7 @@ def xyz_to_luv(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
     return torch.stack([level, *(torch.where(none, 0.0, 13 * level * part) for part in (u, v))], -3)
 
 
-@_decoded_in_float32
+@decoded_in_float32
 def luv_to_xyz(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch.Tensor:
     """Return CIE XYZ of CIE 1976 L*u*v*: the inverse of :func:`xyz_to_luv`.
 
@@ -1374,7 +1374,7 @@ def adapt_chromatically(
     return mix(rows(np.linalg.solve(matrix, gains[:, None] * matrix)), image)
 
 
-@_decoded_in_float32
+@decoded_in_float32
 def xyz_to_oklab(image: torch.Tensor) -> torch.Tensor:
     """Return Oklab of CIE XYZ with the white D65.
 
@@ -1409,10 +1409,10 @@ def xyz_to_oklab(image: torch.Tensor) -> torch.Tensor:
     >>> [abs(round(value, 2)) for value in result.flatten().tolist()]
     [1.0, 0.0, 0.0]
     """
-    return mix(rows(_OKLAB), _signed_cube_root(mix(rows(_OKLAB_CONES), as_pictures("image", image))))
+    return mix(rows(_OKLAB), signed_power(mix(rows(_OKLAB_CONES), as_pictures("image", image)), 1 / 3, _DARKEST))
 
 
-@_decoded_in_float32
+@decoded_in_float32
 def oklab_to_xyz(image: torch.Tensor) -> torch.Tensor:
     """Return CIE XYZ with the white D65 of Oklab: the inverse of :func:`xyz_to_oklab`.
 
@@ -1442,7 +1442,7 @@ def oklab_to_xyz(image: torch.Tensor) -> torch.Tensor:
     return mix(_inverse(rows(_OKLAB_CONES)), mix(_inverse(rows(_OKLAB)), as_pictures("image", image)) ** 3)
 
 
-@_decoded_in_float32
+@decoded_in_float32
 def oklab_to_oklch(image: torch.Tensor) -> torch.Tensor:
     """Return lightness, chroma and hue in radians of Oklab (or of any space of a lightness and two opponents).
 
@@ -1476,7 +1476,7 @@ def oklab_to_oklch(image: torch.Tensor) -> torch.Tensor:
     return torch.stack([level, chroma, torch.remainder(torch.atan2(blue, red), 2 * torch.pi)], -3)
 
 
-@_decoded_in_float32
+@decoded_in_float32
 def oklch_to_oklab(image: torch.Tensor) -> torch.Tensor:
     """Return Oklab of lightness, chroma and hue: the inverse of :func:`oklab_to_oklch`.
 
@@ -1507,7 +1507,7 @@ def oklch_to_oklab(image: torch.Tensor) -> torch.Tensor:
     return torch.stack([level, chroma * torch.cos(hue), chroma * torch.sin(hue)], -3)
 
 
-@_decoded_in_float32
+@decoded_in_float32
 def rgb_to_ictcp(luminance: torch.Tensor) -> torch.Tensor:
     """Return ICtCp of linear BT.2020 RGB, with the PQ curve.
 
@@ -1544,7 +1544,7 @@ def rgb_to_ictcp(luminance: torch.Tensor) -> torch.Tensor:
     return mix(rows(_ICTCP), pq_encode(mix(rows(_ICTCP_CONES), as_pictures("luminance", luminance))))
 
 
-@_decoded_in_float32
+@decoded_in_float32
 def ictcp_to_rgb(image: torch.Tensor) -> torch.Tensor:
     """Return linear BT.2020 RGB in cd/m² of ICtCp: the inverse of :func:`rgb_to_ictcp`.
 
@@ -1697,12 +1697,12 @@ def cube_root(relative):
     return torch.where(high, torch.where(high, relative, 1.0) ** (1 / 3), _LAB_FACTOR * relative + _LAB_OFFSET)
 
 
-def _signed_cube_root(value):
-    """Return the cube root of values of either sign; below the darkest level with the slope at that level."""
-    some = value.abs() > _DARKEST
-    root = value.sign() * torch.where(some, value.abs(), 1.0) ** (1 / 3)
-    dark = value.detach().sign() * value.detach().abs() ** (1 / 3)
-    return torch.where(some, root, dark + (value - value.detach()) * (_DARKEST ** (-2 / 3) / 3))
+def signed_power(value: torch.Tensor, exponent: float, darkest: float) -> torch.Tensor:
+    """Return the power of values of either sign; the slope below the darkest level is that at this level."""
+    some, still = value.abs() > darkest, value.detach()
+    power = value.sign() * torch.where(some, value.abs(), 1.0) ** exponent
+    dark = still.sign() * still.abs() ** exponent
+    return torch.where(some, power, dark + (value - still) * (exponent * darkest ** (exponent - 1)))
 
 
 @functools.lru_cache(maxsize=32)

@@ -27,6 +27,7 @@ BACKLIGHT_GAUSSIANS = ((650.0, 14.5), (550.0, 12.0), (450.0, 12.0))
 _TABLES = {
     "CIE 170": "cone_fundamentals_cie_170_2_degree.csv",
     "CIE 1931": "observer_cie_1931_2_degree.csv",
+    "CIE 1964": "observer_cie_1964_10_degree.csv",
     "D65": "illuminant_cie_d65.csv",
 }
 
@@ -64,13 +65,15 @@ def cone_fundamentals(wavelengths: torch.Tensor | Sequence[float], source: str =
     return _from_table("CIE 170", wavelengths)
 
 
-def color_matching_functions(wavelengths: torch.Tensor | Sequence[float]) -> torch.Tensor:
-    """Return the colour-matching functions x̄, ȳ, z̄ of the CIE 1931 standard observer (2°).
+def color_matching_functions(wavelengths: torch.Tensor | Sequence[float], observer: str = "CIE 1931") -> torch.Tensor:
+    """Return the colour-matching functions x̄, ȳ, z̄ of a standard observer.
 
     Parameters
     ----------
     wavelengths : torch.Tensor or sequence of float
         In nanometres.
+    observer : {"CIE 1931", "CIE 1964"}
+        That of fields of 2°, or of 10°.
 
     Returns
     -------
@@ -94,7 +97,7 @@ def color_matching_functions(wavelengths: torch.Tensor | Sequence[float]) -> tor
     >>> round(color_matching_functions([555.0])[1].item(), 6)
     1.0
     """
-    return _from_table("CIE 1931", wavelengths)
+    return _from_table(_validate.one_of("observer", observer, ("CIE 1931", "CIE 1964")), wavelengths)
 
 
 def illuminant_d65(wavelengths: torch.Tensor | Sequence[float]) -> torch.Tensor:

@@ -102,6 +102,7 @@ for _path in (
     BY_NAME[f"{HERE}.{_path}"] = {"image": SMALL}
 BY_CALL = {
     f"{HERE}.rgb_to_gray": {"image": tensor(3, 16, 16)},
+    f"{HERE}.correlated_color_temperature": {"image": 0.9 + 0.05 * tensor(1, 3, 16, 16)},
     f"{HERE}.change_primaries": {"source": "BT.709", "target": "BT.2020"},
     f"{HERE}.rgb_to_xyz_matrix": {
         "primaries": [[0.64, 0.33], [0.3, 0.6], [0.15, 0.06]],
