@@ -190,7 +190,7 @@ def cam16_ucs_to_xyz(
     cosine, sine = torch.cos(hue), torch.sin(hue)
     scale = 50000 / 13 * _INDUCTION * view["induction"] * (torch.cos(hue + 2) + 3.8) / 4
     # t·(R + G + 21 B/20 + 0.305) = scale·r, with R, G, B linear in the achromatic response and in r·cos h, r·sin h.
-    from_achromatic, from_a, from_b = (_SATURATION @ _FROM_OPPONENT).tolist()
+    from_achromatic, from_a, from_b = map(float, _SATURATION @ _FROM_OPPONENT)
     radius = t * (from_achromatic * achromatic + 0.305) / (scale - t * (from_a * cosine + from_b * sine))
     compressed = mix(rows(_FROM_OPPONENT), torch.stack([achromatic, radius * cosine, radius * sine], -3))
     power = _HALF * compressed / (400 - compressed.abs())
@@ -289,7 +289,7 @@ def dkl_to_xyz(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
 def _planckian_locus():
     """Return mireds, and u, v of CIE 1960 of black bodies with their derivatives by the mired, float64 ``[5, N]``."""
     nanometres = np.arange(360.0, 831.0)
-    matching = color_matching_functions(nanometres).numpy()
+    matching = np.asarray(color_matching_functions(nanometres))
     mired = np.arange(_HOTTEST, _COLDEST + _STEP, _STEP)
     per_mired = _SECOND_CONSTANT / (nanometres * 1e-9) / 1e6
     cycles = mired[:, None] * per_mired
