@@ -48,6 +48,21 @@ def axicon_phase(
     """Return the phase of a thin axicon, −k(n − 1)·tan(angle)·r."""
     ...
 
+def beam_quality(
+    field: torch.Tensor,
+    dx: float | collections.abc.Sequence[float],
+) -> torch.Tensor:
+    """Return the beam quality factor M² along rows and columns."""
+    ...
+
+def beam_width(
+    field: torch.Tensor,
+    dx: float | collections.abc.Sequence[float],
+    method: str = 'D4sigma',
+) -> torch.Tensor:
+    """Return the widths of a beam along rows and columns."""
+    ...
+
 def bessel_beam(
     shape: collections.abc.Sequence[int],
     dx: float | collections.abc.Sequence[float],
@@ -321,6 +336,15 @@ def electricfield(
     """Return the Jones vector of the amplitudes `px` and `py`."""
     ...
 
+def fibre_coupling(
+    field: torch.Tensor,
+    dx: float | collections.abc.Sequence[float],
+    radius: float | torch.Tensor,
+    offset: collections.abc.Sequence[float] = (0.0, 0.0),
+) -> torch.Tensor:
+    """Return the share of the power of a field that couples into a single-mode fibre."""
+    ...
+
 def find_nearest_points(
     ray0: torch.Tensor,
     ray1: torch.Tensor,
@@ -570,6 +594,13 @@ def mirror(
     """Return the Jones matrix of a mirror: diag(rx, −ry), which swaps right and left."""
     ...
 
+def mode_overlap(
+    field: torch.Tensor,
+    mode: torch.Tensor,
+) -> torch.Tensor:
+    """Return the share of the power of a field that is in a mode, |∑ mode*·field|²/(∑|mode|²·∑|field|²)."""
+    ...
+
 def normalize_phase(
     phase: torch.Tensor,
     range_min: float = 0.0,
@@ -585,6 +616,15 @@ def polarizer(
     dtype: torch.dtype | None = None,
 ) -> torch.Tensor:
     """Return the Jones matrix of an ideal linear polariser."""
+    ...
+
+def power_in_bucket(
+    field: torch.Tensor,
+    dx: float | collections.abc.Sequence[float],
+    radius: float | torch.Tensor,
+    offset: collections.abc.Sequence[float] = (0.0, 0.0),
+) -> torch.Tensor:
+    """Return the share of the power of a field that lies within a circle."""
     ...
 
 def prism_grating(

@@ -10,10 +10,12 @@ import numpy as np
 from odak import _array, _validate
 from odak._array import Array, phasor_of_cycles
 from odak._warnings import SamplingWarning, warn
+from odak.jones.calculus import polarizer, retarder
 from odak.wave.elements import share_in_disc, share_in_strip, thin_lens
 from odak.wave.fields import budgets, note_loss, power_of
 from odak.wave.fourier import centred, fourier_sum
 from odak.wave.methods import check_has_kernel, find_method
+from odak.wave.polarized import apply_jones, phase_modulator
 from odak.wave.propagation import propagate_beam
 from odak.wave.sampling import (
     FOCAL,
@@ -511,6 +513,146 @@ class Mask:
         return _through("Mask", field, value), pitch
 
 
+@dataclass(frozen=True)
+class PhaseModulator:
+    """Phase-only modulator of a bench; light polarised otherwise than its axis passes unchanged.
+
+    Attributes
+    ----------
+    phase : array or callable
+        Phase of the pixels in radians, ``[..., rows, columns]``, or a function without arguments that returns it.
+    samples : int
+        Samples of the field along each side of a pixel.
+    angle : float or tensor, optional
+        Direction in degrees, from x towards y, in which it acts on fields ``[..., 2, rows, columns]``; without it, it
+        acts on scalar fields, and on both components alike.
+
+    Examples
+    --------
+    Pixels of two samples each; a phase of π turns the sign:
+
+    >>> import numpy as np
+    >>> from odak.wave import PhaseModulator
+    >>> pattern = np.array([[0.0, np.pi]])
+    >>> field, pitch = PhaseModulator(pattern, samples=2).apply(np.ones((2, 4), complex), 4e-6, 532e-9)
+    >>> field.real[0].round(6).tolist()
+    [1.0, 1.0, -1.0, -1.0]
+    """
+
+    phase: Any
+    samples: int = 1
+    angle: Any = None
+
+    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
+        """Return the field behind the element and its pixel pitch.
+
+        Parameters
+        ----------
+        field : array
+            Complex field ``[..., rows, columns]`` in front of the element.
+        pitch : float or array
+            Pixel pitch in metres, or a pair (rows, columns).
+        wavelength : float or array
+            Wavelength in vacuum in metres.
+        """
+        value = self.phase() if callable(self.phase) else self.phase
+        xp, value = _array.namespace(field), _array.cast(_validate.image("phase", value), field, _float64(field))
+        count = _validate.integer("samples", self.samples, minimum=1)
+        if count > 1:
+            value = xp.repeat(xp.repeat(value, count, axis=-2), count, axis=-1)
+        if self.angle is not None:
+            return apply_jones(phase_modulator(value, self.angle), field), pitch
+        _validate.fitting(field=field, phase=value)
+        return field * phasor_of_cycles(value / (2 * math.pi), field.dtype), pitch
+
+
+@dataclass(frozen=True)
+class Polarizer:
+    """Ideal linear polariser of a bench, for fields ``[..., 2, rows, columns]``.
+
+    Attributes
+    ----------
+    angle : float or tensor
+        Angle of its transmission axis in degrees, from x towards y.
+
+    Examples
+    --------
+    Malus's law at 60°:
+
+    >>> import numpy as np
+    >>> from odak.wave import Polarizer
+    >>> along_x = np.stack([np.ones((2, 2), complex), np.zeros((2, 2), complex)])
+    >>> field, pitch = Polarizer(60.0).apply(along_x, 8e-6, 532e-9)
+    >>> round(float((abs(field[:, 0, 0]) ** 2).sum()), 6)
+    0.25
+    """
+
+    angle: Any = 0.0
+
+    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
+        """Return the field behind the element and its pixel pitch.
+
+        Parameters
+        ----------
+        field : array
+            Complex field ``[..., 2, rows, columns]`` in front of the element.
+        pitch : float or array
+            Pixel pitch in metres, or a pair (rows, columns).
+        wavelength : float or array
+            Wavelength in vacuum in metres.
+        """
+        matrix = polarizer(_array.cast(self.angle, field, _float64(field)))
+        result = apply_jones(matrix, field)
+        note_loss("Polarizer", field, result, "aperture")
+        return result, pitch
+
+
+@dataclass(frozen=True)
+class WavePlate:
+    """Wave plate of a bench, for fields ``[..., 2, rows, columns]``.
+
+    Attributes
+    ----------
+    retardance : float or tensor
+        Phase in degrees by which the slow axis lags behind the fast one: 90 for a quarter-wave plate, 180 for a half.
+    angle : float or tensor
+        Angle of the fast axis in degrees, from x towards y.
+
+    Examples
+    --------
+    A half-wave plate at 45° turns light along x to light along y:
+
+    >>> import numpy as np
+    >>> from odak.wave import WavePlate
+    >>> along_x = np.stack([np.ones((2, 2), complex), np.zeros((2, 2), complex)])
+    >>> field, pitch = WavePlate(180.0, 45.0).apply(along_x, 8e-6, 532e-9)
+    >>> (abs(field[:, 0, 0]) ** 2).round(6).tolist()
+    [0.0, 1.0]
+    """
+
+    retardance: Any
+    angle: Any = 0.0
+
+    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
+        """Return the field behind the element and its pixel pitch.
+
+        Parameters
+        ----------
+        field : array
+            Complex field ``[..., 2, rows, columns]`` in front of the element.
+        pitch : float or array
+            Pixel pitch in metres, or a pair (rows, columns).
+        wavelength : float or array
+            Wavelength in vacuum in metres.
+        """
+        angles = (_array.cast(value, field, _float64(field)) for value in (self.retardance, self.angle))
+        return apply_jones(retarder(*angles), field), pitch
+
+
+def _float64(field):
+    return _array.namespace(field).float64
+
+
 @_validate.takes_units("path_length")
 @dataclass(frozen=True)
 class FirstOrderSystem:
@@ -603,8 +745,9 @@ class optical_bench:
     ----------
     elements : sequence
         In the order in which light meets them: :class:`FreeSpace`, :class:`ThinLens`, :class:`CircularAperture`,
-        :class:`RectangularAperture`, :class:`Mask`, :class:`FirstOrderSystem`, or any object with a method
-        ``apply(field, pitch, wavelength)`` that returns a field and its pitch.
+        :class:`RectangularAperture`, :class:`Mask`, :class:`PhaseModulator`, :class:`Polarizer`, :class:`WavePlate`,
+        :class:`FirstOrderSystem`, or any object with a method ``apply(field, pitch, wavelength)`` that returns a field
+        and its pitch.
     wavelength : float or array
         Wavelength in metres; an array broadcasts against the leading axes of the field.
 
@@ -874,7 +1017,7 @@ class Light:
         return replace(light, field=field, lenses=(lens,), openings=(opening,))
 
 
-_MULTIPLIES = (ThinLens, CircularAperture, RectangularAperture, Mask)
+_MULTIPLIES = (ThinLens, CircularAperture, RectangularAperture, Mask, PhaseModulator, Polarizer, WavePlate)
 
 
 def _known(*values) -> tuple[float, ...] | None:
@@ -902,7 +1045,7 @@ def _draw_element(pen, element, at: Callable, tall: float, wing: float) -> None:
         for sign in (1, -1):
             edge = min(max(centre + sign * half, -top), top)
             pen.line([at(sign * top), at(edge)], fill="black", width=5)
-    elif isinstance(element, Mask):
+    elif isinstance(element, (Mask, PhaseModulator, Polarizer, WavePlate)):
         for part in np.arange(-1.0, 1.0, 0.2):
             pen.line([at(top * part), at(top * (part + 0.1))], fill="#c25700", width=4)
     elif isinstance(element, FirstOrderSystem):

@@ -1,5 +1,6 @@
 """Beams against their propagation, their power, their orthogonality and published formulas."""
 
+import math
 import re
 import warnings
 
@@ -8,14 +9,21 @@ import physics
 import pytest
 import torch
 
+import odak
 from odak import SamplingWarning
 from odak.wave import (
     airy_beam,
+    beam_quality,
+    beam_width,
     bessel_beam,
+    circular_aperture,
+    fibre_coupling,
     flat_top_beam,
     gaussian_beam,
     hermite_gaussian_beam,
     laguerre_gaussian_beam,
+    mode_overlap,
+    power_in_bucket,
     propagate_beam,
 )
 
@@ -176,3 +184,61 @@ def test_cones_and_tails_beyond_nyquist_are_named():
         warnings.simplefilter("error", SamplingWarning)
         airy_beam((64, 64), 8e-6, 40e-6)
         bessel_beam((64, 64), 8e-6, WAVELENGTH, 1.8)
+
+
+def test_widths_and_quality_of_modes():
+    """Widths 2w·√(2n + 1) and M² = 2n + 1 of Hermite–Gauss modes at any distance; Siegman, Lasers (1986), 17.5."""
+    distance, waist = 0.03, 6e-5
+    width = waist * np.hypot(1, distance * WAVELENGTH / (np.pi * waist**2))
+    beam = hermite_gaussian_beam(SHAPE, PITCH, WAVELENGTH, waist, (1, 3), distance, offset=(2e-5, -4e-5))
+    np.testing.assert_allclose(beam_width(beam, PITCH), 2 * width * np.sqrt([3, 7]), rtol=1e-6)
+    np.testing.assert_allclose(beam_quality(beam, PITCH), [3, 7], rtol=1e-6)
+    # Incoherent with itself at another place: the beam is wider, its band is not.
+    both = np.stack([beam, gaussian_beam(SHAPE, PITCH, WAVELENGTH, waist, distance)])
+    np.testing.assert_allclose(beam_width(both, PITCH)[1], [2 * width] * 2, rtol=1e-6)
+    np.testing.assert_allclose(beam_width(both[1], PITCH, "knife-edge"), [2 * width] * 2, rtol=3e-3)
+    tensor = torch.as_tensor(both)
+    np.testing.assert_allclose(odak.learn.wave.beam_quality(tensor, PITCH), beam_quality(both, PITCH), rtol=1e-9)
+    round_light = flat_top_beam(SHAPE, PITCH, 3e-4, 60.0)
+    mean = 2 ** (-1 / 60) * math.gamma(2 / 60) / math.gamma(1 / 60)
+    np.testing.assert_allclose(beam_width(round_light, PITCH), [4 * 3e-4 * np.sqrt(mean / 2)] * 2, rtol=1e-3)
+
+
+def test_power_and_overlap_in_closed_forms():
+    """1 − exp(−2r²/w²) within a circle; overlaps of Gaussian beams; 81.45 % of a disc into a Gaussian mode."""
+    beam = gaussian_beam(SHAPE, PITCH, WAVELENGTH, WAIST, 0.0, 3.0, (4e-5, -2e-5))
+    assert power_in_bucket(beam, PITCH, 1e-4, (4e-5, -2e-5)) == pytest.approx(
+        1 - np.exp(-2 * (1e-4 / WAIST) ** 2), 1e-3
+    )
+    assert fibre_coupling(beam, PITCH, WAIST, (4e-5, -2e-5)) == pytest.approx(1, rel=1e-9)
+    # Shifted by s and tilted by a: exp(−s²/w²)·exp(−(πaw/λ)²).
+    tilt = 2 * np.pi / WAVELENGTH * 1e-3 * (np.arange(SHAPE[1]) - SHAPE[1] // 2) * PITCH
+    expected = np.exp(-((3e-5 / WAIST) ** 2) - (np.pi * 1e-3 * WAIST / WAVELENGTH) ** 2)
+    found = fibre_coupling(beam * np.exp(1j * tilt), PITCH, WAIST, (7e-5, -2e-5))
+    assert found == pytest.approx(expected, rel=1e-9)
+    mode = gaussian_beam(SHAPE, PITCH, WAVELENGTH, WAIST, 0.0, 1.0, (7e-5, -2e-5))
+    assert mode_overlap(beam * np.exp(1j * tilt), mode) == pytest.approx(expected, rel=1e-9)
+    vortex = laguerre_gaussian_beam(SHAPE, PITCH, WAVELENGTH, WAIST, 0, 1, offset=(4e-5, -2e-5))
+    assert mode_overlap(np.stack([beam, vortex]), vortex).tolist() == pytest.approx([0, 1], abs=1e-9)
+    disc = (circular_aperture((256, 256), 1.0, 60.0) > 0.5) + 0j
+    assert fibre_coupling(disc, 1.0, 60 / 1.1209) == pytest.approx(0.8145, abs=1e-3)
+
+
+def test_measures_have_gradients():
+    field = torch.as_tensor(gaussian_beam((24, 20), PITCH, WAVELENGTH, 1.5e-5)).requires_grad_()
+    radius = torch.tensor(1.4e-5, dtype=torch.float64, requires_grad=True)
+
+    def measures(field, radius):
+        bucket = power_in_bucket(field, PITCH, radius)[None] * 1e-5
+        into = fibre_coupling(field, PITCH, radius)[None] * 1e-5
+        widths = (beam_width(field, PITCH), beam_width(field, PITCH, "knife-edge"), beam_quality(field, PITCH) * 1e-5)
+        return torch.cat([bucket, into, *widths]) * 1e5
+
+    value = measures(field, radius).sum()
+    slopes = torch.autograd.grad(value, (field, radius))
+    step = torch.randn(24, 20, dtype=torch.complex128, generator=torch.manual_seed(1)) * 1e-3
+    with torch.no_grad():
+        change = measures(field + step, radius).sum() - measures(field - step, radius).sum()
+        moved = measures(field, radius + 1e-10).sum() - measures(field, radius - 1e-10).sum()
+    assert float(change) == pytest.approx(2 * float((slopes[0].conj() * step).sum().real), rel=1e-4)
+    assert float(moved) == pytest.approx(2e-10 * float(slopes[1]), rel=3e-3)

@@ -14,8 +14,11 @@ from odak.wave import (
     FirstOrderSystem,
     FreeSpace,
     Mask,
+    PhaseModulator,
+    Polarizer,
     RectangularAperture,
     ThinLens,
+    WavePlate,
     optical_bench,
     power_budget,
     propagate_abcd,
@@ -402,3 +405,23 @@ def test_spaces_that_lose_light_warn(elements, kept, random):
         optical_bench(elements, WAVELENGTH).propagate(torch.as_tensor(field).requires_grad_(), 8e-6)
     texts = [str(one.message) for one in caught if "FreeSpace keeps" in str(one.message)]
     assert len(texts) == (len(elements) if kept else 0)
+
+
+def test_modulator_polariser_and_wave_plate_in_a_bench(random):
+    """A half-wave plate, a modulator along x and a crossed polariser show the phase as sin²(phase / 2)."""
+    pattern = random.uniform(-np.pi, np.pi, (8, 6))
+    along_x = np.zeros((2, 16, 12), complex)
+    along_x[0] = 1
+    elements = [WavePlate(180.0, 22.5), PhaseModulator(lambda: pattern, 2, 0.0), Polarizer(-45.0)]
+    for field in (along_x, torch.as_tensor(along_x)):
+        with power_budget() as budget:
+            out, _ = optical_bench(elements, WAVELENGTH).propagate(field, 8e-6)
+        expected = np.kron(np.sin(pattern / 2) ** 2, np.ones((2, 2)))
+        np.testing.assert_allclose((abs(out) ** 2).sum(0), expected, atol=1e-12)
+        assert budget.aperture == pytest.approx(1 - expected.mean())
+        scalar, _ = PhaseModulator(pattern, 2).apply(field[0], 8e-6, WAVELENGTH)
+        np.testing.assert_allclose(scalar[::2, ::2], np.exp(1j * pattern), atol=1e-12)
+    turn = torch.tensor(20.0, dtype=torch.float64, requires_grad=True)
+    passed, _ = optical_bench([Polarizer(turn)], WAVELENGTH).propagate(torch.as_tensor(along_x), 8e-6)
+    (slope,) = torch.autograd.grad((abs(passed) ** 2).sum(0).mean(), turn)
+    assert float(slope) == pytest.approx(-np.sin(np.radians(40)) * np.pi / 180)

@@ -3,8 +3,11 @@ from odak.wave.bench import CircularAperture as CircularAperture
 from odak.wave.bench import FirstOrderSystem as FirstOrderSystem
 from odak.wave.bench import FreeSpace as FreeSpace
 from odak.wave.bench import Mask as Mask
+from odak.wave.bench import PhaseModulator as PhaseModulator
+from odak.wave.bench import Polarizer as Polarizer
 from odak.wave.bench import RectangularAperture as RectangularAperture
 from odak.wave.bench import ThinLens as ThinLens
+from odak.wave.bench import WavePlate as WavePlate
 from odak.wave.bench import optical_bench as optical_bench
 from odak.wave.bench import propagate_abcd as propagate_abcd
 from odak.wave.fields import PowerLoss as PowerLoss
@@ -80,12 +83,15 @@ from .displays import optimise as optimise
 from .elements import airy_beam as airy_beam
 from .elements import aspheric_lens_phase as aspheric_lens_phase
 from .elements import axicon_phase as axicon_phase
+from .elements import beam_quality as beam_quality
+from .elements import beam_width as beam_width
 from .elements import bessel_beam as bessel_beam
 from .elements import blazed_grating as blazed_grating
 from .elements import circular_aperture as circular_aperture
 from .elements import cylindrical_lens_phase as cylindrical_lens_phase
 from .elements import dammann_grating as dammann_grating
 from .elements import double_convergence as double_convergence
+from .elements import fibre_coupling as fibre_coupling
 from .elements import flat_top_beam as flat_top_beam
 from .elements import fresnel_zone_plate as fresnel_zone_plate
 from .elements import gaussian_beam as gaussian_beam
@@ -94,6 +100,8 @@ from .elements import laguerre_gaussian_beam as laguerre_gaussian_beam
 from .elements import lens_phase as lens_phase
 from .elements import linear_grating as linear_grating
 from .elements import metalens_phase as metalens_phase
+from .elements import mode_overlap as mode_overlap
+from .elements import power_in_bucket as power_in_bucket
 from .elements import prism_grating as prism_grating
 from .elements import prism_phase_function as prism_phase_function
 from .elements import pupil_function as pupil_function

@@ -16,12 +16,15 @@ if TYPE_CHECKING:
     from odak.learn._faces import airy_beam as airy_beam
     from odak.learn._faces import aspheric_lens_phase as aspheric_lens_phase
     from odak.learn._faces import axicon_phase as axicon_phase
+    from odak.learn._faces import beam_quality as beam_quality
+    from odak.learn._faces import beam_width as beam_width
     from odak.learn._faces import bessel_beam as bessel_beam
     from odak.learn._faces import blazed_grating as blazed_grating
     from odak.learn._faces import circular_aperture as circular_aperture
     from odak.learn._faces import cylindrical_lens_phase as cylindrical_lens_phase
     from odak.learn._faces import dammann_grating as dammann_grating
     from odak.learn._faces import double_convergence as double_convergence
+    from odak.learn._faces import fibre_coupling as fibre_coupling
     from odak.learn._faces import flat_top_beam as flat_top_beam
     from odak.learn._faces import fresnel_zone_plate as fresnel_zone_plate
     from odak.learn._faces import gaussian_beam as gaussian_beam
@@ -30,6 +33,8 @@ if TYPE_CHECKING:
     from odak.learn._faces import lens_phase as lens_phase
     from odak.learn._faces import linear_grating as linear_grating
     from odak.learn._faces import metalens_phase as metalens_phase
+    from odak.learn._faces import mode_overlap as mode_overlap
+    from odak.learn._faces import power_in_bucket as power_in_bucket
     from odak.learn._faces import prism_grating as prism_grating
     from odak.learn._faces import prism_phase_function as prism_phase_function
     from odak.learn._faces import pupil_function as pupil_function
@@ -68,11 +73,16 @@ if not TYPE_CHECKING:
     zernike_phase = torch_face(elements.zernike_phase)
 
     airy_beam = torch_face(beams.airy_beam)
+    beam_quality = torch_face(beams.beam_quality)
+    beam_width = torch_face(beams.beam_width)
     bessel_beam = torch_face(beams.bessel_beam)
+    fibre_coupling = torch_face(beams.fibre_coupling)
     flat_top_beam = torch_face(beams.flat_top_beam)
     gaussian_beam = torch_face(beams.gaussian_beam)
     hermite_gaussian_beam = torch_face(beams.hermite_gaussian_beam)
     laguerre_gaussian_beam = torch_face(beams.laguerre_gaussian_beam)
+    mode_overlap = torch_face(beams.mode_overlap)
+    power_in_bucket = torch_face(beams.power_in_bucket)
 
     pupil_function = torch_face(imaging.pupil_function)
     reference_wave = torch_face(recording.reference_wave)
