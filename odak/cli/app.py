@@ -824,6 +824,44 @@ def trace(
 
 
 @app.command(
+    help="Tolerance a lens: trace many with random deviations of their numbers, those of ISO 10110-11 for drawings "
+    "without any, or as large as a --yield allows.\n\n"
+    "Each lens is refocused. Writes figures of the yield, with histograms, and of the sensitivities, report.html and "
+    "report.json. The same seed gives the same lenses."
+)
+def tolerance(
+    system: Annotated[str, typer.Argument(metavar="SYSTEM", help="Name of a sample, or a .json, .zmx or .seq file.")],
+    output: Output = Path("tolerance"),
+    samples: Annotated[int, typer.Option(metavar="COUNT", help="Number of lenses.")] = 200,
+    limit: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SIZE", help="Largest RMS spot that is accepted, in the lens's unit; by default twice the largest."
+        ),
+    ] = None,
+    share: Annotated[
+        float | None,
+        typer.Option("--yield", metavar="SHARE", help="Scale the deviations to this share of good lenses."),
+    ] = None,
+    focus: Annotated[bool, typer.Option("--focus/--no-focus", help="Refocus each lens.")] = True,
+    seed: Annotated[int, typer.Option(metavar="NUMBER", help="Seed of the random numbers.")] = 0,
+    quiet: Quiet = False,
+    again: Again = False,
+) -> None:
+    """Tolerance a system; see :mod:`odak.cli.trace`."""
+    with _messages():
+        from odak.cli.trace import run_tolerance
+
+        report = run_tolerance(system, output, samples, seed, limit, share, focus, _notices(again, quiet))
+    if quiet:
+        return
+    unit, median = report["system"]["unit"], report["rms_quantiles"].get("0.5")
+    typer.echo(f"RMS spot {report['rms_as_drawn']:.3g} {unit} as drawn, median of {samples} lenses {median:.3g} {unit}")
+    typer.echo(f"yield {report['yield']:.0%} within {report['limit']:.3g} {unit}")
+    typer.echo(f"{', '.join(report['figures'])}, report.html, report.json in {output}")
+
+
+@app.command(
     help="Design a lens: improve one that is there (a sample, a .json or a .zmx file) or, without one, make one from "
     "flat plates for --focal-length, --f-number, --field and --elements.\n\n"
     "Curvatures, thicknesses, the focus and what aspheres there are vary, so that the spots of all fields become small "

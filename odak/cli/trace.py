@@ -1,4 +1,4 @@
-"""Ray tracing of a lens for `odak trace`: figures, and reports as HTML and JSON."""
+"""Ray tracing and tolerances of a lens for `odak trace` and `odak tolerance`: figures, reports as HTML and JSON."""
 
 import json
 from collections.abc import Sequence
@@ -16,15 +16,22 @@ from odak.learn.raytracing.system import (
     field_modulation,
     field_quality,
     first_order,
+    iso_10110_tolerances,
+    layout_figure,
     lens_report,
     load_system,
     read_len,
     read_seq,
     read_zmx,
     report_figures,
+    rms_spot,
     sample_systems,
+    sensitivity,
     spot_diagram,
     system_to_dict,
+    tolerance,
+    tolerance_figure,
+    tolerances_for_yield,
 )
 from odak.learn.raytracing.system.drawing import image_aperture, modulation_frequencies
 from odak.learn.raytracing.system.system_files import load_materials
@@ -49,6 +56,15 @@ DEFINITIONS = {
     "quadrature": "Rings of the Gaussian quadrature of rms_spot, wavefront_rms, strehl and passed, and the largest "
     "change of these from half as many rings: relative for the first two, absolute for the others.",
     "statuses": "How many rays of the rings, of all wavelengths, ended how.",
+}
+
+TOLERANCES = {
+    "lengths": "In the system's unit.",
+    "perturbations": "Of ISO 10110-11, or scaled to the yield: half widths of uniform distributions, standard "
+    "deviations of normal ones.",
+    "yield": "Share of the lenses whose spots (root mean square) are at most the limit at all fields.",
+    "rms_quantiles": "Of the root mean square of the spots over the fields: the share of the lenses that is below.",
+    "sensitivity": "The same with one number off by its size, too large and too small.",
 }
 
 
@@ -211,3 +227,102 @@ def describe(system, rings: int, aim: str, quality: FieldQuality) -> dict:
         "versions": versions(),
         "definitions": DEFINITIONS,
     }
+
+
+@files.claiming
+def run_tolerance(
+    name: str,
+    output: Path,
+    samples: int,
+    seed: int,
+    limit: float | None,
+    share: float | None,
+    focus: bool,
+    notices: files.Notices = files.SILENT,
+) -> dict:
+    """Tolerance a system by ISO 10110-11, or to a yield, and write figures, report.html and report.json.
+
+    Parameters
+    ----------
+    name : str
+        As in :func:`read_system`.
+    output : Path
+        Folder to write to.
+    samples : int
+        Number of lenses.
+    seed : int
+        Of the random numbers.
+    limit : float or None
+        Largest spot that is accepted, in the unit of the lens; twice the largest as drawn by default.
+    share : float or None
+        Yield that the deviations are scaled to; None for those of ISO 10110-11.
+    focus : bool
+        Refocus each lens.
+    notices : files.Notices
+        What to do about results of earlier runs.
+
+    Returns
+    -------
+    dict
+        The report.
+    """
+    if samples < 1:
+        raise InputError(f"--samples must be at least 1, got {samples}")
+    if share is not None and not 0 < share < 1:
+        raise InputError(f"--yield must be between 0 and 1, got {share:g}")
+    if limit is not None and not limit > 0:
+        raise InputError(f"--limit must be positive, got {limit:g}")
+    system, ignored = read_system(name)
+    folder = writable_folder(Path(output))
+    values = {"command": "tolerance", "system": Path(name).name, "samples": samples, "seed": seed, "limit": limit}
+    values |= {"yield": share, "focus": focus}
+    mark = files.fingerprint(values, [path for path in (Path(name),) if path.is_file()])
+    if (kept := files.kept_report(folder, mark, notices)) is not None:
+        return kept
+    names = ["tolerance.png", "sensitivity.png", "report.html"]
+    files.announce(folder, [*names, files.REPORT], notices)
+    compensators = [("thickness", -1)] if focus else []
+    off = iso_10110_tolerances(system)
+    if not off:
+        raise InputError(f"SYSTEM {name!r} has no glass, for which ISO 10110 has tolerances")
+    with torch.no_grad():
+        limit = 2 * float(rms_spot(system).max()) if limit is None else limit
+        try:
+            if share is None:
+                found = tolerance(system, off, samples, seed, compensators=compensators)
+            else:
+                off, found = tolerances_for_yield(
+                    system, off, limit, share, samples=samples, seed=seed, compensators=compensators
+                )
+        except ValueError as error:
+            raise InputError(f"SYSTEM {name!r} cannot be toleranced: {error}") from None
+        alone = sensitivity(system, off, compensators=compensators)
+        quality = field_quality(system)
+        drawn = {"tolerance": tolerance_figure(system, found, limit), "sensitivity": tolerance_figure(system, alone)}
+    for title, figure in drawn.items():
+        with replacing(folder / f"{title}.png") as stream:
+            figure.savefig(stream, format="png", dpi=140)
+    lens_report(system, folder / "report.html", "paraxial", {"layout": layout_figure(system), **drawn}, quality)
+    sizes = found.merit.square().mean(-1).sqrt()
+    good = sizes[torch.isfinite(sizes)]
+    report = {
+        "system": system_to_dict(system),
+        "perturbations": [item._asdict() for item in off],
+        "compensators": [list(pair) for pair in compensators],
+        "samples": samples,
+        "seed": seed,
+        "limit": limit,
+        "yield": float(found.yield_within(limit)),
+        "rms_as_drawn": finite(found.nominal.square().mean().sqrt()),
+        "rms_quantiles": {f"{q:g}": finite(torch.quantile(good, q)) for q in (0.5, 0.8, 0.9, 0.98)}
+        if len(good)
+        else {},
+        "sensitivity": {
+            key: [finite(value.square().mean().sqrt()) for value in alone.merit[:, i]]
+            for i, key in enumerate(alone.names)
+        },
+        "ignored": ignored,
+        "versions": versions(),
+        "definitions": TOLERANCES,
+    }
+    return files.write_report(folder, report | {"figures": names[:-1]}, mark, names)

@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from odak.cli import app, main, trace
 from odak.learn.raytracing.system import (
+    Perturbation,
     layout_figure,
     load_system,
     optical_system,
@@ -16,6 +17,7 @@ from odak.learn.raytracing.system import (
     save_system,
     spots_figure,
     surface,
+    tolerance,
     trace_fields,
     transfer_figure,
     wavefront,
@@ -162,3 +164,18 @@ def test_help_names_the_samples():
     result = CliRunner().invoke(app.app if hasattr(app, "app") else app, ["trace", "--help"])
     assert result.exit_code == 0
     assert all(name in result.output for name in sample_systems())
+
+
+def test_a_lens_is_toleranced(tmp_path, capsys):
+    asked = ["--output", str(tmp_path), "--samples", "4", "--limit", "0.13", "--no-focus"]
+    assert main(["tolerance", "singlet", *asked]) == 0
+    assert "yield" in capsys.readouterr().out
+    report = json.loads((tmp_path / "report.json").read_text())
+    items = [Perturbation(**item) for item in report["perturbations"]]
+    found = tolerance(load_system("singlet"), items, 4)
+    assert float(found.yield_within(0.13)) == report["yield"]
+    median = float(found.merit.square().mean(-1).sqrt().quantile(0.5))
+    assert report["rms_quantiles"]["0.5"] == pytest.approx(median, rel=1e-9)
+    assert (tmp_path / "report.html").read_text().count("<svg") == 3 and (tmp_path / "tolerance.png").stat().st_size
+    assert main(["tolerance", "singlet", "--yield", "1.5"]) == 2
+    assert "--yield must be between 0 and 1" in capsys.readouterr().err

@@ -290,6 +290,11 @@ BY_CALL = {
     f"{HERE}.system.sensitivity": {
         "perturbations": Build(lambda _: [Perturbation("radius", 0, 1e-3, relative=True)]),
     },
+    f"{HERE}.system.tolerances_for_yield": {
+        "perturbations": Build(lambda _: [Perturbation("radius", 0, 1e-3, relative=True)]),
+        "limit": 1.0,
+        "samples": 2,
+    },
     f"{HERE}.system.tolerance_figure": {"found": Build(lambda _: _sensitivity())},
     f"{HERE}.system.lens_report": {"path": Build(lambda folder: folder / "report.html"), "figures": {}},
     f"{HERE}.system.seidel_sums": {"field": 1.0},

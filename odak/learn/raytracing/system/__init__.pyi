@@ -69,9 +69,11 @@ from .optimise import LevenbergMarquardtResult as LevenbergMarquardtResult
 from .optimise import Perturbation as Perturbation
 from .optimise import Sensitivity as Sensitivity
 from .optimise import ToleranceResult as ToleranceResult
+from .optimise import iso_10110_tolerances as iso_10110_tolerances
 from .optimise import levenberg_marquardt as levenberg_marquardt
 from .optimise import sensitivity as sensitivity
 from .optimise import tolerance as tolerance
+from .optimise import tolerances_for_yield as tolerances_for_yield
 from .oslo import read_len as read_len
 from .oslo import write_len as write_len
 from .paraxial import FirstOrder as FirstOrder

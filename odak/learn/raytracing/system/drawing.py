@@ -1102,8 +1102,9 @@ def tolerance_figure(system: Any, found: Any, limit: float | None = None) -> Fig
         The system.
     found : ToleranceResult or Sensitivity
         From :func:`tolerance`: the fraction of the systems whose merits are below a value, for each field and for all
-        of them. From :func:`sensitivity`: bars of the root mean square of the merits over that as drawn. Merits are
-        taken to be lengths, as those of :func:`rms_spot`.
+        of them, and a histogram of their root mean square over the fields with that of the system as drawn. From
+        :func:`sensitivity`: bars of the root mean square of the merits over that as drawn. Merits are taken to be
+        lengths, as those of :func:`rms_spot`.
     limit : float, optional
         Largest merit that is accepted, marked with the yield.
 
@@ -1139,9 +1140,14 @@ def tolerance_figure(system: Any, found: Any, limit: float | None = None) -> Fig
         return figure
     if not isinstance(found, ToleranceResult):
         raise TypeError(f"found must be a ToleranceResult or a Sensitivity, got {type(found).__name__}")
-    merit = (found.merit * scale).reshape(len(found.merit), -1).cpu()
-    figure, panels = _panels(1, 1, (5.2, 3.4))
+    merit = (found.merit.detach() * scale).reshape(len(found.merit), -1).cpu()
+    figure, panels = _panels(1, 2, (9.0, 3.4))
     axes, share = panels[0, 0], np.arange(1, len(merit) + 1) / len(merit)
+    overall = merit.square().mean(-1).sqrt()
+    panels[0, 1].hist(overall[overall.isfinite()].numpy(), bins=max(8, round(len(merit) ** 0.5)), color=color_of(0))
+    panels[0, 1].axvline(float((found.nominal * scale).square().mean().sqrt()), color=INK, lw=0.8, label="as drawn")
+    panels[0, 1].set(xlabel=f"RMS over the fields ({unit})", ylabel="number of systems", xlim=(0, None))
+    panels[0, 1].legend(fontsize=8, frameon=False)
     several = merit.shape[1] > 1
     for i in range(merit.shape[1]):
         label = f"field {field_label(system, i)}" if merit.shape[1] == len(system.fields) else str(i)
@@ -1230,7 +1236,8 @@ def lens_report(
     aim : str
         "paraxial" or "real", how :func:`launch` aims.
     figures : dict, optional
-        From :func:`report_figures`, where available.
+        From :func:`report_figures`, where available; those of :func:`tolerance_figure` as "tolerance" and
+        "sensitivity".
     quality : FieldQuality, optional
         From :func:`field_quality`, where available.
 
@@ -1260,6 +1267,8 @@ def lens_report(
         "footprint": "Footprints",
         "polarisation": "Diattenuation and retardance",
         "seidel": "Seidel coefficients by surface",
+        "tolerance": "Spots of lenses with deviations",
+        "sensitivity": "Change of the spots by each deviation alone",
     }
     parts = [f"<h1>{html.escape(system.name or 'Optical system')}</h1>", f"<p>{html.escape(system.source)}</p>"]
     if figures is not None and not isinstance(figures, dict):

@@ -1,4 +1,4 @@
-"""Optimisation by Levenberg and Marquardt's method, and Monte Carlo tolerances."""
+"""Optimisation by Levenberg and Marquardt's method, and tolerances: Monte Carlo, sensitivities, yields, ISO 10110."""
 
 from collections.abc import Callable, Iterable, Sequence
 from math import inf
@@ -8,10 +8,26 @@ import torch
 
 from odak import _validate
 from odak._torch_private import load_forward_rules
+from odak.catalog.materials import MICROMETRES, Material
 from odak.learn.raytracing.system.analysis import rms_spot
-from odak.learn.raytracing.system.surfaces import Prescription, checked_system
+from odak.learn.raytracing.system.operands import clear_heights
+from odak.learn.raytracing.system.pupils import trace_fields
+from odak.learn.raytracing.system.sequence import placement
+from odak.learn.raytracing.system.surfaces import Prescription, checked_system, is_break, is_glass, wavelength_shares
+from odak.learn.raytracing.system.zemax import _zernike_terms
+from odak.raytracing.surfaces import ZernikeFreeform
 
-NAMES = ("curvature", "radius", "conic", "thickness", "index", "shift", "tilt")
+NAMES = (
+    "curvature", "radius", "conic", "thickness", "spacing", "index", "abbe", "shift", "decentre", "tilt", "wedge",
+    "roll", "irregularity",
+)  # fmt: skip
+# Other names of the same numbers, and how many numbers a deviation has beside one.
+SAME = {"spacing": "thickness", "decentre": "shift", "wedge": "tilt"}
+AXES = {"shift": ("along x", "along y"), "tilt": ("about x", "about y")}
+# Zernike polynomials of an irregularity in Noll's order: astigmatism, coma, trefoil, spherical.
+IRREGULAR = tuple(range(5, 12))
+# Share of the squares of a merit that another linear step of the compensators may still gain.
+LINEAR = 1e-3
 DISTRIBUTIONS = ("normal", "uniform")
 COMPENSATORS = ("curvature", "conic", "thickness", "shift", "tilt")
 
@@ -325,8 +341,10 @@ class Perturbation(NamedTuple):
     Attributes
     ----------
     name : str
-        "curvature", "radius", "conic", "thickness", "index" (of what is behind the surface), "shift" or "tilt" (in
-        degrees; both of x and y alike).
+        "curvature", "radius", "conic"; "thickness" or "spacing"; "index" of what is behind the surface; "abbe", the
+        Abbe number of the same; "shift" or "decentre" along x and y; "tilt" or "wedge" about x and y in degrees; "roll"
+        about z in degrees; "irregularity", the root mean square of a deviation of the surface over its clear aperture
+        by astigmatism, coma, trefoil and spherical aberration in equal shares.
     surfaces : int or sequence of int
         Of which surfaces, each drawn on its own.
     size : float
@@ -336,7 +354,10 @@ class Perturbation(NamedTuple):
     distribution : str
         "normal" or "uniform".
     together : bool
-        Draw once for all the surfaces: a lens that is shifted as a whole.
+        Draw once for all the surfaces: an element or a group that is shifted, tilted or rolled as a rigid body. What is
+        behind it stays where it is.
+    pivot : float
+        Distance from the vertex of the first of the surfaces along z to the point that a body is turned about.
 
     Examples
     --------
@@ -352,6 +373,7 @@ class Perturbation(NamedTuple):
     relative: bool = False
     distribution: str = "normal"
     together: bool = False
+    pivot: float = 0.0
 
 
 class ToleranceResult(NamedTuple):
@@ -464,10 +486,11 @@ def sensitivity(
     for number, (item, places) in enumerate(items):
         columns = [list(range(len(places)))] if item.together else [[j] for j in range(len(places))]
         for axis in range(_axes_of(item)):
-            way = {"shift": f" along {'xy'[axis]}", "tilt": f" about {'xy'[axis]}"}.get(item.name, "")
+            way = AXES.get(_kind(item), ())[axis : axis + 1]
+            way = (f"by Zernike {IRREGULAR[axis]}",) if item.name == "irregularity" else way
             for held in columns:
                 which = ", ".join(str(places[j]) for j in held)
-                names.append(f"{item.name} of surface{'s' if len(held) > 1 else ''} {which}{way}")
+                names.append(f"{item.name} of surface{'s' if len(held) > 1 else ''} {' '.join((which, *way))}")
                 cells.append((number, held, axis))
     if not names:
         raise ValueError("perturbations must contain at least one, got none")
@@ -479,8 +502,8 @@ def sensitivity(
     numbers = _deviated(system, nominal, items, draws, samples)
     if len(compensators):
         one = perturbed(system, nominal, [], 1, 0)
-        numbers, one = (compensated(system, p, compensators, merit, iterations) for p in (numbers, one))
-        found, drawn = merit(system, prescription=numbers), merit(system, prescription=one)[0]
+        found, _ = _after_compensation(system, numbers, compensators, merit, iterations)
+        drawn = _after_compensation(system, one, compensators, merit, iterations)[0][0]
     else:
         found, drawn = merit(system, prescription=numbers), merit(system, prescription=nominal)
     return Sensitivity(tuple(names), found.reshape(2, len(names), *found.shape[1:]), drawn)
@@ -514,9 +537,11 @@ def tolerance(
     compensators : sequence of pairs
         What is adjusted when a system is put together, name and surface: ``[("thickness", -1)]`` focuses each. Names
         are "curvature", "conic", "thickness", "shift" and "tilt" (of both axes). They take the values that make the sum
-        of the squares of the merit least, from the system as drawn.
+        of the squares of the merit least, from the system as drawn. For spots they follow from the derivatives of the
+        rays of the system as drawn: each lens is traced twice, and again only while a further step would gain more than
+        1e-3 of the squares.
     iterations : int
-        Steps of the search for them.
+        Most steps of the search for them.
 
     Returns
     -------
@@ -548,13 +573,215 @@ def tolerance(
     numbers = perturbed(system, nominal, perturbations, samples, seed)
     if len(compensators):
         one = perturbed(system, nominal, [], 1, seed)
-        numbers, one = (compensated(system, p, compensators, merit, iterations) for p in (numbers, one))
-        return ToleranceResult(merit(system, prescription=numbers), merit(system, prescription=one)[0], numbers)
+        drawn = _after_compensation(system, one, compensators, merit, iterations)[0][0]
+        found, numbers = _after_compensation(system, numbers, compensators, merit, iterations)
+        return ToleranceResult(found, drawn, numbers)
     return ToleranceResult(merit(system, prescription=numbers), merit(system, prescription=nominal), numbers)
 
 
-def compensated(system, numbers: Prescription, compensators, merit: Callable, iterations: int) -> Prescription:
-    """Return a batch of prescriptions ``[N]`` with the compensators where the sum of the squared merits is least."""
+def tolerances_for_yield(
+    system: Any,
+    perturbations: Sequence[Perturbation],
+    limit: Any,
+    share: float = 0.9,
+    *,
+    samples: int = 200,
+    seed: int = 0,
+    compensators: Sequence[tuple[str, int]] = (),
+) -> tuple[list[Perturbation], ToleranceResult]:
+    """Return the largest deviations with which a share of the lenses has spots of at most `limit`.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    perturbations : sequence of Perturbation
+        What may be off; the sizes are starting values.
+    limit : float or torch.Tensor
+        Largest spot that is accepted (:func:`rms_spot`), for all fields or for each.
+    share : float
+        Wanted yield, between 0 and 1.
+    samples : int
+        Number of systems of the Monte Carlo analysis.
+    seed : int
+        Of its random numbers.
+    compensators : sequence of pairs
+        As in :func:`tolerance`.
+
+    Returns
+    -------
+    tuple
+        The perturbations with new sizes, and the result of :func:`tolerance` for these.
+
+    Raises
+    ------
+    ValueError
+        If the system as drawn, after compensation, does not keep the limit.
+
+    Notes
+    -----
+    Inverse sensitivity: from the mean square that each perturbation alone adds to the spots, sizes at which all of
+    them add the same, each between a fifth and five times its starting value; then one factor of all of them, by
+    bisection of the yield to 4 %.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import Perturbation, load_system, tolerances_for_yield
+    >>> off = [Perturbation("radius", range(6), 1e-3, relative=True), Perturbation("thickness", range(5), 0.02)]
+    >>> sizes, result = tolerances_for_yield(load_system("cooke_triplet"), off, 0.025, 0.8, samples=50)
+    >>> float(result.yield_within(0.025)) >= 0.8
+    True
+    """
+    items = [item for item, _ in _checked_perturbations(perturbations, len(checked_system(system).surfaces))]
+    _validate.real("limit", limit)
+    if not 0 < _validate.constant("share", share) < 1:
+        raise ValueError(f"share must be between 0 and 1, got {share}")
+    options: dict[str, Any] = {"compensators": compensators}
+    added = []
+    for item in items:
+        alone = sensitivity(system, [item], **options)
+        change = (alone.merit.square() - alone.nominal.square()).mean((0, 2)).sum() if len(alone.names) else 0.0
+        added.append(float(change))
+    typical = sorted(added)[len(added) // 2]
+    even = [min(max((typical / value) ** 0.5, 0.2), 5.0) if value > 0 < typical else 5.0 for value in added]
+
+    def attempt(factor: float) -> tuple[list[Perturbation], ToleranceResult]:
+        sized = [item._replace(size=item.size * part * factor) for item, part in zip(items, even, strict=True)]
+        return sized, tolerance(system, sized, samples, seed, **options)
+
+    low, high = attempt(0.0), None
+    if float(low[1].yield_within(limit)) < share:
+        raise ValueError(
+            f"limit must be one that the system as drawn keeps, {float(low[1].nominal.max()):.3g}; got {limit}"
+        )
+    least, factor = 0.0, 1.0
+    for _ in range(16):
+        found = attempt(factor)
+        if float(found[1].yield_within(limit)) >= share:
+            low, least = found, factor
+        else:
+            high = factor
+        if high is not None and high - least <= 0.04 * high:
+            break
+        factor = 2 * factor if high is None else (least + high) / 2
+    return low
+
+
+def iso_10110_tolerances(system: Any) -> list[Perturbation]:
+    """Return the deviations of ISO 10110-11, which hold for lenses whose drawings state none, and usual ones of glass.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system, in mm.
+
+    Returns
+    -------
+    list of Perturbation
+        Uniform within the tolerance, for each element by its diameter (up to 10, 30, 100 and 300 mm): centre thickness
+        ±0.1, 0.2, 0.4, 0.8 mm; tilt of each surface within 30′, 20′, 10′, 10′; power of the surfaces within 5, 10, 10,
+        10 fringes at 546 nm and irregularity within 1, 2, 2, 2, over at most 30 or 60 mm of the largest two; index
+        ±0.001 and Abbe number ±0.8 %, usual ones of glass makers. Air spaces have the tolerance of the thickness of
+        the element in front.
+
+    Notes
+    -----
+    ISO 10110-11:1996, table 1. N fringes of power over the radius h change the curvature by N·λ/h². An irregularity of
+    N fringes from peak to valley is taken to have a root mean square of N·λ/2 over 5.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import iso_10110_tolerances, load_system
+    >>> off = iso_10110_tolerances(load_system("cooke_triplet"))
+    >>> [(item.name, item.surfaces, item.size) for item in off[:2]]
+    [('thickness', 0, 0.2), ('index', 0, 0.001)]
+    """
+    numbers = checked_system(system).prescription()
+    scale, green = 1e3 / MICROMETRES[system.unit], 546.07e-6 * 1e3 / MICROMETRES[system.unit]
+    reaches = clear_heights(system, numbers)
+    found = []
+    classes = (
+        (10.0, 0.1, 30, 5, 1, inf),
+        (30.0, 0.2, 20, 10, 2, inf),
+        (100.0, 0.4, 10, 10, 2, 30.0),
+        (inf, 0.8, 10, 10, 2, 60.0),
+    )
+    surfaces: list[Any] = list(system.surfaces)[: len(system.surfaces) - system.afocal]
+    for i in [k for k in range(len(surfaces)) if is_glass(surfaces, k) and not is_break(surfaces[k])]:
+        ends = [j for j in (i, i + 1) if j < len(surfaces) and not is_break(surfaces[j])]
+        radii = [surfaces[j].semi_diameter or float(reaches[j]) for j in ends]
+        diameter = 2 * max(radii) / scale
+        _, depth, centring, power, ripple, within = next(row for row in classes if diameter <= row[0])
+        found.append(Perturbation("thickness", i, depth * scale, False, "uniform"))
+        found.append(Perturbation("index", i, 1e-3, False, "uniform"))
+        if isinstance(surfaces[i].material, Material):
+            found.append(Perturbation("abbe", i, 8e-3, True, "uniform"))
+        for j, reach in zip(ends, radii, strict=True):
+            if any(item.name == "wedge" and item.surfaces == j for item in found):
+                continue
+            found.append(Perturbation("wedge", j, centring / 60, False, "uniform"))
+            if surfaces[j].own_shape is not None:
+                continue
+            height = min(reach, within / 2 * scale)
+            found.append(Perturbation("curvature", j, power * green / height**2, False, "uniform"))
+            found.append(Perturbation("irregularity", j, ripple * green / 2 / 5))
+        if i + 1 < len(surfaces) - 1 and not is_glass(surfaces, i + 1):
+            found.append(Perturbation("spacing", i + 1, depth * scale, False, "uniform"))
+    return found
+
+
+def _after_compensation(system, numbers: Prescription, compensators, merit: Callable, iterations: int) -> tuple:
+    """Return the merits ``[N, …]`` and the prescriptions of a batch of systems, each after its compensation."""
+    if merit is rms_spot:
+        return _linearly_compensated(system, numbers, _entries(system, compensators), iterations)
+    numbers = compensated(system, numbers, compensators, merit, iterations)
+    return merit(system, prescription=numbers), numbers
+
+
+@torch.no_grad()
+def _linearly_compensated(system, numbers: Prescription, entries: list, iterations: int) -> tuple:
+    """Return spots ``[N, F]`` and prescriptions by Gauss–Newton steps with the derivatives of the system as drawn."""
+    moved, held = _mover(numbers, entries)
+    nominal, _ = _mover(perturbed(system, system.prescription(), [], 1, 0), entries)
+    start = torch.zeros(len(held["thickness"]), len(entries), dtype=torch.float64, device=held["thickness"].device)
+
+    def rays(p: Prescription) -> torch.Tensor:
+        """Return distances from the centroids, ``[..., F, rays]``, whose squares sum to those of the spots."""
+        traced = trace_fields(system, "rings", 6, prescription=p)
+        share = wavelength_shares(system, p, traced.x)[:, None, None] * traced.arrived
+        number = share.sum((-3, -1), keepdim=True)
+        parts = []
+        for value in (traced.x, traced.y):
+            value = torch.where(traced.arrived, value, 0.0)
+            centre = (share * value).sum((-3, -1), keepdim=True) / number
+            parts.append((share / number).sqrt() * torch.where(traced.arrived, value - centre, 0.0))
+        return torch.cat(parts, -1).transpose(-3, -2).flatten(-2)
+
+    found, x = rays(moved(start)), start
+    if iterations:
+        _, slopes = linearised_forward(lambda c: rays(nominal(c)).flatten(-2), start[:1])
+        slopes = slopes[0].nan_to_num()
+        inverse = torch.linalg.pinv(slopes.mT @ slopes, hermitian=True)
+        best = found.square().nan_to_num().sum((-2, -1))
+        open_ = torch.ones_like(best, dtype=torch.bool)
+        for _ in range(iterations):
+            fall = found.flatten(-2).nan_to_num() @ slopes
+            step = -fall @ inverse
+            # The squares fall by the projection on the slopes, if rays move as those of the system as drawn.
+            open_ = open_ & ((-step * fall).sum(-1) > LINEAR * best)
+            if not bool(open_.any()):
+                break
+            trial = rays(moved(x + step))
+            squares = trial.square().nan_to_num().sum((-2, -1))
+            open_ = better = open_ & (squares < best)
+            x = torch.where(better[:, None], x + step, x)
+            found = torch.where(better[:, None, None], trial, found)
+            best = torch.where(better, squares, best)
+    return found.square().sum(-1).sqrt(), moved(x)
+
+
+def _entries(system, compensators) -> list[tuple[str, int, int | None]]:
+    """Return name, surface and axis of each number that compensates."""
     entries: list[tuple[str, int, int | None]] = []
     for given in compensators:
         pair: Any = given if isinstance(given, (tuple, list)) and len(given) == 2 else (None, None)
@@ -562,22 +789,13 @@ def compensated(system, numbers: Prescription, compensators, merit: Callable, it
         name = _validate.one_of("name of compensators", name, COMPENSATORS)
         place = _validate.place_in("surface of compensators", place, len(system.surfaces))
         entries += [(name, place, axis) for axis in ((0, 1) if name in ("shift", "tilt") else (None,))]
-    held = {name: getattr(numbers, name) for name in (*COMPENSATORS, "coefficients", "index")}
-    for name in ("shift", "tilt"):
-        if held[name] is None and any(entry[0] == name for entry in entries):
-            held[name] = torch.zeros(*numbers.thickness.shape, 2, dtype=torch.float64, device=numbers.thickness.device)
-    held = {name: value.detach() for name, value in held.items() if value is not None}
+    return entries
 
-    def moved(x: torch.Tensor) -> Prescription:
-        # Several trials of each system stand on an axis behind that of the systems.
-        values = {name: value[:, None] if x.ndim == 3 else value for name, value in held.items()}
-        for j, (name, place, axis) in enumerate(entries):
-            own = values[name]
-            unit = torch.zeros_like(own[(0,) * (own.ndim - (1 if axis is None else 2))])
-            unit[(place,) if axis is None else (place, axis)] = 1.0
-            column = (..., j, *(None,) * unit.ndim)
-            values[name] = own + x[column] * unit
-        return numbers._replace(**values)
+
+def compensated(system, numbers: Prescription, compensators, merit: Callable, iterations: int) -> Prescription:
+    """Return a batch of prescriptions ``[N]`` with the compensators where the sum of the squared merits is least."""
+    entries = _entries(system, compensators)
+    moved, held = _mover(numbers, entries)
 
     def residuals(x: torch.Tensor) -> torch.Tensor:
         return merit(system, prescription=moved(x)).reshape(*x.shape[:-1], -1)
@@ -593,14 +811,42 @@ def compensated(system, numbers: Prescription, compensators, merit: Callable, it
     return moved(found.x)
 
 
+def _mover(numbers: Prescription, entries: list) -> tuple[Callable, dict]:
+    """Return a function that moves the compensators ``[N, V]`` or ``[N, trials, V]`` of a batch, and its numbers."""
+    held = {name: getattr(numbers, name) for name in (*COMPENSATORS, "coefficients", "index")}
+    for name in ("shift", "tilt"):
+        if held[name] is None and any(entry[0] == name for entry in entries):
+            held[name] = torch.zeros(*numbers.thickness.shape, 2, dtype=torch.float64, device=numbers.thickness.device)
+    held = {name: value.detach() for name, value in held.items() if value is not None}
+
+    def moved(x: torch.Tensor) -> Prescription:
+        # Several trials of each system stand on an axis behind that of the systems.
+        values = {name: value[:, None] if x.ndim == 3 else value for name, value in held.items()}
+        for j, (name, place, axis) in enumerate(entries):
+            own = values[name]
+            unit = torch.zeros_like(own[(0,) * (own.ndim - (1 if axis is None else 2))])
+            unit[(place,) if axis is None else (place, axis)] = 1.0
+            column = (..., j, *(None,) * unit.ndim)
+            values[name] = own + x[column] * unit
+        shapes = numbers.shapes
+        if shapes is not None and x.ndim == 3:
+            shapes = tuple(None if shape is None else _with_trials(shape) for shape in shapes)
+        return numbers._replace(**values, shapes=shapes)
+
+    return moved, held
+
+
+def _with_trials(shape):
+    """Return a shape with an axis for trials behind that of the systems."""
+    pairs = zip(map(torch.as_tensor, shape.parameters()), shape.ranks_of_parameters(), strict=True)
+    return type(shape)(*(v.unsqueeze(v.ndim - own) if v.ndim > own else v for v, own in pairs))
+
+
 def perturbed(system, nominal: Prescription, perturbations, samples: int, seed: int) -> Prescription:
     """Return a batch of prescriptions with random numbers added."""
     generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
     items = _checked_perturbations(perturbations, len(system.surfaces))
-    drawn = [
-        _draw(item, samples, len(places), 2 if item.name in ("shift", "tilt") else 1, generator)
-        for item, places in items
-    ]
+    drawn = [_draw(item, samples, len(places), _axes_of(item), generator) for item, places in items]
     return _deviated(system, nominal, items, drawn, samples)
 
 
@@ -613,6 +859,7 @@ def _checked_perturbations(perturbations, count: int) -> list[tuple[Perturbation
     for item in perturbations:
         _validate.one_of("name of a perturbation", item.name, NAMES)
         _validate.real("size of a perturbation", item.size)
+        _validate.constant("pivot of a perturbation", item.pivot)
         places = list(item.surfaces) if isinstance(item.surfaces, Iterable) else [item.surfaces]
         found.append((item, [_validate.place_in("surfaces of a perturbation", place, count) for place in places]))
     return found
@@ -625,7 +872,12 @@ def _checked_compensators(compensators) -> list:
 
 
 def _axes_of(item: Perturbation) -> int:
-    return 2 if item.name in ("shift", "tilt") else 1
+    return {"shift": 2, "tilt": 2, "irregularity": len(IRREGULAR)}.get(_kind(item), 1)
+
+
+def _kind(item: Perturbation) -> str:
+    """Return the number of a prescription, or the deviation, that a perturbation is of."""
+    return SAME.get(item.name, item.name)
 
 
 def _deviated(system, nominal: Prescription, items, draws, samples: int) -> Prescription:
@@ -637,23 +889,108 @@ def _deviated(system, nominal: Prescription, items, draws, samples: int) -> Pres
         if values[name] is None:
             values[name] = torch.zeros(count, 2, dtype=torch.float64, device=nominal.thickness.device)
     values = {name: value.expand(samples, *value.shape) for name, value in values.items()}
+    shapes = list(nominal.shapes or [None] * count)
+    irregular: dict[int, torch.Tensor] = {}
     for (item, places), drawn in zip(items, draws, strict=True):
-        name = item.name
-        shaped = [i for i in places if nominal.shapes is not None and nominal.shapes[i] is not None]
-        if shaped and name in ("curvature", "radius", "conic"):
+        name = _kind(item)
+        drawn = drawn.to(values["thickness"].device)
+        shaped = [i for i in places if shapes[i] is not None]
+        if shaped and name in ("curvature", "radius", "conic", "irregularity"):
             raise ValueError(f"{name} of surfaces {shaped} cannot be perturbed: their shapes have other numbers")
+        if name == "irregularity":
+            for column, place in enumerate(places):
+                irregular[place] = irregular.get(place, 0.0) + drawn[:, column]
+            continue
+        if name == "tilt" and item.together:
+            _turn(system, values, places, drawn[:, 0], item)
+            continue
+        if name == "roll":
+            for column, place in [(0, places)] if item.together else [(k, [place]) for k, place in enumerate(places)]:
+                _turn(system, values, place, drawn[:, column], item)
+            continue
         axes = values[name].shape[-1] if name in ("shift", "tilt") else 1
         drawn = torch.nn.functional.pad(drawn, (0, max(axes - 2, 0)))
-        target = "curvature" if name == "radius" else name
-        change = torch.zeros(samples, count, drawn.shape[-1], dtype=torch.float64)
+        target = {"radius": "curvature", "abbe": "index"}.get(name, name)
+        change = drawn.new_zeros(samples, count, drawn.shape[-1])
         for column, place in enumerate(places):
             change[:, place] += drawn[:, column]
-        values[target] = _changed(name, values[target], change.to(values[target].device), item.relative)
+        if name == "abbe":
+            values[target] = _dispersed(system, values[target], change[..., 0], item.relative)
+        else:
+            values[target] = _changed(name, values[target], change, item.relative)
+    if irregular:
+        reaches = clear_heights(system, nominal)
+        for place, heights in irregular.items():
+            reach = system.surfaces[place].semi_diameter or float(reaches[place])
+            base = torch.tensor(_zernike_terms([0.0], None, nominal.coefficients[place].tolist(), reach)).to(heights)
+            terms = heights.new_zeros(samples, max(IRREGULAR[-1], len(base)))
+            terms[:, IRREGULAR[0] - 1 : IRREGULAR[-1]] = heights
+            terms[:, : len(base)] += base
+            own = (values[key][:, place] for key in ("curvature", "conic"))
+            shapes[place] = ZernikeFreeform(next(own), next(own), terms, heights.new_tensor(reach))
+        apart["shapes"] = tuple(shapes)
     # Without shifts and tilts the fused kernel is used.
     for name in ("shift", "tilt"):
         if not bool(values[name].any()):
             values[name] = None
     return Prescription(**values, **apart)
+
+
+def _turn(system, values: dict, places: list[int], angles: torch.Tensor, item: Perturbation) -> None:
+    """Turn surfaces as one rigid body by angles ``[samples, 1 or 2]`` in degrees, in place of their numbers.
+
+    The vertex of each surface moves across the axis by its shift, and along it by the distances on both sides.
+    """
+    first, last = min(places), max(places)
+    if any(is_break(system.surfaces[i]) for i in range(first, last + 1)):
+        raise ValueError(f"surfaces {places} have a coordinate break among them: they cannot be turned as a body")
+    if item.relative:
+        raise ValueError(f"{item.name} of a body has no number of which {item.size} could be a share")
+    pad = torch.nn.functional.pad
+    turn = pad(angles, (2, 0)) if item.name == "roll" else pad(angles, (0, 1))
+    body = _matrix(turn)
+    values["tilt"] = pad(values["tilt"], (0, 3 - values["tilt"].shape[-1])).clone()
+    shift, thickness = values["shift"].clone(), values["thickness"].clone()
+    along, moved = values["thickness"], {}
+    for i in sorted(places) if item.together else ():
+        height = along[:, first:i].sum(-1) - item.pivot
+        vertex = torch.cat([shift[:, i], height[:, None]], -1)
+        turned = (body @ vertex[..., None])[..., 0]
+        shift[:, i], moved[i] = turned[:, :2], turned[:, 2] - height
+    for i in places:
+        whole = body @ _matrix(values["tilt"][:, i])
+        x, y = torch.asin(-whole[:, 1, 2]), torch.atan2(whole[:, 0, 2], whole[:, 2, 2])
+        z = torch.atan2(whole[:, 1, 0], whole[:, 1, 1])
+        values["tilt"][:, i] = torch.rad2deg(torch.stack([x, y, z], -1))
+    for i, distance in moved.items():
+        if i:
+            thickness[:, i - 1] += distance
+        thickness[:, i] -= distance
+    values["shift"], values["thickness"] = shift, thickness
+
+
+def _matrix(degrees: torch.Tensor) -> torch.Tensor:
+    """Return the rotations of tilts ``[..., 3]`` as matrices ``[..., 3, 3]``."""
+    rows = placement(torch.zeros_like(degrees[..., :2]), torch.deg2rad(degrees)).matrix
+    zero = 0 * degrees[..., 0]
+    return torch.stack([torch.stack([value + zero for value in row], -1) for row in rows], -2)
+
+
+def _dispersed(system, index: torch.Tensor, change: torch.Tensor, relative: bool) -> torch.Tensor:
+    """Return indices ``[samples, W, S + 1]`` with deviations of the Abbe numbers behind the surfaces, ``[samples, S]``.
+
+    The index at the reference wavelength remains, differences from it are divided by the ratio of the Abbe numbers.
+    """
+    found = index.clone()
+    for i, item in enumerate(system.surfaces):
+        if not bool(change[:, i].any()):
+            continue
+        if not isinstance(item.material, Material):
+            raise ValueError(f"abbe of surfaces[{i}] cannot be perturbed: the medium behind it has no dispersion")
+        number = 1.0 if relative else item.material.abbe_number()
+        middle = index[:, system.reference : system.reference + 1, i + 1]
+        found[..., i + 1] = middle + (index[..., i + 1] - middle) / (1 + change[:, i : i + 1] / number)
+    return found
 
 
 def _draw(item: Perturbation, samples: int, places: int, axes: int, generator) -> torch.Tensor:
@@ -663,7 +1000,9 @@ def _draw(item: Perturbation, samples: int, places: int, axes: int, generator) -
         drawn = torch.randn(shape, generator=generator, dtype=torch.float64)
     else:
         drawn = 2 * torch.rand(shape, generator=generator, dtype=torch.float64) - 1
-    return (item.size * drawn).expand(samples, places, axes)
+    # The squares of the parts of an irregularity add up to that of its size.
+    size = item.size / (axes**0.5 if item.name == "irregularity" else 1.0)
+    return (size * drawn).expand(samples, places, axes)
 
 
 def _changed(name: str, value, change, relative: bool):
