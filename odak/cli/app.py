@@ -234,8 +234,9 @@ FillFactor = Annotated[
     typer.Option(
         metavar="RATIO",
         help="Fill factor of the square pixels, the emitting share of their area. The holograms are computed for such "
-        "pixels and an aperture that passes one diffraction order; images and report are averages over pixel areas.",
-        show_default="pixels are points, and images are sampled at points",
+        "pixels and an aperture that passes one diffraction order; images and report are averages over pixel areas. "
+        "0: pixels are points, and images are sampled at points.",
+        show_default="0.9 for sgd of one plane, else 0",
     ),
 ]
 CalibrationFile = Annotated[

@@ -18,6 +18,8 @@ METHODS = ("sgd", "gs", "double-phase", "network", *VOLUME_METHODS)
 # Starts of gradient descent that are computed from the picture.
 SOLVERS = ("lbfgs", "adam")
 LEARNING_RATE = 0.2
+# Share of the area of a pixel that emits, of the panels of the presets.
+USUAL_FILL = 0.9
 COMPUTED_PHASES = {"double-phase": "double phase", "gs": "gs"}
 INITIAL_PHASES = ("flat", "slight", "quadratic", "normal", "uniform", *COMPUTED_PHASES)
 DEFAULT_INITIAL_PHASE = {
@@ -119,7 +121,8 @@ class Job:
         Bits per pixel of the modulator, 1 to 16.
     fill_factor : float, optional
         Share of the area of a square pixel that emits; the holograms are computed for such pixels, and pictures are
-        means over the areas of pixels. None computes and reports the middles of pixels.
+        means over the areas of pixels. 0.9 by default for gradient descent of one plane. Other methods compute and
+        report the middles of pixels by default, and so does 0.
     device : str
         "auto", "cpu", "cuda", "cuda:1", …
     quiet : bool
@@ -186,14 +189,24 @@ class Job:
             self._set_optimizer()
         except (TypeError, ValueError) as error:
             raise InputError(str(error)) from None
-        if self.fill_factor is not None and not 0 < self.fill_factor <= 1:
-            raise InputError(f"--fill-factor must be above 0 and at most 1, got {self.fill_factor}")
+        self._set_fill_factor()
         if self.fill_factor is not None and self.method == "network":
             raise InputError("--fill-factor cannot be used with --method network, which was trained for points")
         if not 1 <= self.bits <= 16:
             raise InputError(f"--bits must be from 1 to 16, got {self.bits}")
         self._check_wavelengths()
         self._check_response()
+
+    def _set_fill_factor(self) -> None:
+        """Set the usual fill factor of panels where gradient descent for one plane can optimise areas."""
+        given = self.fill_factor
+        if given is not None and not 0 <= given <= 1:
+            raise InputError(f"--fill-factor must be from 0, which stands for points, to 1, got {given}")
+        if given == 0:
+            self._set("fill_factor", None)
+        usual = self.method == "sgd" and not self.tiles and self.propagation_type == Job.propagation_type
+        if given is None and usual:
+            self._set("fill_factor", USUAL_FILL)
 
     def _check_response(self) -> None:
         """Check the options that state the modulator's response, which is that at one wavelength."""

@@ -43,6 +43,10 @@ def colour_file(tmp_path_factory):
     return path
 
 
+# Pixels as points, whose light the references below propagate.
+POINTS = ("--fill-factor", 0)
+
+
 def stop(frequency):
     """Return a stop for the inner half of the band, half open at its edge."""
     return np.heaviside(1 - abs(frequency) * 32e-6 * (1 + 1e-15), 0.5)
@@ -51,6 +55,7 @@ def stop(frequency):
 @pytest.mark.parametrize("method", ["sgd", "gs", "double-phase"])
 def test_report_states_what_the_saved_pattern_shows(method, picture, grey_file, tmp_path):
     options = [*SMALL] if method != "double-phase" else [part for part in SMALL if part not in ("--iterations", "5")]
+    options += POINTS
     run(grey_file, "--output", tmp_path, "--method", method, "--quiet", *options)
     report = read_report(tmp_path)
     names = {"hologram_532nm.png", "reconstruction.png", "comparison.png", "report.json"}
@@ -115,7 +120,7 @@ def test_rows_and_columns_have_pitches_of_their_own(method, fill, tmp_path):
     Image.fromarray(np.round(255 * (0.5 + 0.4 * np.sin(x / 9) * np.cos(y / 7))).astype(np.uint8)).save(
         tmp_path / "square.png"
     )
-    geometry = ["--pixel-pitch", "8um,6.4um", *SMALL, *([] if fill is None else ["--fill-factor", fill])]
+    geometry = ["--pixel-pitch", "8um,6.4um", *SMALL, "--fill-factor", fill or 0]
     run(tmp_path / "square.png", "-o", tmp_path / "out", "--method", method, *geometry, "--quiet")
     report = read_report(tmp_path / "out")
     assert report["parameters"]["pixel_pitch"] == [8e-6, 6.4e-6]
@@ -159,18 +164,22 @@ def drawn_areas(phase, samples, fill):
 
 
 def test_areas_are_part_of_every_report(grey_file, tmp_path):
-    run(grey_file, "--output", tmp_path, *SMALL, "--iterations", 60, "--quiet")
-    report = read_report(tmp_path)
-    assert report["verification"]["pixel"]["model"].startswith("points")
+    run(grey_file, "--output", tmp_path / "points", *SMALL, *POINTS, "--iterations", 60, "--quiet")
+    points = read_report(tmp_path / "points")
+    assert points["verification"]["pixel"]["model"].startswith("points")
     # The envelope of the pixels and the mean over them blur what was computed for points.
-    assert report["channels"][0]["psnr_area_db"] < report["psnr_db"] - 0.5
+    assert points["channels"][0]["psnr_area_db"] < points["psnr_db"] - 0.5
+    run(grey_file, "--output", tmp_path / "areas", *SMALL, "--iterations", 60, "--quiet")
+    areas = read_report(tmp_path / "areas")
+    assert areas["verification"]["pixel"]["fill_factor"] == 0.9
+    assert areas["psnr_db"] > points["channels"][0]["psnr_area_db"] + 3
 
 
 def test_frames_average(grey_file, picture, tmp_path):
     quality = []
     for frames in (1, 4):
         run(grey_file, "--output", tmp_path, *SMALL[:-4], "--iterations", 25, "--device", "cpu", "--frames", frames,
-            "--initial-phase", "uniform", "--quiet", "--again")  # fmt: skip
+            "--initial-phase", "uniform", "--quiet", "--again", *POINTS)  # fmt: skip
         report = read_report(tmp_path)
         names = report["pattern"]["files"]
         assert names == (
@@ -205,7 +214,7 @@ def test_report_holds_every_parameter_and_version(grey_file, tmp_path):
         "planes": 1,
         "depth_map": None,
         "volume_depth": 4e-3,
-        "fill_factor": None,
+        "fill_factor": 0.9,
         "frames": None,
         "method": "sgd",
         "propagation_type": "Bandlimited Angular Spectrum",
@@ -260,7 +269,7 @@ def test_the_same_seed_gives_the_same_pattern(grey_file, tmp_path):
 
 
 def test_colour_becomes_three_holograms(colour_file, tmp_path):
-    run(colour_file, "--output", tmp_path, *SMALL, "--quiet")
+    run(colour_file, "--output", tmp_path, *SMALL, *POINTS, "--quiet")
     report = read_report(tmp_path)
     assert report["pattern"]["files"] == ["hologram_638nm.png", "hologram_520nm.png", "hologram_450nm.png"]
     picture = pixels(colour_file) / 255
@@ -275,7 +284,7 @@ def test_colour_becomes_three_holograms(colour_file, tmp_path):
 
 @pytest.mark.parametrize("options", [["--grey"], ["--wavelength", "600e-9"]])
 def test_one_wavelength_shows_the_brightness_of_a_colour_picture(options, colour_file, tmp_path):
-    run(colour_file, "--output", tmp_path, *SMALL, "--quiet", *options)
+    run(colour_file, "--output", tmp_path, *SMALL, *POINTS, "--quiet", *options)
     (part,) = read_report(tmp_path)["channels"]
     assert part["wavelength"] == (532e-9 if options == ["--grey"] else 600e-9)
     phase = pixels(tmp_path / part["file"]) * (2 * np.pi / 256)
@@ -295,7 +304,7 @@ def test_three_wavelengths_for_a_grey_picture(grey_file, tmp_path):
     "bits", [1, 3, 8, 10, 16, *(pytest.param(bits, marks=pytest.mark.slow) for bits in (2, 4, 5, 6, 7))]
 )
 def test_a_pattern_uses_the_levels_of_its_bits(bits, grey_file, tmp_path):
-    run(grey_file, "--output", tmp_path, *SMALL, "--bits", bits, "--quiet")
+    run(grey_file, "--output", tmp_path, *SMALL, *POINTS, "--bits", bits, "--quiet")
     report = read_report(tmp_path)
     depth = 8 if bits <= 8 else 16
     assert report["pattern"]["file_depth"] == depth
@@ -570,7 +579,7 @@ BAD = {
             ),
         )
     },
-    "fill factor": (["--fill-factor", "1.2"], "--fill-factor must be above 0 and at most 1"),
+    "fill factor": (["--fill-factor", "1.2"], "--fill-factor must be from 0"),
     "start of gs": (["--method", "gs", "--initial-phase", "gs"], "--initial-phase gs needs --method sgd"),
     "brightness of gs": (["--method", "gs", "--no-scale"], "--scale has no effect with --method gs"),
     "seed without noise": (["--seed", "3"], "--seed has no effect with --initial-phase gs"),

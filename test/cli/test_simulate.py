@@ -153,6 +153,8 @@ def test_a_pattern_of_the_command_line_shows_its_picture(tmp_path):
         "30",
         "--device",
         "cpu",
+        "--fill-factor",
+        "0",
         "--grey",
         "-q",
     ]
