@@ -355,7 +355,7 @@ def correlated_color_temperature(image: torch.Tensor) -> torch.Tensor:
             _along(u, v, *locus[1:, torch.full_like(low, locus.shape[1] - 1)]) <= 0
         )
         share = torch.full_like(u, 0.5)
-        for _ in range(5):
+        for _ in range(2):
             share = share - _newton(u, v, locus, low, share)
     share = share - _newton(u, v, locus, low, share)
     place_u, place_v, slope_u, slope_v, *_ = _hermite(locus, low, share)
