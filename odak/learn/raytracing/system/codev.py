@@ -753,6 +753,8 @@ def _seq_text(system) -> str:
     """Return the commands of a system in millimetres; numbers by `repr`, which is exact."""
     if system.telecentric or system.afocal:
         raise ValueError("telecentric and afocal systems are not written")
+    if system.object_material != AIR:
+        raise ValueError("a medium in front of the first surface is not written")
     scale = MICROMETRES[system.unit] / MICROMETRES["mm"]
     size, kind = system.aperture, system.aperture_type
     if kind == "stop":

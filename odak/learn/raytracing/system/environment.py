@@ -7,7 +7,7 @@ import torch
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.catalog.materials import Material, thermal_of
-from odak.learn.raytracing.system.surfaces import checked_system, is_break, optical_system
+from odak.learn.raytracing.system.surfaces import Row, checked_system, is_break, optical_system
 from odak.learn.raytracing.system.zooms import replaced, shared_copy
 from odak.raytracing.surfaces import Shape
 
@@ -122,7 +122,9 @@ def in_environment(
             thickness = item.thickness + mount * change * _rim_distance(items, i)
             thickness = thickness - _rim_growth(items, copies, i)
         replaced(other, "thickness", thickness)
-    found.surfaces = torch.nn.ModuleList(copies)
+    if isinstance(system.object_material, Material):
+        found.object_material = system.object_material.at(temperature, pressure)
+    found.surfaces = Row(copies, found.object_material)
     return found
 
 

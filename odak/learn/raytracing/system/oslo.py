@@ -298,6 +298,8 @@ def _len_text(system) -> str:
     """Return the commands of a system in millimetres; numbers by `repr`, which is exact."""
     if system.telecentric or system.afocal:
         raise ValueError("telecentric and afocal systems are not written")
+    if system.object_material != AIR:
+        raise ValueError("a medium in front of the first surface is not written")
     scale, near = MICROMETRES[system.unit] / MICROMETRES["mm"], not system.at_infinity
     order = [system.reference, *(i for i in range(len(system.wavelengths)) if i != system.reference)]
     waves = " ".join(repr(system.wavelengths[i] * MICROMETRES[system.unit]) for i in order)

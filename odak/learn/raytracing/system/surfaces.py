@@ -834,7 +834,7 @@ def layout_of(surfaces, prescription: Prescription, image=None, vignetting: bool
         If the axis does not meet a surface: a fold without coordinate breaks.
     """
     kinds, actions, limits, orders = [], [], [], []
-    before: tuple = ("air",)
+    before = _key_of(getattr(surfaces, "front", AIR))
     p = prescription
     for i, item in enumerate(surfaces):
         shape = None if p.shapes is None else p.shapes[i]
@@ -896,10 +896,13 @@ def _any(value: torch.Tensor) -> bool:
 def _medium_key(item) -> tuple:
     if item.material is None or item.own_gradient is not None:
         return ("index", id(item))
-    if isinstance(item.material, str):
-        return (item.material,)
+    return _key_of(item.material)
+
+
+def _key_of(material) -> tuple:
+    if isinstance(material, (str, Real)):
+        return (material,)
     # The numbers of the medium, not its name, which two materials of a user may share.
-    material = item.material
     return (material.formula, repr(sorted(material.coefficients.items())), material.relative_to)
 
 
@@ -953,6 +956,10 @@ class optical_system(torch.nn.Module):
     settings : sequence of tuple
         What differs between configurations, zoom positions say: (name, place, values), see :class:`configurations`. The
         system itself is not changed by them. None by default.
+    object_material : str, float or Material
+        Medium in front of the first surface, from the object on: the oil of an immersion objective, the water in front
+        of an eye. Angles and numerical apertures of the object's side are those in it. Air by default; the medium in
+        front of the image is that behind the last surface.
 
     Raises
     ------
@@ -961,7 +968,7 @@ class optical_system(torch.nn.Module):
 
     Notes
     -----
-    Space in front is air. Without a stop among the surfaces, the first one is it. Indices are those of the catalogue,
+    Without a stop among the surfaces, the first one is it. Indices are those of the catalogue,
     relative to air. Where the stop lies in the rear focal plane of what is in front of it, a near object is seen
     telecentrically: the entrance pupil is at infinity, and the aperture must be given as "NA" or "stop".
 
@@ -1000,6 +1007,7 @@ class optical_system(torch.nn.Module):
         field_weights: Iterable | None = None,
         wavelength_weights: Iterable | None = None,
         settings: Sequence[tuple] = (),
+        object_material: Any = AIR,
     ):
         super().__init__()
         surfaces = list(surfaces) if isinstance(surfaces, Iterable) else []
@@ -1035,12 +1043,13 @@ class optical_system(torch.nn.Module):
                 f"surfaces[{twice}] and surfaces[{twice + 1}] are the same surface twice in a row; make one for each "
                 "place"
             )
-        self.surfaces = torch.nn.ModuleList(surfaces)
+        self.object_material = _medium(object_material)
+        if self.object_material == MIRROR or isinstance(self.object_material, torch.Tensor):
+            raise ValueError(f"object_material must be a name, a Material or an index, got {object_material!r:.80}")
+        self.surfaces = Row(surfaces, self.object_material)
         self.stop = stops[0] if stops else first
         self.aperture = _validate.constant("aperture", aperture, positive=True)
         self.aperture_type = _validate.one_of("aperture_type", aperture_type, APERTURES)
-        if self.aperture_type == "NA" and self.aperture >= 1:
-            raise ValueError(f"aperture must be below 1 as a numerical aperture in air, got {aperture}")
         default = D_LINE / MICROMETRES[self.unit]
         self.wavelengths = _wavelengths(default if wavelengths is None else wavelengths)
         count = len(self.wavelengths)
@@ -1050,6 +1059,11 @@ class optical_system(torch.nn.Module):
         self.fields = _fields(fields)
         (object_distance,) = _validate.constants(object_distance=object_distance)
         self.object_distance = float(number_or_infinity("object_distance", object_distance))
+        waves = [self.wavelengths[self.reference]]
+        front = 1.0 if self.at_infinity else float(self._front(torch.tensor(waves, dtype=torch.float64)))
+        if self.aperture_type == "NA" and self.aperture >= front:
+            medium = "air" if front == 1 else "a medium of this index"
+            raise ValueError(f"aperture must be below {front:g} as a numerical aperture in {medium}, got {aperture}")
         if not self.object_distance > 0:
             raise ValueError(f"object_distance must be positive or infinite, got {object_distance}")
         if self.at_infinity and any(abs(angle) >= 90 for field in self.fields for angle in field):
@@ -1193,12 +1207,19 @@ class optical_system(torch.nn.Module):
             for place in (places if isinstance(places, Iterable) else [places])
         ]
 
+    def _front(self, values: torch.Tensor) -> Any:
+        """Return the index of the medium in front at wavelengths ``[W]``."""
+        medium = self.object_material
+        if isinstance(medium, Real):
+            return torch.full_like(values, float(medium))
+        return torch.ones_like(values) if medium == AIR else refractive_index(medium, values, self.unit, medium="air")
+
     def _indices(self, wavelengths) -> torch.Tensor:
         """Return the indices before the first surface and behind each, ``[W, S + 1]``."""
         first: Any = self.surfaces[0]
         one = torch.ones(len(wavelengths), dtype=torch.float64, device=first.thickness.device)
         values = torch.tensor(wavelengths, dtype=torch.float64)
-        columns = [one]
+        columns = [self._front(values).to(one)]
         for item in self.surfaces:
             if item.reflects or is_break(item):
                 columns.append(columns[-1])
@@ -1210,6 +1231,22 @@ class optical_system(torch.nn.Module):
                 index: Any = refractive_index(item.material, values, self.unit, medium="air")
                 columns.append(index.to(one))
         return torch.stack(columns, -1)
+
+
+class Row(torch.nn.ModuleList):
+    """Surfaces in the order in which light meets them, and the medium in front of them.
+
+    Parameters
+    ----------
+    surfaces : sequence of surface
+        The surfaces.
+    front : str, float or Material
+        The medium.
+    """
+
+    def __init__(self, surfaces: Iterable = (), front: Any = AIR):
+        super().__init__(surfaces)
+        self.front = front
 
 
 def _angular_lens(surfaces, micrometres: float) -> surface:

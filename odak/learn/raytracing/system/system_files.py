@@ -26,6 +26,7 @@ from odak.catalog.materials import (  # noqa: F401
 from odak.learn.raytracing.system.paraxial import entrance_pupil, first_order
 from odak.learn.raytracing.system.pupils import at_stop, through_places, trace_fields
 from odak.learn.raytracing.system.surfaces import (
+    AIR,
     Coating,
     checked_system,
     coordinate_break,
@@ -64,6 +65,7 @@ _SYSTEM = {
     "field_weights",
     "wavelength_weights",
     "settings",
+    "object_material",
 }
 FACTORS = ("VDXN", "VDYN", "VCXN", "VCYN")
 
@@ -181,9 +183,16 @@ def system_to_dict(system: optical_system) -> dict:
             for key in ("vignetting_factors", "field_weights", "wavelength_weights")
             if getattr(system, key) is not None
         },
+        **({} if system.object_material == AIR else {"object_material": _named_medium(system.object_material)}),
         **({"settings": [_setting(*entry) for entry in system.settings]} if system.settings else {}),
         "surfaces": surfaces,
     }
+
+
+def _named_medium(medium: Any) -> Any:
+    """Return the name of a material, or an index."""
+    name = getattr(medium, "name", medium)
+    return " ".join(("model", *model_numbers(medium))) if str(name).startswith("model ") else name
 
 
 def _setting(name: str, place: int | None, values: tuple) -> list:
@@ -334,6 +343,8 @@ def system_from_dict(entry: dict) -> optical_system:
     entry.pop("notes", None)
     if entry.get("object_distance", 0) is None:
         del entry["object_distance"]
+    if str(entry.get("object_material", "")).startswith("model "):
+        entry["object_material"] = _material(entry["object_material"])
     if isinstance(entry.get("settings"), list):
         entry["settings"] = [_setting_of(item) for item in entry["settings"]]
     built = [_built(f"surfaces[{number}]", item, _SURFACE) for number, item in enumerate(surfaces)]

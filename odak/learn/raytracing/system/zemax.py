@@ -267,6 +267,7 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
         _check_object(surfaces[0], math.isinf(distance), context)
         _note_settings(head, surfaces, notes)
         names: dict[str, Any] = {"unit": "mm", "name": " ".join(head["NAME"].words) if "NAME" in head else path.stem}
+        names["object_material"] = _glass(0, surfaces, context)
         names |= {"source": path.name, "wavelengths": waves, "reference": reference, "wavelength_weights": weights}
         if not any(item.stop for item in built):
             notes.append("no STOP: the first surface is taken as the stop")
@@ -327,11 +328,11 @@ def _object_distance(head, lines, context: Context) -> float:
 
 
 def _check_object(lines, far: bool, context: Context) -> None:
-    """Raise ValueError for an object that is curved or not in air; note the rest."""
+    """Raise ValueError for an object that is curved; note the rest."""
     for line in lines:
         curved = line.key in ("CURV", "CONI") and line.words and line.value()
-        if line.key == "GLAS" or (curved and not far):
-            raise ValueError(f"line {line.number}: the object must be flat and in air, got {' '.join(line.words)!r}")
+        if curved and not far:
+            raise ValueError(f"line {line.number}: the object must be flat, got {' '.join(line.words)!r}")
         if line.key not in _SURFACE_KEYS or curved:
             context.ignored.append(_named(line, 0))
 
@@ -928,6 +929,7 @@ def _zmx_text(system) -> str:
     ]
     lines += [f"PWAV {system.reference + 1}", "SURF 0", "  TYPE STANDARD", "  CURV 0.0"]
     lines += [f"  DISZ {'INFINITY' if system.at_infinity else repr(system.object_distance * scale)}"]
+    lines += _written_glass(system.object_material)
     rows = own_surfaces(system)
     for number, item in enumerate(rows, start=1):
         lines += _written(number, item, scale, number - 1 == system.stop, system)
@@ -1043,6 +1045,20 @@ def _written_limits(name: str, item, scale: float) -> list[str]:
     return found
 
 
+def _written_glass(medium) -> list[str]:
+    """Return the line of a medium, none for air."""
+    if medium == AIR:
+        return []
+    if isinstance(medium, (int, float)):
+        return [f"  GLAS ___BLANK 1 0 {float(medium)!r} 0 0 0 0 0 0 0"]
+    name = "MIRROR" if medium == MIRROR else medium.name.rpartition(":")[2]
+    if name.startswith("model "):
+        words = model_numbers(medium)
+        return [f"  GLAS ___BLANK 1 0 {' '.join(words)}{'' if len(words) > 2 else ' 0'} 0 0 0 0 0"]
+    name = name.replace(" ", "_")
+    return [f"  GLAS {name} 0 0 1.5 40 0 0 0 0 0 0" if name == "MIRROR" else f"  GLAS {name} 0 0"]
+
+
 def _written(number: int, item, scale: float, stop: bool, system) -> list[str]:
     thickness = f"  DISZ {float(item.thickness.detach()) * scale!r}"
     if is_break(item):
@@ -1053,16 +1069,7 @@ def _written(number: int, item, scale: float, stop: bool, system) -> list[str]:
         return [f"SURF {number}", "  TYPE COORDBRK", "  CURV 0.0", *parameters, thickness]
     shape = _written_form(f"surfaces[{number - 1}]", item, scale)
     lines = [f"SURF {number}", *(["  STOP"] if stop else []), *shape, thickness]
-    if item.material is None:
-        lines += [f"  GLAS ___BLANK 1 0 {float(item.index.detach())!r} 0 0 0 0 0 0 0"]
-    elif item.material != AIR:
-        name = "MIRROR" if item.material == MIRROR else item.material.name.rpartition(":")[2]
-        if name.startswith("model "):
-            words = model_numbers(item.material)
-            lines += [f"  GLAS ___BLANK 1 0 {' '.join(words)}{'' if len(words) > 2 else ' 0'} 0 0 0 0 0"]
-        else:
-            name = name.replace(" ", "_")
-            lines += [f"  GLAS {name} 0 0 1.5 40 0 0 0 0 0 0" if name == "MIRROR" else f"  GLAS {name} 0 0"]
+    lines += _written_glass(float(item.index.detach()) if item.material is None else item.material)
     limits = _written_limits(f"surfaces[{number - 1}]", item, scale)
     if stop and system.aperture_type == "stop":
         # The aperture is twice the semi-diameter of the stop, even if other surfaces limit the rays.

@@ -9,6 +9,7 @@ import torch
 from odak import _validate
 from odak.learn.raytracing.system.surfaces import (
     Prescription,
+    Row,
     checked_settings,
     checked_system,
     optical_system,
@@ -149,7 +150,7 @@ class configurations(torch.nn.Module):
                 later = name, value
             else:
                 setattr(found, name, value)
-        found.surfaces = torch.nn.ModuleList(surfaces)
+        found.surfaces = Row(surfaces, found.object_material)
         found.settings = ()
         found.reference = min(found.reference, len(found.wavelengths) - 1)
         if later is not None and fields:

@@ -13,6 +13,7 @@ from odak.learn.raytracing.system import (
     load_system,
     optical_system,
     surface,
+    trace_fields,
 )
 from odak.raytracing import Toroid
 
@@ -109,3 +110,30 @@ def test_what_is_not_known_is_said():
         in_environment(lens, 40.0)
     with pytest.raises(ValueError, match=r"surfaces\[0\] is a Toroid"):
         in_environment(optical_system([surface(shape=Toroid(0.01, 0.02)), coordinate_break()], 5.0), 40.0)
+
+
+def test_an_immersed_sphere_is_aplanatic():
+    """Abbe: an object at R/n from the centre of a sphere has a sharp virtual image at n·R, magnified n² times."""
+    n, radius = 1.515, 5.0
+    sphere = surface(-radius, thickness=-radius * (1 + n))
+    lens = optical_system(
+        [sphere], 1.2, "NA", object_distance=radius * (1 + 1 / n), object_material=n, fields=[0.0, 0.01]
+    )
+    found = first_order(lens)
+    assert float(found.magnification) == pytest.approx(n**2, rel=1e-12)
+    assert float(found.image_distance) == pytest.approx(-radius * (1 + n), rel=1e-12)
+    with torch.no_grad():
+        place = trace_fields(lens, "rings", 4)
+    assert bool(place.arrived.all())
+    # Slopes up to that of the marginal ray, n·sin u = 1.2: sharp on the axis.
+    assert float(torch.stack([place.x, place.y])[..., 0, :].abs().max()) < 1e-10
+    with pytest.raises(ValueError, match=r"aperture must be below 1\.515"):
+        optical_system([sphere], 1.6, "NA", object_distance=5.0, object_material=n)
+
+
+def test_an_eye_under_water_loses_the_power_of_its_cornea():
+    cornea = surface(7.8, thickness=24.0, material=1.336)
+    dry, wet = (first_order(optical_system([cornea], 3.0, object_material=m)) for m in ("air", "water"))
+    water = float(refractive_index("water", 587.5618e-9, medium="air"))
+    assert float(1 / dry.focal_length) == pytest.approx(0.336 / 7.8, rel=1e-12)
+    assert float(1 / wet.focal_length) == pytest.approx((1.336 - water) / 7.8, rel=1e-9)

@@ -124,8 +124,7 @@ def test_lengths_in_inches_become_millimetres(tmp_path):
         ("CURV -0.0078", "CURV nan", "CURV must have a number, got 'nan'"),
         ("SURF 3", "SURF 7", "SURF must count 0, 1, 2"),
         ("PARM 2", "PARM 9", "PARM must be 1 to 8"),
-        ("SURF 0\n", "SURF 0\n  GLAS WATER 0 0 1.33 55\n", "the object must be flat and in air"),
-        ("CURV 0.0\n  DISZ INFINITY", "CURV 0.1\n  DISZ 100", "the object must be flat and in air"),
+        ("CURV 0.0\n  DISZ INFINITY", "CURV 0.1\n  DISZ 100", "the object must be flat"),
     ],
 )
 def test_what_would_be_wrong_is_refused(tmp_path, old, new, message):
@@ -473,3 +472,12 @@ def test_archives_and_black_boxes_are_refused_by_name(tmp_path, name, start):
     (tmp_path / name).write_bytes(start + bytes(64))
     with pytest.raises(ValueError, match=rf"{name} is a Zemax (archive|black box), which is not read"):
         read_zmx(tmp_path / name)
+
+
+def test_the_object_may_be_in_a_medium(tmp_path):
+    system, _ = read_zmx(written(tmp_path, FILE.replace("SURF 0\n", "SURF 0\n  GLAS WATER 0 0\n")))
+    assert system.object_material.name == "water"
+    assert system.prescription().index[1, 0].item() == pytest.approx(1.333, abs=1e-3)
+    write_zmx(system, tmp_path / "again.zmx")
+    for again in (read_zmx(tmp_path / "again.zmx")[0], system_from_dict(system_to_dict(system))):
+        assert torch.equal(again.prescription().index, system.prescription().index)
