@@ -328,4 +328,5 @@ ALLOWED = {
     (f"{HERE}.system.exit_field", "wavelength", "zero"): "the number of one of the system's wavelengths",
     (f"{HERE}.system.exit_field", "wavelength", "a negative number"): "counted from the last of the wavelengths",
     (f"{HERE}.system.surface", "material", "a number"): "an index that holds for all wavelengths, as documented",
+    (f"{HERE}.system.optical_system", "object_material", "a number"): "an index of all wavelengths, as documented",
 }

@@ -1043,7 +1043,10 @@ class optical_system(torch.nn.Module):
                 f"surfaces[{twice}] and surfaces[{twice + 1}] are the same surface twice in a row; make one for each "
                 "place"
             )
-        self.object_material = _medium(object_material)
+        try:
+            self.object_material = _medium(object_material)
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"object_material: {error}") from None
         if self.object_material == MIRROR or isinstance(self.object_material, torch.Tensor):
             raise ValueError(f"object_material must be a name, a Material or an index, got {object_material!r:.80}")
         self.surfaces = Row(surfaces, self.object_material)
@@ -1059,8 +1062,7 @@ class optical_system(torch.nn.Module):
         self.fields = _fields(fields)
         (object_distance,) = _validate.constants(object_distance=object_distance)
         self.object_distance = float(number_or_infinity("object_distance", object_distance))
-        waves = [self.wavelengths[self.reference]]
-        front = 1.0 if self.at_infinity else float(self._front(torch.tensor(waves, dtype=torch.float64)))
+        front: Any = 1.0 if self.at_infinity else self._front(self.wavelengths[self.reference])
         if self.aperture_type == "NA" and self.aperture >= front:
             medium = "air" if front == 1 else "a medium of this index"
             raise ValueError(f"aperture must be below {front:g} as a numerical aperture in {medium}, got {aperture}")
@@ -1207,12 +1209,12 @@ class optical_system(torch.nn.Module):
             for place in (places if isinstance(places, Iterable) else [places])
         ]
 
-    def _front(self, values: torch.Tensor) -> Any:
-        """Return the index of the medium in front at wavelengths ``[W]``."""
+    def _front(self, wavelengths: Any) -> Any:
+        """Return the index of the medium in front at wavelengths."""
         medium = self.object_material
-        if isinstance(medium, Real):
-            return torch.full_like(values, float(medium))
-        return torch.ones_like(values) if medium == AIR else refractive_index(medium, values, self.unit, medium="air")
+        if isinstance(medium, Real) or medium == AIR:
+            return (1.0 if medium == AIR else medium) + 0 * wavelengths
+        return refractive_index(medium, wavelengths, self.unit, medium="air")
 
     def _indices(self, wavelengths) -> torch.Tensor:
         """Return the indices before the first surface and behind each, ``[W, S + 1]``."""
