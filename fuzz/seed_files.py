@@ -55,6 +55,8 @@ def image_seeds(folder):
         path = os.path.join(folder, "seed" + extension)
         save_image(path, levels, 0, 65535, color_depth=16)
         yield extension, content(path)
+    radiances = np.random.default_rng(3).integers(0, 256, (3, 9, 4), np.uint8).tobytes()
+    yield ".hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 3 +X 9\n" + radiances
     yield ".ppm", b"P3\n2 2\n255\n1 2 3 4 5 6 7 8 9 10 11 12\n"
     yield ".ppm", b"P6\n2 2\n65535\n" + bytes(range(24))
     yield ".ras", np.array([0x59A66A95, 4, 2, 8, 8, 1, 0, 0], ">u4").tobytes() + bytes(range(8))

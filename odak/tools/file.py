@@ -663,7 +663,10 @@ MOST_PIXELS = 89_478_485
 FREE_PIXELS, PIXELS_PER_BYTE = 16 << 20, 10_000
 
 _FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".bmp": "BMP", ".tiff": "TIFF", ".tif": "TIFF"}
-_READABLE = (*_FORMATS, ".gif", ".webp", ".pbm", ".pgm", ".ppm", ".sr", ".ras")
+_RADIANCE, _OPEN_EXR = ".hdr", ".exr"
+_READABLE = (*_FORMATS, ".gif", ".webp", ".pbm", ".pgm", ".ppm", ".sr", ".ras", _RADIANCE, _OPEN_EXR)
+# Size in the header of Radiance's format: rows from the top, columns from the left.
+_SIZE_OF_RADIANCE = re.compile(rb"\n\n-Y (\d{1,9}) \+X (\d{1,9})\n")
 # Formats are listed one by one, so that no file selects a decoder that runs programs (EPS) or reads other files.
 _DECODERS = ("PNG", "JPEG", "BMP", "TIFF", "GIF", "WEBP", "PPM", "SUN")
 _ENCODER_OPTIONS = {"JPEG": {"quality": 95, "subsampling": 0}}
@@ -738,7 +741,8 @@ def load_image(fn: str | os.PathLike, normalizeby: float = 0.0, torch_style: boo
     ----------
     fn : str or os.PathLike
         A ``.png``, ``.jpg``, ``.jpeg``, ``.bmp``, ``.tiff``, ``.tif``, ``.gif``, ``.webp``, ``.pbm``, ``.pgm``,
-        ``.ppm``, ``.sr`` or ``.ras`` file.
+        ``.ppm``, ``.sr`` or ``.ras`` file; ``.hdr`` (Radiance), which needs the package opencv-python-headless, and
+        ``.exr``, which needs OpenEXR (``pip install odak[hdr]``).
     normalizeby : float
         Divide by this unless it is zero.
     torch_style : bool
@@ -748,7 +752,8 @@ def load_image(fn: str | os.PathLike, normalizeby: float = 0.0, torch_style: boo
     -------
     numpy.ndarray
         float64, turned upright by its EXIF orientation: ``[H, W]`` for grey, ``[H, W, 3]`` or ``[H, W, 4]`` for colour
-        (channels first on request), row 0 at the top; 0 … 255, or 0 … 65535 for 16 bits.
+        (channels first on request), row 0 at the top; 0 … 255, or 0 … 65535 for 16 bits; radiances of
+        ``.hdr`` and ``.exr`` as they are stored.
 
     Raises
     ------
@@ -788,8 +793,8 @@ def read_levels(fn: str | os.PathLike, torch_style: bool = False) -> np.ndarray:
     Returns
     -------
     numpy.ndarray
-        uint8 or uint16; int32 or float32 for a TIFF that holds them. ``[H, W]``, ``[H, W, 3]`` or ``[H, W, 4]``,
-        channels first on request.
+        uint8 or uint16; int32 or float32 for a TIFF that holds them, float32 for ``.hdr`` and ``.exr``. ``[H, W]``,
+        ``[H, W, 3]`` or ``[H, W, 4]``, channels first on request.
 
     Raises
     ------
@@ -827,6 +832,8 @@ def white_level(levels: np.ndarray) -> float:
 
 
 def _read(path):
+    if (kind := extension_of(path)) in (_RADIANCE, _OPEN_EXR):
+        return _read_radiance(path) if kind == _RADIANCE else _read_exr(path)
     with _open(path) as image:
         if image.format == "PNG":
             with _open(path) as checked:
@@ -854,17 +861,61 @@ def _open(path):
         # Pillow warns from half of the size that is refused.
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
         image = Image.open(path, formats=_DECODERS)
-    pixels = image.width * image.height
-    if pixels > MOST_PIXELS:
+    try:
+        _check_size(path, image.width, image.height)
+    except (ValueError, Image.DecompressionBombError):
         image.close()
-        raise Image.DecompressionBombError(f"{image.width} x {image.height} pixels")
-    if pixels > max(FREE_PIXELS, PIXELS_PER_BYTE * os.path.getsize(path)):
-        image.close()
-        raise ValueError(
-            f"{image.width} x {image.height} pixels in {os.path.getsize(path)} bytes are more than such a file "
-            "can contain"
-        )
+        raise
     return image
+
+
+def _check_size(path, width, height):
+    """Raise an error for more pixels than such a file can contain, before memory is taken for them."""
+    pixels = width * height
+    if pixels > MOST_PIXELS:
+        raise Image.DecompressionBombError(f"{width} x {height} pixels")
+    if pixels > max(FREE_PIXELS, PIXELS_PER_BYTE * os.path.getsize(path)):
+        raise ValueError(
+            f"{width} x {height} pixels in {os.path.getsize(path)} bytes are more than such a file can contain"
+        )
+
+
+def _read_radiance(path):
+    """Return the radiances ``[H, W, 3]`` of a file of Radiance's format, float32."""
+    with open(path, "rb") as stream:
+        start = stream.read(1 << 16)
+    size = _SIZE_OF_RADIANCE.search(start)
+    if not start.startswith(b"#?") or size is None:
+        raise ValueError("it is not a picture of Radiance with rows from the top and columns from the left")
+    _check_size(path, int(size[2]), int(size[1]))
+    try:
+        import cv2
+    except ImportError:
+        raise ValueError("pictures of Radiance need OpenCV: pip install odak[hdr]") from None
+    try:
+        picture = cv2.imread(path, cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise ValueError(f"it cannot be decoded ({error.err})") from error
+    if picture is None:
+        raise ValueError("it cannot be decoded")
+    return picture[..., ::-1].astype(np.float32)
+
+
+def _read_exr(path):
+    """Return the grey, RGB or RGBA values of a picture of OpenEXR, float32."""
+    try:
+        import OpenEXR
+    except ImportError:
+        raise ValueError("pictures of OpenEXR need the package OpenEXR: pip install odak[hdr]") from None
+    with OpenEXR.File(path, header_only=True) as file:
+        (left, top), (right, bottom) = (map(int, corner) for corner in file.header()["dataWindow"])
+    _check_size(path, right - left + 1, bottom - top + 1)
+    with OpenEXR.File(path) as file:
+        channels = {name: channel.pixels for name, channel in file.channels().items()}
+    for name in ("RGBA", "RGB", "Y"):
+        if name in channels:
+            return channels[name].astype(np.float32)
+    raise ValueError(f"it has no channels RGB, RGBA or Y, but {', '.join(channels)}")
 
 
 def _shallow(image):

@@ -121,6 +121,38 @@ def test_deep_colour_is_read_from_compressed_tiff(tmp_path, random, compression,
         load_image(path)
 
 
+def test_radiances_are_read(tmp_path):
+    """Against the formula of Radiance's pixels: mantissas of 8 bits times two to the exponent less 136."""
+    pytest.importorskip("cv2", reason="OpenCV is not installed")
+    pixels = np.random.default_rng(0).integers(128, 256, (3, 5, 4)).astype(np.uint8)
+    pixels[..., 3] = [120, 128, 129, 130, 140]
+    header = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 3 +X 5\n"
+    path = tmp_path / "a.hdr"
+    path.write_bytes(header + pixels.tobytes())
+    expected = pixels[..., :3] * 2.0 ** (pixels[..., 3:].astype(float) - 136)
+    assert np.allclose(load_image(path), expected, rtol=1e-6)
+    assert np.allclose(learned.load_image(path).numpy(), expected, rtol=1e-6)
+    path.write_bytes(header.replace(b"-Y 3 +X 5", b"-Y 30000 +X 30000"))
+    with pytest.raises(ValueError, match=r"a\.hdr': more than 89 megapixels are refused"):
+        load_image(path)
+    path.write_bytes(b"no picture")
+    with pytest.raises(ValueError, match=r"a\.hdr': it is not a picture of Radiance"):
+        load_image(path)
+
+
+@pytest.mark.parametrize("channels", ["Y", "RGB", "RGBA"])
+def test_pictures_of_openexr_are_read(tmp_path, channels):
+    exr = pytest.importorskip("OpenEXR", reason="OpenEXR is not installed")
+    shape = (4, 6) if channels == "Y" else (4, 6, len(channels))
+    picture = (20 * np.random.default_rng(0).random(shape)).astype(np.float32)
+    path = tmp_path / "a.exr"
+    exr.File({"type": exr.scanlineimage, "compression": exr.ZIP_COMPRESSION}, {channels: picture}).write(str(path))
+    assert np.array_equal(load_image(path), picture)
+    path.write_bytes(path.read_bytes()[:-30])
+    with pytest.raises(ValueError, match=r"a\.exr"):
+        load_image(path)
+
+
 @pytest.mark.parametrize("orientation", range(1, 9))
 @pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.webp"])
 def test_photographs_are_turned_upright_once(tmp_path, orientation, name):

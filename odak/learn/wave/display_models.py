@@ -1,6 +1,7 @@
 """Differentiable model of a modulator, the light path and a camera, fitted to captures, and holograms through it."""
 
 import math
+import os
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +14,7 @@ from scipy.ndimage import map_coordinates
 
 from odak import _array, _validate
 from odak._warnings import ConvergenceWarning, warn
-from odak.instruments import Calibration, Camera, Captures, Modulator, Registration
+from odak.instruments import Calibration, Camera, Captures, Modulator, Registration, load_calibration
 from odak.instruments.mapping import plane_points
 from odak.instruments.protocols import checked_camera
 from odak.learn._tensors import tensor, trainable
@@ -218,7 +219,7 @@ class display_model(torch.nn.Module):
     @classmethod
     def from_calibration(
         cls,
-        calibration: Calibration,
+        calibration: Calibration | str | os.PathLike,
         camera_pitch: float | Sequence[float],
         *,
         wavelength: float | None = None,
@@ -228,8 +229,8 @@ class display_model(torch.nn.Module):
 
         Parameters
         ----------
-        calibration : odak.instruments.Calibration
-            From :func:`odak.instruments.calibrate_table` or :func:`odak.instruments.load_calibration`.
+        calibration : odak.instruments.Calibration, str or os.PathLike
+            From :func:`odak.instruments.calibrate_table`, or the file of one, as `odak calibrate` writes it.
         camera_pitch : float or sequence of float
             Distance between pixels of the camera in metres, one number or (rows, columns).
         wavelength : float, optional
@@ -242,6 +243,8 @@ class display_model(torch.nn.Module):
         display_model
             The model.
         """
+        if isinstance(calibration, (str, os.PathLike)):
+            calibration = load_calibration(calibration)
         wavelength = calibration.wavelength if wavelength is None else wavelength
         scale = calibration.wavelength / wavelength
         known: dict[str, Any] = {

@@ -7,6 +7,7 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from odak import instruments
 from odak.instruments import Registration, SimulatedTable, record_captures
 from odak.learn.wave import display_camera, display_hologram, display_model, fit_display, stochastic_gradient_descent
 
@@ -427,3 +428,12 @@ def test_a_table_of_three_colours_shows_better_holograms():
             found.append(quality(table, levels, target))
         gains.append(found[1] - found[0])
     assert min(gains) > 1.6
+
+
+def test_a_model_starts_from_the_file_of_a_calibration(tmp_path):
+    table = instruments.SimulatedTable(1, shape=(8, 8), camera_shape=(9, 10))
+    found = instruments.Calibration.nominal(table.modulator, table.camera, 532e-9, 2e-3)
+    instruments.save_calibration(tmp_path / "table.npz", found)
+    levels = torch.arange(64).reshape(8, 8)
+    made = [display_model.from_calibration(start, 4e-6)(levels) for start in (found, tmp_path / "table.npz")]
+    assert torch.equal(*made)
