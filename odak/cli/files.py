@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar
 from odak._warnings import ArgumentWarning, warn
 from odak.cli.job import InputError, Job, depth_map_path, image_path
 from odak.tools import check_directory
-from odak.tools.paths import replacing
+from odak.tools.paths import replacing, validate_path
 
 if TYPE_CHECKING:
     import numpy
@@ -126,9 +126,12 @@ def locked(folder: Path, name: str = "--output") -> Iterator[None]:
     path = folder / LOCK
     descriptor = _lock_file(path, name)
     try:
-        os.ftruncate(descriptor, 0)
-        os.lseek(descriptor, 0, os.SEEK_SET)
-        os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode())
+        try:
+            os.ftruncate(descriptor, 0)
+            os.lseek(descriptor, 0, os.SEEK_SET)
+            os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode())
+        except OSError as error:  # such as a full disk
+            raise type(error)(error.errno, error.strerror, str(path)) from None
         yield
     finally:
         if sys.platform == "win32":
@@ -339,10 +342,18 @@ def kept_report(folder: Path, mark: str, notices: Notices) -> dict | None:
 
 
 def announce(folder: Path, names: Iterable[str], notices: Notices) -> None:
-    """Claim a folder and give notice of the files that a run will replace; InputError if one is a folder."""
+    """Claim a folder and give notice of the files that a run will replace; InputError if one is a folder.
+
+    Names of patterns, which begin with "hologram", must not be too long to be read back with their folder.
+    """
     claim(folder)
     found = []
     for name in names:
+        if name.startswith("hologram"):
+            try:
+                validate_path(folder / name, name="--output")
+            except ValueError as error:
+                raise InputError(f"{error}: {str(folder / name)!r}") from None
         if (folder / name).is_dir():
             raise InputError(
                 f"--output {str(folder)!r} must not contain a folder named {name}, which is the name of a result file"

@@ -68,7 +68,7 @@ def run(job: Job, notices: files.Notices = files.SILENT, again: bool = False, wo
         names = [f"{stem}.png" for stem in stems] if in_memory else [f"{stem}.zarr" for stem in stems]
         others = ["reconstruction.png", "comparison.png"] if in_memory else []
         files.announce(folder, [*(names if in_memory else []), *others, files.REPORT], notices)
-        with _computed_by(workers, folder):
+        with _computed_by(workers, folder), _naming(folder):
             channels = [_channel(job, target, index, folder, stem, again) for index, stem in enumerate(stems)]
         errors = [channel.pop("mean_squared_error") for channel in channels]
         quality = {"psnr_db": report.decibels(sum(errors) / len(errors)), "ssim": None} | {
@@ -88,6 +88,17 @@ def run(job: Job, notices: files.Notices = files.SILENT, again: bool = False, wo
     }
     written = [*(f"{stem}.zarr" for stem in stems), *others]
     return files.write_report(folder, summary, files.fingerprint_of(job), written)
+
+
+@contextmanager
+def _naming(folder: Path) -> Iterator[None]:
+    """Let errors of the disk name the folder: those of Zarr name no file."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None or error.filename is not None:
+            raise
+        raise type(error)(error.errno, error.strerror, str(folder)) from error
 
 
 @contextmanager

@@ -147,6 +147,31 @@ def test_the_lock_of_a_killed_run_ends_with_it(tmp_path):
     assert (tmp_path / "other").read_text() == "kept"
 
 
+def test_paths_too_long_for_patterns_are_refused_before_the_computation(tmp_path, capsys):
+    folder = tmp_path / ("a" * 200) / ("b" * (260 - 201 - len(str(tmp_path)) - 5))
+    assert main(["hologram", "photo", "--resolution", "32", "32", "--distance", "3e-3", "-o", str(folder)]) == 2
+    told = capsys.readouterr().err
+    assert "--output exceeds maximum length" in told and "it/s" not in told
+    assert not any(folder.iterdir())
+
+
+def test_a_full_disk_is_named(tmp_path, monkeypatch, capsys):
+    """The limit of the system on the size of files stands for a disk that is full, at the lock and in Zarr's files."""
+    resource = pytest.importorskip("resource")
+    pytest.importorskip("zarr")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    arguments = ["hologram", "photo", "--resolution", "32", "32", "--distance", "3e-3", "--iterations", "1", "-q"]
+    for room, named in ((0, files.LOCK), (300, str(tmp_path / "out"))):
+        try:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
+            code = main([*arguments, "--tiles", "-o", str(tmp_path / "out")])
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        told = capsys.readouterr().err.splitlines()[-1]
+        assert code == 1 and "File too large" in told and named in told
+    assert not (tmp_path / "out" / "report.json").exists() and not (tmp_path / "out" / files.LOCK).exists()
+
+
 def test_a_file_system_without_locks_is_named(tmp_path, monkeypatch):
     fcntl = pytest.importorskip("fcntl")
 
