@@ -152,17 +152,21 @@ def run(config: Path, output: Path, notices: files.Notices = files.SILENT) -> di
         names = [f"{name}{suffix}" for name in recorded for suffix in SUFFIXES]
         files.announce(folder, [*names, files.REPORT], notices)
         light = Light(np.zeros(bench["resolution"], complex), bench["pixel_pitch"])
-        steps, power = [], 0.0
+        steps, power, before = [], 0.0, 0.0
         for element in elements:
             kind = element["kind"]
             if kind in SOURCES:
                 light = replace(light, field=light.field + SOURCE[kind](bench, element))
-            for part in PASSAGE[kind](light, element) if kind in PASSAGE else ():
-                light = light.through(part, bench["wavelength"])
+            with wave.power_budget() as budget:
+                for part in PASSAGE[kind](light, element) if kind in PASSAGE else ():
+                    light = light.through(part, bench["wavelength"])
             area = math.prod(pitches(light.pitch))
             step = {"kind": kind, "power": float(np.sum(np.abs(light.field) ** 2) * area)}
             power = step["power"] if kind in SOURCES else power
             step["share_of_source"] = step["power"] / power if power > 0 else None
+            if budget.steps and before > 0:
+                step["lost"] = {name: round(getattr(budget, name), 9) for name in ("band", "aperture", "window")}
+            before = step["power"]
             if kind == "record":
                 step |= _write(folder, element["name"], light.sampled(bench["wavelength"]), light.pitch)
             steps.append(step)
@@ -175,6 +179,7 @@ def run(config: Path, output: Path, notices: files.Notices = files.SILENT) -> di
         "definitions": {
             "power": "Sum of the intensity over the samples times their area.",
             "share_of_source": "Power over that behind the last source.",
+            "lost": "Shares of the power in front: beyond the band of the method, at apertures, beside the window.",
             "peak_position": "Metres from the centre of the field, sample n // 2, rows and columns.",
         },
     }

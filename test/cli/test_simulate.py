@@ -93,6 +93,25 @@ def test_steep_sources_are_named(tmp_path):
     assert [text.split(" is ")[0] for text in texts] == ["plane_wave", "point_source"]
 
 
+def test_the_report_says_where_light_is_lost(tmp_path):
+    """A slit blocks what is beside it; behind it, light leaves the grid."""
+    report = simulate(
+        tmp_path,
+        elements(
+            PLANE,
+            'kind = "rectangular_aperture"\nsize = ["1.608mm", "24um"]',
+            'kind = "propagate"\ndistance = "5cm"',
+            RECORD,
+        ),
+    )
+    source, slit, space, record = report["steps"]
+    assert "lost" not in source and "lost" not in record
+    assert slit["lost"]["aperture"] == pytest.approx(1 - 201 * 3 / SIDE**2, rel=1e-6)
+    assert space["lost"]["window"] == pytest.approx(1 - space["power"] / slit["power"], abs=1e-6)
+    assert space["lost"]["window"] > 0.02
+    assert any("FreeSpace keeps" in text for text in report["warnings"])
+
+
 def test_a_gaussian_beam_spreads(tmp_path):
     waist, distance = 0.2e-3, 0.1
     report = simulate(
