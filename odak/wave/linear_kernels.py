@@ -36,7 +36,8 @@ class LinearGrid(Grid):
     pixel_fill : float, optional
         Share of a square pixel's area that emits; None for fields that are point samples.
     tolerance : float
-        Relative error of a propagated field of flat spectrum. A stop is sampled on a fixed grid, without this bound.
+        Relative error of a propagated field of flat spectrum. A stop is sampled on a fixed grid, without this bound;
+        so is everything where it is infinite, and no length is read.
     stored : dtype, optional
         Complex dtype of what :meth:`evaluate` returns; that of the grid, in which it is computed, by default.
     halves : tuple of bool
@@ -96,6 +97,8 @@ class LinearGrid(Grid):
     def _rules(self) -> tuple[Rule, Rule]:
         """Return the rules along rows and columns."""
         sizes = [n // 2 for n in self.shape]
+        if math.isinf(self.tolerance):
+            return plain_rule(sizes[0]), plain_rule(sizes[1])
         lengths = (*self.pitch, self.wavelength, self.distance)
         known = [_array.numbers_behind(value) for value in lengths]
         numbers = [values[0] for values in known if values is not None]
@@ -254,7 +257,11 @@ class linear_kernel:
         double = replace(grid, dtype=xp.complex128)
         lengths = (*grid.pitch, grid.wavelength, grid.distance)
         batch = np.broadcast_shapes(*(tuple(value.shape[:-2]) for value in lengths))
-        if math.prod(batch) == 1 or None in [_array.numbers_behind(value) for value in lengths]:
+        if (
+            math.prod(batch) == 1
+            or math.isinf(self.tolerance)
+            or None in [_array.numbers_behind(value) for value in lengths]
+        ):
             return xp.astype(self._build(double, grid.dtype), grid.dtype, copy=False)
         flat = [xp.reshape(xp.broadcast_to(value, (*batch, 1, 1)), (-1, 1, 1)) for value in lengths]
         kernels = []

@@ -274,6 +274,9 @@ def _plan(
     method, error, warnings = find_method(propagation_type), 0.0, ()
     if method is None:
         method, error = choose_method(shape[-2:], request)
+        if math.isnan(error):
+            # Lengths that cannot be read without waiting are not read for a rule of their own either.
+            request = replace(request, tolerance=math.inf)
     else:
         # What "auto" took is judged by the error predicted for the field.
         warnings = tuple(warnings_outside_range(method, shape[-2:], request, pad))
