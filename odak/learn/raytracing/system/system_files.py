@@ -402,6 +402,8 @@ def named_errors(where: str) -> Iterator[None]:
         yield
     except (TypeError, ValueError) as error:
         raise type(error)(f"{where}: {error}") from error
+    except ArithmeticError as error:
+        raise ValueError(f"{where}: a number is out of range: {error}") from error
 
 
 def _known(where: str, entry, keys) -> None:

@@ -298,6 +298,8 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
         found = system(size, form, telecentric=telecentric, fields=points, **own)
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
+    except ArithmeticError as error:
+        raise ValueError(f"{path.name}: a number is out of range: {error}") from error
     return found, ZmxReport(tuple(ignored), tuple(notes))
 
 

@@ -18,7 +18,7 @@ from odak.learn.raytracing.system import (
 )
 
 LENS = """// OSLO 6.6 58447     0     0
-LEN NEW "A lens" 100 5
+LEN NEW "A lens" 100 4
 EBR  0.5
 ANG  5.0
 DES  "OSLO"
@@ -108,6 +108,7 @@ def test_round_trips_are_exact(tmp_path, name):
         ("GLA BK7", "GLA NOGLASS", "surface 1: name .*NOGLASS.*read_len"),
         ("RD -4.0; CC -0.5", "PY 0.0", "surface 2: PY, a solve, is understood behind the last surface only"),
         ("UNI  10.0", "UNI -1", "UNI, millimetres of a unit, must be positive"),
+        ("UNI  10.0", "UNI 1e-320", "a number is out of range"),
     ],
 )
 def test_what_would_be_wrong_is_refused(tmp_path, old, new, message):
