@@ -94,6 +94,29 @@ def test_rays_in_the_layout_end_where_they_are_traced_to():
         np.testing.assert_allclose(line[-1], [ends, height], atol=1e-12)
 
 
+def test_figures_for_a_paper():
+    """Edges are cylinders, numbers of surfaces do not overprint, labels have two decimals, the circle has a scale."""
+    rows = [
+        surface(20.0, thickness=3.0, material=1.5, semi_diameter=4.0),
+        surface(-60.0, thickness=0.1, semi_diameter=6.0),
+        surface(-60.0, thickness=0.1, material=1.6, semi_diameter=6.0),
+        surface(thickness=30.0, semi_diameter=6.0),
+    ]
+    lens = optical_system(rows, 6.0, fields=[0.0, 3.14159, 5.0, 7.0])
+    figure = layout_figure(lens)
+    (axes,) = figure.axes
+    outline = axes.patches[0].get_xy()
+    rim = outline[outline[:, 1] > 5.9]
+    assert rim[:, 1].tolist() == pytest.approx([6.0] * len(rim)) and np.ptp(rim[:, 0]) > 2.0
+    figure.draw_without_rendering()
+    boxes = [text.get_window_extent() for text in axes.texts if text.get_text().isdigit()]
+    assert len(boxes) == 4 and not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["0°", "3.14°", "5°", "7°"]
+    spots = spots_figure(lens)
+    assert len({round(axes.get_position().y0, 3) for axes in spots.axes}) == 2
+    assert any(text.get_text().startswith("Airy, radius") for text in spots.legends[0].get_texts())
+
+
 def test_glasses_and_kinds_of_figures(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(trace, "report_figures", lambda system, aim, quality: {"layout": layout_figure(system, aim)})
     catalogue = tmp_path / "own.agf"

@@ -126,7 +126,7 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
     for i in range(len(surfaces)):
         behind = next((j for j in range(i + 1, len(items)) if items[j] is None or not is_break(items[j])), None)
         if behind is not None and behind < len(items) - 1 and is_glass(surfaces, i):
-            axes.fill(*np.concatenate([profiles[i], profiles[behind][::-1]]).T, color=GLASS, ec=FAINT, lw=0.6)
+            axes.fill(*_element(profiles, frames, radii, i, behind).T, color=GLASS, ec=FAINT, lw=0.6)
             foot = min((profiles[i][0], profiles[behind][0]), key=lambda end: end[1])[1]
             middle = (profiles[i][0][0] + profiles[behind][0][0]) / 2
             style: dict[str, Any] = {"rotation": 90, "ha": "center", "va": "top", "fontsize": 6, "color": INK}
@@ -137,9 +137,9 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
             label = field_label(system, f) if p == 0 else None
             line = _with_curves(paths[f, p], {place: curve[f, p] for place, curve in curves.items()}, len(frames))
             axes.plot(line[:, 2], line[:, 1], color=color, lw=0.7, label=label, zorder=2)
-    # Of two numbers without room between them the second is raised. The drawing is about 600 points of print wide.
+    # A number without room beside earlier ones is raised. The drawing is about 600 points of print wide.
     point = (np.nanmax(paths[..., 2]) - np.nanmin(paths[..., 2])) / 600
-    last, raised = np.full(2, np.inf), False
+    written: list[np.ndarray] = []
     for i, item in enumerate(surfaces):
         if is_break(item):
             continue
@@ -153,15 +153,30 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
         # Above the blade of a stop, which stands on the edge of its surface.
         label = profiles[i][-1] + (0.25 * radii[i] * frames[i][0][:, 1][[2, 1]] if i == system.stop else 0)
         room = point * np.array([4.0 * len(str(i)) + 2.0, 9.0])
-        raised = not raised and bool((np.abs(label - last) < room).all())
-        last = label
-        place = (0, 13 if raised else 5)
-        axes.annotate(str(i), label, xytext=place, textcoords="offset points", ha="center", fontsize=7)
+        level, height = label + 5 * point * np.array([0.0, 1.0]), 5.0
+        while any((np.abs(level - other) < room).all() for other in written):
+            level, height = level + 8 * point * np.array([0.0, 1.0]), height + 8.0
+        written.append(level)
+        axes.annotate(str(i), label, xytext=(0, height), textcoords="offset points", ha="center", fontsize=7)
     axes.plot(*profiles[-1].T, color=INK, lw=2, zorder=3)
     figure.legend(fontsize=8, frameon=False, loc="outside right upper", title="field", title_fontsize=8)
     _scale_bar(axes, system.unit)
     axes.set_title(system.name, fontsize=11)
     return figure
+
+
+def _element(profiles, frames, radii, front: int, behind: int) -> np.ndarray:
+    """Return the section of an element, whose edge is a cylinder of the larger of its two surfaces."""
+    outline = [profiles[front], profiles[behind][::-1]]
+    small, large = (front, behind) if radii[front] < radii[behind] else (behind, front)
+    upwards = (radii[large] - radii[small]) * frames[small][0][:, 1][[2, 1]]
+    low, high = profiles[small][0] - upwards, profiles[small][-1] + upwards
+    parts = (
+        [low[None], outline[0], high[None], outline[1]]
+        if small == front
+        else [*outline[:1], high[None], outline[1], low[None]]
+    )
+    return np.concatenate(parts)
 
 
 def _glass_name(surfaces, i: int) -> str:
@@ -203,7 +218,9 @@ def field_label(system, i: int) -> str:
     """Return a field point as it is written in figures."""
     x, y = system.fields[i]
     unit = "°" if system.at_infinity else f" {unit_of(system)}"
-    return f"{y:g}{unit}" if not x else f"({x:g}, {y:g}){unit}"
+    # Two decimals, of small numbers two digits.
+    x, y = (f"{value:.2g}" if 0 < abs(value) < 0.1 else f"{round(value, 2):g}" for value in (x, y))
+    return f"{y}{unit}" if x == "0" else f"({x}, {y}){unit}"
 
 
 def image_unit(system) -> str:
@@ -270,7 +287,8 @@ def spots_figure(system: Any, found: Spots | None = None) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        The circle is Airy's first dark ring at the reference wavelength; afocal systems have none.
+        The circle is Airy's first dark ring at the reference wavelength, its radius in the legend; afocal systems have
+        none. More than three fields are in two rows.
 
     Examples
     --------
@@ -289,9 +307,14 @@ def spots_figure(system: Any, found: Spots | None = None) -> Figure:
     finite = [value * scale for value in found.largest.detach().flatten().tolist() if math.isfinite(value)]
     half = 1.1 * max([*finite, airy], default=1.0)
     count = found.x.shape[-2]
-    figure = Figure(figsize=(2.6 * count + 1.2, 3.4), layout="constrained")
+    rows = 1 if count < 4 else 2
+    columns = -(-count // rows)
+    figure = Figure(figsize=(2.6 * columns + 1.2, 3.4 * rows), layout="constrained")
     FigureCanvasAgg(figure)
-    panels = figure.subplots(1, count, squeeze=False, sharex=True, sharey=True)[0]
+    cells = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    for axes in cells.flat[count:]:
+        axes.remove()
+    panels = cells.flat[:count]
     circle = np.linspace(0, 2 * np.pi, 100)
     for i, axes in enumerate(panels):
         for j in range(found.x.shape[-3]):
@@ -299,11 +322,13 @@ def spots_figure(system: Any, found: Spots | None = None) -> Figure:
             label = f"{system.wavelengths[j] * scale * 1e3:.0f} nm" if i == 0 else None
             axes.plot(x, y, ".", ms=2.5, color=color_of(j), label=label)
         if airy:
-            axes.plot(airy * np.cos(circle), airy * np.sin(circle), color=INK, lw=0.8)
+            label = f"Airy, radius\n{airy:.3g} {image_unit(system)}" if i == 0 else None
+            axes.plot(airy * np.cos(circle), airy * np.sin(circle), color=INK, lw=0.8, label=label)
         axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", xlabel=f"x ({image_unit(system)})")
         name = field_label(system, i) if i < len(system.fields) and count == len(system.fields) else str(i)
         axes.set_title(f"field {name}\nRMS {float(found.rms[i].detach()) * scale:.3g} {image_unit(system)}", fontsize=9)
-    panels[0].set_ylabel(f"y ({image_unit(system)})")
+    for axes in panels[::columns]:
+        axes.set_ylabel(f"y ({image_unit(system)})")
     figure.legend(fontsize=8, frameon=False, loc="outside right upper")
     return figure
 
