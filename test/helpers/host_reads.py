@@ -24,6 +24,8 @@ REASONS = {
         tools/file: *
         tools/function: __array__
         tools/models: fit
+        raytracing/system/waves: field_modulation field_quality relative_illumination
+        wave/displays: _png
         wave/gaussians/sets: _points save_splats
         wave/training: _show _take_up fingerprint go
         wave/display_models: capture count display_camera fit_display of registration
@@ -38,7 +40,7 @@ REASONS = {
         raytracing/system/design: __init__ _now
         raytracing/system/environment: _expand
         raytracing/system/image_simulation: _chief _response point_spread_map
-        raytracing/system/optimise: _deviated
+        raytracing/system/optimise: _deviated _dispersed
         raytracing/system/paraxial: _check_forward _near_reach ghost_system medium passed seidel_sums
         raytracing/system/polarisation: _jones_vector
         raytracing/system/pupils: _far
@@ -47,6 +49,7 @@ REASONS = {
         raytracing/mesh: _checked_faces _checked_vertices components
         tools/matrix: quantize slice_rgbd_targets
         tools/transformation: quaternion_to_rotation_matrix
+        wave/displays: __init__ _checked_target _frames_alone _shares _start judge optimise
         wave/eyebox: _of_each eyebox_hologram
         wave/gaussians/scene: chosen
         wave/gaussians/sets: prune
@@ -67,6 +70,7 @@ REASONS = {
         raytracing/mesh: _faces init_heights
         raytracing/surfaces: _intersect_parametric
         raytracing/system/eye: _radial_transfer
+        raytracing/system/pupils: pupil_quadrature
         raytracing/system/waves: _grid
         tools/transformation: load_voxelized_PLY point_cloud_to_voxel
         wave/display_models: _cycles
@@ -95,7 +99,8 @@ REASONS = {
         raytracing/system/sequence: _adjoint axis_signs
         raytracing/system/design: restarts
         raytracing/system/eye: accommodation_response
-        raytracing/system/optimise: least_squares
+        raytracing/system/optimise: _linearly_compensated least_squares
+        raytracing/system/waves: _peak
         raytracing/system/pupils: _continuation _differences _solve aimed solve_pairs
         wave/display_models: _match_brightness _numbers _refine cost
         wave/training: step

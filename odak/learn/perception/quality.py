@@ -1,7 +1,7 @@
 """Measures of image quality: PSNR, SSIM, MS-SSIM, FLIP and PU21 metrics, reports by eccentricity, and contrast.
 
 CVVDP, FVVDP and LPIPS are computed by the packages of their authors. The first two have been compared with cvvdp 0.5.7
-and pyfvvdp 1.2.2, whose values they return; LPIPS with a stand-in for its network, whose weights it downloads.
+and pyfvvdp 1.2.2 on a pair of pictures; LPIPS with a stand-in for its network, whose weights it downloads.
 """
 
 import contextlib
