@@ -27,10 +27,30 @@ class Laboratory:
     ):  # fmt: skip
         self.wavelength, self.distance, self.fill, self.terms = wavelength, distance, fill, terms
         self.phases = 2 * np.pi * np.arange(256) / 256 if phases is None else phases
+        self.wavefront = wavefront
         self.illumination = np.broadcast_to(amplitude * np.exp(1j * np.asarray(wavefront)), shape)
         self.offset, self.signs, self.noise = np.asarray(offset), signs, np.random.default_rng(seed)
         self.modulator, self.camera = Panel(self, shape, pitch), Camera(self, camera_shape, camera_pitch, bits)
         self.field, self.waves, self.power = self.illumination.astype(np.complex64), {}, 1.0
+
+    def errors(self, found):
+        """Return the errors of a calibration of a table whose wavefront has no tilt and no defocus.
+
+        Phases in rad, registration in pixels (largest of the middle 70 %), wavefront in rad without tilt and defocus
+        (root mean square), distance as a share, amplitude as a share of the largest (root mean square).
+        """
+        points = np.random.default_rng(0).uniform(-0.35, 0.35, (200, 2)) * self.modulator.shape[::-1]
+        seen = found.registration.camera_pixels(points * self.modulator.pitch)
+        missed = np.stack([self.points(seen[:, 0], 1), self.points(seen[:, 1], 0)], axis=-1)
+        missed = np.linalg.norm(missed - points * self.modulator.pitch, axis=-1)
+        true = np.abs(self.illumination)
+        return {
+            "phases": np.abs(found.phases - self.phases).max(),
+            "registration": missed.max() / self.camera.pitch,
+            "wavefront": without_defocus(found.wavefront - self.wavefront).std(),
+            "distance": found.distance / self.distance - 1,
+            "amplitude": np.sqrt(((found.amplitude - true / true.max()) ** 2).mean()),
+        }
 
     def points(self, pixels, axis):
         """Return x (axis 1) or y (axis 0) in metres of columns or rows of the camera."""
@@ -68,6 +88,30 @@ class Laboratory:
             seen = seen + np.complex64(factor) * product
         finely = (rows, len(seen) // rows, columns, seen.shape[1] // columns)
         return self.power * (seen.real**2 + seen.imag**2).reshape(finely).mean((1, 3))
+
+
+def without_defocus(surface):
+    """Return a surface without its mean, its tilts and its defocus."""
+    y, x = ((np.arange(n) - n // 2) / n for n in surface.shape)
+    y = y[:, None] * surface.shape[0] / surface.shape[1]
+    system = np.stack(np.broadcast_arrays(1.0, x, y, x**2 + y**2), axis=-1).reshape(-1, 4)
+    found = np.linalg.solve(system.T @ system, system.T @ surface.ravel())
+    return surface - (system @ found).reshape(surface.shape)
+
+
+def full_panel(bits):
+    """Return a table with a panel of 1080 x 1920 pixels, whose camera is mirrored and displaced.
+
+    The aberration is about one wavelength from peak to valley, and the beam is off the axis.
+    """
+    y, x = ((np.arange(n) - n // 2) / 960 for n in (1080, 1920))
+    y = y[:, None]
+    beam = np.exp(-((x - 0.1) ** 2 + (y + 0.05) ** 2) / 1.5)
+    return Laboratory(
+        pitch=3.74e-6, distance=0.15, camera_shape=(680, 1180), camera_pitch=6.5e-6, bits=bits,
+        wavefront=without_defocus(np.pi * (x**3 - 0.5 * x * y**2 + 0.8 * x * y + 0.5 * (x**2 - y**2))),
+        amplitude=beam / beam.max(), offset=(8e-5, -5e-5), signs=(-1, 1), terms=1,
+    )  # fmt: skip
 
 
 class Panel:

@@ -8,7 +8,7 @@ from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
-from laboratory import Laboratory
+from laboratory import Laboratory, full_panel
 
 from odak import AccuracyWarning, instruments
 from odak.instruments import calibration as calibrating
@@ -492,6 +492,20 @@ def test_distance_of_a_panel_whose_depth_of_focus_is_narrow():
 def test_distance_of_a_full_panel(wrong, bits, distance):
     """1080 x 1920 pixels, depth of focus 0.1 %."""
     assert distance_found(wrong, (1080, 1920), bits, distance, captures=1) == pytest.approx(1, abs=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_a_whole_calibration_of_a_full_panel():
+    """1080 x 1920 pixels and a camera of 8 bits, from 1.5 % beside the distance; one round takes some minutes."""
+    table = full_panel(8)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AccuracyWarning)
+        found = instruments.calibrate_table(*instruments_of(table), 532e-9, 1.015 * table.distance, rounds=1)
+    errors = table.errors(found)
+    for name, bound in (("phases", 0.02), ("registration", 0.2), ("wavefront", 2 * np.pi / 50), ("distance", 1e-3)):
+        assert abs(errors[name]) < bound
+    assert table.camera.taken < 1200
 
 
 def test_distance_without_light_is_an_error_that_says_what_was_seen():
