@@ -967,6 +967,8 @@ def register_camera(
     y, x = _axes(modulator)
     radius = np.hypot(x / size[1], y / size[0]) * 2 / pitch if (size < shape).any() else 0 * (x + y)
     lit, outwards = radius < 1, 0.9 * np.pi * np.hypot(x, y) / pitch * (1 - 1 / np.clip(radius, 1, None))
+    # Second moments along x and y of an ellipse, or of all pixels.
+    moments = (size[::-1] * pitch) ** 2 / (16 if (size < shape).any() else 12)
     half = half[::-1]
     # What is added to the wavefront within the middle part.
     curved = np.zeros(modulator.shape)
@@ -1006,7 +1008,7 @@ def register_camera(
     _check_places(axis, roughly, camera, bool((missed > 2 * around + 0.3 * np.abs(three @ roughly).max()).any()))
     if middle:
         for _ in range(4):
-            curved += _curvature(modulator, camera, partial(show, three[:1]), wavelength, distance, size, matrix)
+            curved += _curvature(modulator, camera, partial(show, three[:1]), wavelength, distance, moments, matrix)
     down, across = _validate.size("grid", grid)
     y, x = (np.linspace(-h, h, n) for h, n in ((half[1], down), (half[0], across)))
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -1156,15 +1158,14 @@ class _Middle:
         return replace(found, amplitude=amplitude, wavefront=wavefront, regional_phases=regional)
 
 
-def _curvature(modulator, camera, show, wavelength, distance, size, matrix) -> np.ndarray:
+def _curvature(modulator, camera, show, wavelength, distance, moments, matrix) -> np.ndarray:
     """Return the quadratic part of the wavefront in the middle of a modulator, from spots on either side of the focus.
 
-    Rays of an aperture whose second moments are s along each axis, behind a lens that adds the curvature ±c to the
-    curvatures H of the wavefront, form a spot whose matrix of second moments is (d/k)²·s·(H ± c)². The difference
-    of the two is 4·(d/k)²·s·c·H, also with diffraction.
+    Rays of an aperture whose second moments along the axes are the diagonal S, behind a lens that adds the curvature ±c
+    to the curvatures H of the wavefront, form a spot whose matrix of second moments is (d/k)²·(H ± c)·S·(H ± c). The
+    difference of the two is 2·(d/k)²·c·(H·S + S·H), also with diffraction.
     """
     y, x = _axes(modulator)
-    radius = min(size) * modulator.pitch / 2
     added = BLUR * 2 * np.pi / wavelength / distance
     back = np.linalg.inv(matrix[:2])
     difference = np.zeros((2, 2))
@@ -1173,9 +1174,8 @@ def _curvature(modulator, camera, show, wavelength, distance, size, matrix) -> n
         set_exposure(camera)
         frame = _averaged(camera, 4)
         difference += sign * back.T @ _second_moments(frame) @ back
-    # The second moment of a disc is a quarter of its radius squared.
-    scale = (wavelength * distance / (2 * np.pi)) ** 2 * radius**2 / 4
-    hessian = -difference / (4 * scale * added)
+    scale = (wavelength * distance / (2 * np.pi)) ** 2 * np.add.outer(moments, moments)
+    hessian = -difference / (2 * scale * added)
     # Curvatures larger than that of the lens are approached step by step.
     hessian *= min(1.0, added / np.linalg.norm(hessian, 2))
     return -(hessian[0, 0] * x**2 + 2 * hessian[0, 1] * x * y + hessian[1, 1] * y**2) / 2
