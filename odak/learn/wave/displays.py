@@ -75,6 +75,7 @@ class Iris:
         return self.radius / (wavelength * self.focal_length)
 
 
+@_validate.takes_units("pitch")
 @dataclass(frozen=True)
 class Modulator:
     """A phase-only spatial light modulator: its pixels, levels and response.
@@ -182,6 +183,7 @@ class Display(torch.nn.Module):
     powers: torch.Tensor
     profile: torch.Tensor | None
 
+    @_validate.takes_units("wavelengths", "distances")
     def __init__(
         self,
         modulator: Modulator,
@@ -199,6 +201,7 @@ class Display(torch.nn.Module):
         self.modulator = modulator
         self.wavelengths = _numbers("wavelengths", wavelengths, positive=True)
         self.distances = _numbers("distances", distances)
+        _validate.lengths_together(self.wavelengths, modulator.pitch, names=("wavelengths", "pitch", "distances"))
         self.medium = _validate.constant("medium", medium, positive=True)
         if iris is not None and iris != "order" and not isinstance(iris, Iris):
             raise ValueError(f"iris must be 'order', an Iris or None, got {iris!r:.80}")
