@@ -216,7 +216,6 @@ def test_what_will_not_do_is_said_in_a_line_and_nothing_is_written(arguments, me
     ("surfaces", "options", "arguments", "message"),
     [
         ([surface(50.0, thickness=3.0, material=1.5, tilt=(1.0, 0.0)), surface()], {}, [], "surface 0 is not centred"),
-        ([surface(50.0, thickness=3.0, material=1.5), surface()], {}, ["--zmx"], "--zmx: surfaces[0]"),
         (
             [surface(50.0, thickness=3.0, material=1.5), surface(thickness=150.0)],
             {"object_distance": 300.0},

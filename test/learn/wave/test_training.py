@@ -301,7 +301,8 @@ class TestBrightness:
         message = "target must have a mean intensity of at most 1, .* got .* or scale=True"
         with self.expected(brightness > 1, message):
             descend()
-        descend(scale=True)
+        with self.expected(brightness == 200, "target reaches 200 where 1 is white"):
+            descend(scale=True)
 
     @pytest.mark.parametrize("method", ["conventional", "multi-color"])
     @pytest.mark.parametrize("excess", [0.99, 1.01])

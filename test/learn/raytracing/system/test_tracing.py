@@ -343,9 +343,15 @@ def test_what_is_no_ray_is_refused():
         trace(system, Rays(*(value.expand(2, 3, *value.shape[-1:]) for value in rays)))
 
 
-@pytest.mark.parametrize("fields", [[0.0, 2.0], [(0.0, 1.0, 2.0)], [(0.0, math.nan)], "12", torch.zeros(2)])
-def test_field_points_are_pairs(fields):
+def test_numbers_are_field_points_along_y():
     """Two numbers were taken for one point, where the system itself takes them for two."""
+    system = load_system("cooke_triplet")
+    for one, two in zip(launch(system, fields=[0.0, 2.0]), launch(system, fields=[(0, 0), (0, 2)]), strict=True):
+        assert torch.equal(one, two)
+
+
+@pytest.mark.parametrize("fields", [[(0.0, 1.0, 2.0)], [(0.0, math.nan)], "12"])
+def test_field_points_are_pairs(fields):
     with pytest.raises((ValueError, TypeError), match="fields must"):
         launch(load_system("cooke_triplet"), fields=fields)
 
