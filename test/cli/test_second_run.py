@@ -198,6 +198,7 @@ def test_a_person_is_asked_and_may_refuse(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "out" / "a.npy").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_repeated_step_of_a_calibration_is_announced(tmp_path, capsys):
     arguments = [
         "-o",

@@ -142,6 +142,7 @@ def test_larger_ones_give_zarr_alone_and_the_same_numbers(colour, tmp_path, monk
     assert large["pattern"]["files"] == [f"hologram_{value}nm.zarr" for value in (638, 520, 450)]
 
 
+@pytest.mark.slow
 def test_a_run_is_continued_for_the_same_picture_only(grey_file, tmp_path):
     def pattern(folder):
         return np.asarray(zarr.open_array(str(tmp_path / folder / "hologram_532nm.zarr"))[:])

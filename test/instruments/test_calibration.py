@@ -186,6 +186,7 @@ def test_a_modulator_that_does_not_modulate_is_reported():
 
 
 @pytest.mark.xdist_group("calibrated")
+@pytest.mark.slow
 def test_wavefront_within_a_hundredth_of_a_wavelength(calibrated):
     table, found = calibrated
     low = low_modes(table.modulator)
@@ -194,18 +195,21 @@ def test_wavefront_within_a_hundredth_of_a_wavelength(calibrated):
 
 
 @pytest.mark.xdist_group("calibrated")
+@pytest.mark.slow
 def test_registration_within_a_tenth_of_a_pixel(calibrated):
     table, found = calibrated
     assert distance_in_pixels(found.registration, table).max() < 0.1
 
 
 @pytest.mark.xdist_group("calibrated")
+@pytest.mark.slow
 def test_distance_within_a_thousandth(calibrated):
     table, found = calibrated
     assert found.distance == pytest.approx(table.truth.distance, rel=1e-3)
 
 
 @pytest.mark.xdist_group("calibrated")
+@pytest.mark.slow
 def test_illumination_within_two_percent(calibrated):
     table, found = calibrated
     assert rms(found.amplitude - table.truth.amplitude / table.truth.amplitude.max()) < 0.02
@@ -228,6 +232,7 @@ def errors_of(found, table):
 
 
 @pytest.mark.xdist_group("calibrated")
+@pytest.mark.slow
 def test_uncertainties_contain_the_errors_and_are_of_their_size(calibrated):
     table, found = calibrated
     errors = errors_of(found, table)
@@ -258,6 +263,7 @@ def test_pixels_that_are_not_square_are_refused():
 
 
 @pytest.mark.xdist_group("calibrated")
+@pytest.mark.slow
 def test_a_corrected_spot_is_as_bright_as_an_ideal_one(calibrated):
     table, found = calibrated
     ideal = instruments.SimulatedTable(
@@ -276,6 +282,7 @@ def test_a_corrected_spot_is_as_bright_as_an_ideal_one(calibrated):
 
 
 @pytest.mark.xdist_group("calibrated")
+@pytest.mark.slow
 def test_files_are_read_back(calibrated, tmp_path):
     _, found = calibrated
     instruments.save_calibration(tmp_path / "a.npz", found)

@@ -156,6 +156,7 @@ def killed(tmp_path_factory):
 @needs_kill
 @pytest.mark.xdist_group("killed")
 class TestKilled:
+    @pytest.mark.slow
     @pytest.mark.parametrize("name", WRITERS)
     def test_a_file_is_the_former_or_the_new_one(self, name, killed, tmp_path):
         former, new = (written(name, version, tmp_path / str(version)) for version in (1, 2))

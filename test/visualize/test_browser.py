@@ -240,6 +240,7 @@ def test_without_a_browser_the_error_says_what_to_install(monkeypatch, tmp_path)
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_program_that_is_no_browser_is_named(monkeypatch, tmp_path):
     close_browser()
     program = tmp_path / "no-browser"

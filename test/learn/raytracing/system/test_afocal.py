@@ -95,6 +95,7 @@ def test_a_perfect_telescope_has_airys_disc():
     torch.testing.assert_close(spread.intensity[0, 0, :, 256], expected, atol=5e-3, rtol=0)
 
 
+@pytest.mark.slow
 def test_files_figures_and_what_is_refused(tmp_path):
     system = telescope(afocal=True)
     write_zmx(system, tmp_path / "telescope.zmx")
