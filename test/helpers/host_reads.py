@@ -40,7 +40,7 @@ REASONS = {
         raytracing/system/design: __init__ _now
         raytracing/system/environment: _expand
         raytracing/system/image_simulation: _chief _response point_spread_map
-        raytracing/system/optimise: _deviated _dispersed
+        raytracing/system/optimise: _deviated _dispersed iso_10110_tolerances
         raytracing/system/paraxial: _check_forward _near_reach ghost_system medium passed seidel_sums
         raytracing/system/polarisation: _jones_vector
         raytracing/system/pupils: _far
@@ -99,7 +99,7 @@ REASONS = {
         raytracing/system/sequence: _adjoint axis_signs
         raytracing/system/design: restarts
         raytracing/system/eye: accommodation_response
-        raytracing/system/optimise: _linearly_compensated least_squares
+        raytracing/system/optimise: _linearly_compensated least_squares tolerances_for_yield
         raytracing/system/waves: _peak
         raytracing/system/pupils: _continuation _differences _solve aimed solve_pairs
         wave/display_models: _match_brightness _numbers _refine cost
@@ -109,6 +109,8 @@ REASONS = {
 # Those whose syntax does not show it, such as `float(loss)`.
 AT_RUN_TIME = {
     "raytracing/system/design:_now",
+    "raytracing/system/optimise:iso_10110_tolerances",
+    "raytracing/system/optimise:tolerances_for_yield",
     "raytracing/system/surfaces:_image",
     "tools/transformation:load_voxelized_PLY",
     "wave/training:_show",

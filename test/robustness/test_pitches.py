@@ -19,10 +19,13 @@ SQUARE = {
 ELSEWHERE = ("odak.instruments.", "odak.learn.perception.display_color_hvs")
 # What the pitch of columns or of rows alone decides, or nothing for the arguments of their examples.
 UNCHANGED = (
+    "odak.learn.wave.beam_quality",
+    "odak.learn.wave.power_in_bucket",
     "odak.learn.wave.dammann_grating",
     "odak.learn.wave.prism_grating",
     "odak.learn.wave.pupil_function",
     "odak.learn.wave.zernike_phase",
+    "odak.wave.beam_quality",
     "odak.wave.dammann_grating",
     "odak.wave.hologram_in_chunks",
     "odak.wave.prism_grating",

@@ -211,7 +211,8 @@ def xyz_to_xyy(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
     none = total == 0
     divisor, sum_white = torch.where(none, 1.0, total), white.sum()
     shares = (
-        torch.where(none, level / sum_white, value / divisor) for level, value in zip(white, (x, y), strict=False)
+        torch.where(none, torch.as_tensor(level / sum_white).to(value), value / divisor)
+        for level, value in zip(white, (x, y), strict=False)
     )
     return torch.stack([*shares, y], -3)
 

@@ -347,10 +347,11 @@ class Display(torch.nn.Module):
     def _image(self, light, colour):
         power = self.powers[:, colour]
         frames = [f for f in range(self.frames) if self._shares()[f][colour]]
-        light = self._lit(light if len(frames) == self.frames else light[frames], colour)[:, None]
+        lit = light if len(frames) == self.frames else torch.stack([light[f] for f in frames])
+        light = self._lit(lit, colour)[:, None]
         # One kernel for each plane and point of a pixel takes one transform back, but a single forward one.
         shown = convolve(light, self._kernels(colour, light.dtype))
-        amplitudes = (power[frames] / power.sum()).sqrt()[:, None].to(shown.real.dtype)
+        amplitudes = (torch.stack([power[f] for f in frames]) / power.sum()).sqrt()[:, None].to(shown.real.dtype)
         points = exposure(shown[:, :, None], amplitudes)[:, 0]
         return _over_areas(points.unflatten(0, (-1, self.samples, self.samples)))
 
@@ -430,6 +431,7 @@ class _PixelTransfer:
 
 
 def _numbers(name, values, positive=False) -> tuple[float, ...]:
+    (values,) = _validate.constants(**{name: values})
     given = [values] if np.ndim(values) == 0 else values
     checked = tuple(float(value) for value in _validate.several(name, given, positive=positive))
     if not checked:
@@ -955,12 +957,12 @@ def _start(display, target, start, run) -> torch.Tensor:
             raise ValueError(f"start must be {list(shape)} or one of {', '.join(STARTS)}, got {list(phases.shape)}")
         return phases.reshape(shape)
     name = _validate.one_of("start", start, STARTS)
-    plane, phases = display.shape[0] // 2, torch.empty(shape, dtype=target.dtype, device=target.device)
+    plane, phases = display.shape[0] // 2, torch.zeros(shape, dtype=target.dtype, device=target.device)
     brightest = display.powers.argmax(1).tolist()
     for colour in sorted(set(brightest)):
         frames = [frame for frame, lit in enumerate(brightest) if lit == colour]
         wavelength, distance = display.wavelengths[colour] / display.medium, display.distances[plane]
-        phases[frames] = starting_phase(
+        started = starting_phase(
             name,
             target[plane, colour],
             wavelength,
@@ -968,5 +970,7 @@ def _start(display, target, start, run) -> torch.Tensor:
             display.modulator.pitch,
             seed=run.seed,
             frames=len(frames),
-        ).reshape(len(frames), *shape[1:])
+        )
+        for frame, phase in zip(frames, started.reshape(len(frames), *shape[1:]), strict=True):
+            phases[frame] = phase
     return phases

@@ -6,7 +6,7 @@ import math
 import torch
 from api_sweep.build import Build, tensor, tensor_field
 
-from odak.learn.wave import display_model, focal_surface_light_propagation, propagator
+from odak.learn.wave import Run, display_model, focal_surface_light_propagation, propagator
 
 COLOUR = 515e-9
 
@@ -299,7 +299,7 @@ BY_CALL = {
     "odak.learn.wave.Display.fields": {"phases": tensor(32, 48)},
     "odak.learn.wave.Display.forward": {"phases": tensor(32, 48)},
     "odak.learn.wave.Display.judge": {"phases": tensor(32, 48)},
-    "odak.learn.wave.optimise": {"target": tensor(48, 64)},
+    "odak.learn.wave.optimise": {"target": tensor(48, 64), "run": Run(iterations=10, progress=False)},
     "odak.learn.wave.propagator": {"distances": tensor(1) * 1e-3},
     "odak.learn.wave.propagator.init_distances": {"distances": tensor(1) * 1e-3},
     "odak.learn.wave.eyebox_hologram": {

@@ -842,6 +842,7 @@ def modulation_frequencies(system: Any) -> list[float]:
     return [float(f"{share * cutoff:.1g}") for share in (0.125, 0.25)]
 
 
+@takes_constants("frequencies")
 @torch.no_grad()
 def performance_figure(system: Any, points: int = 11, frequencies: Any = None, aim: str = "paraxial") -> Figure:
     """Return spots, wavefronts, modulation and vignetting over the field along y.

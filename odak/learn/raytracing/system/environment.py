@@ -135,8 +135,8 @@ def _expand(i: int, item, other, scale) -> None:
     if item.own_phase is not None and not is_break(item):
         return
     replaced(other, "curvature", item.curvature / scale)
-    powers = torch.arange(1, item.coefficients.numel() + 1, dtype=torch.float64)
-    replaced(other, "coefficients", item.coefficients * scale ** (1 - 2 * powers))
+    powers = torch.ones_like(item.coefficients).cumsum(0)
+    replaced(other, "coefficients", item.coefficients * torch.as_tensor(scale).to(powers) ** (1 - 2 * powers))
     if item.semi_diameter is not None:
         other.semi_diameter = float(torch.as_tensor(item.semi_diameter * scale).detach())
 

@@ -9,6 +9,7 @@ import torch
 from odak import _validate
 from odak._torch_private import load_forward_rules
 from odak.catalog.materials import MICROMETRES, Material
+from odak.learn._tensors import takes_constants
 from odak.learn.raytracing.system.analysis import rms_spot
 from odak.learn.raytracing.system.operands import clear_heights
 from odak.learn.raytracing.system.pupils import trace_fields
@@ -579,6 +580,7 @@ def tolerance(
     return ToleranceResult(merit(system, prescription=numbers), merit(system, prescription=nominal), numbers)
 
 
+@takes_constants("limit")
 def tolerances_for_yield(
     system: Any,
     perturbations: Sequence[Perturbation],

@@ -10,7 +10,7 @@ from odak import _validate
 from odak._array import is_readable, phasor_of_cycles
 from odak._torch_private import load_forward_rules
 from odak._warnings import AccuracyWarning, warn
-from odak.learn._tensors import floating
+from odak.learn._tensors import floating, takes_constants
 from odak.learn.raytracing.system.analysis import path_at_start, spot_diagram, wavefront
 from odak.learn.raytracing.system.paraxial import check_image_space, entrance_pupil, first_order
 from odak.learn.raytracing.system.pupils import (
@@ -1196,6 +1196,7 @@ def through_focus_modulation(
     return modulation_at(spread, frequency, axis).movedim(0, -1)
 
 
+@takes_constants("frequencies")
 @torch.no_grad()
 def field_modulation(
     system: Any, frequencies: Any, fields: Any = None, *, aim: str = "paraxial", samples: int = 64

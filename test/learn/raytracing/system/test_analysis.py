@@ -350,7 +350,7 @@ def test_reports_hold_all_figures(tmp_path):
         "Seidel",
     ):
         assert part in page
-    assert page.count("<svg") == 11
+    assert page.count("<svg") == 13
 
 
 def test_axial_colour_is_that_of_a_thin_lens():
