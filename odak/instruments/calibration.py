@@ -1754,7 +1754,7 @@ def measure_illumination(
     >>> table = SimulatedTable(seed=1, shape=(32, 32), distance=4e-3, camera_shape=(48, 48), aberration=0.05)
     >>> known = Registration(table.truth.homography, table.truth.distortion, table.camera.shape)
     >>> there = (table.modulator, table.camera, 532e-9, table.truth.distance)
-    >>> found = measure_illumination(*there, table.truth.phases, known, wavefront=table.truth.wavefront, patterns=400)
+    >>> found = measure_illumination(*there, table.truth.phases, known, wavefront=table.truth.wavefront, patterns=900)
     >>> bool(abs(found - table.truth.amplitude / table.truth.amplitude.max()).mean() < 0.06)
     True
     """

