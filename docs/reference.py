@@ -208,6 +208,9 @@ def on_page_content(html, page, config, files):
     return html
 
 
+_SIGNATURES = "odak.learn._faces."
+
+
 class PublicNames(griffe.Extension):
     """Creates an object for each public name in its package, and converts roles in docstrings to links."""
 
@@ -239,9 +242,11 @@ def _objects(item, seen):
 def _at(pkg, path):
     try:
         found = pkg[path.removeprefix("odak.")]
-        return found.final_target if found.is_alias else found
+        found = found.final_target if found.is_alias else found
     except (KeyError, griffe.AliasResolutionError, griffe.CyclicAliasError):
         return None
+    # The signatures written for editors carry one line of docstring: the function itself has all of it.
+    return None if found.path.startswith(_SIGNATURES) else found
 
 
 def _define(pkg, package, name):

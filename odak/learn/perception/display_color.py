@@ -73,7 +73,7 @@ def color_matching_functions(wavelengths: torch.Tensor | Sequence[float], observ
     wavelengths : torch.Tensor or sequence of float
         In nanometres.
     observer : {"CIE 1931", "CIE 1964"}
-        That of fields of 2°, or of 10°.
+        The standard observer for fields of 2°, or for fields of 10°.
 
     Returns
     -------

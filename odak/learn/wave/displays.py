@@ -563,6 +563,25 @@ class Problem:
         How long, with what progress and seed.
     free : bool
         Whether the brightness of the images is free.
+
+    Examples
+    --------
+    A solver of your own: the phases of the light that would travel back from the target.
+
+    >>> import torch
+    >>> from odak.learn.wave import Display, Modulator, Problem, optimise, propagate_beam
+    >>> class Backwards:
+    ...     def solve(self, problem: Problem) -> torch.Tensor:
+    ...         display = problem.display
+    ...         field = problem.target[0, 0].sqrt() * torch.exp(1j * problem.start[0])
+    ...         back = propagate_beam(
+    ...             field, dx=8e-6, wavelength=display.wavelengths[0], distance=-display.distances[0]
+    ...         )
+    ...         return back.angle()[None]
+    >>> display = Display(Modulator((48, 64), 8e-6), 532e-9, 2e-3)
+    >>> hologram = optimise(display, torch.ones(48, 64), solver=Backwards(), start="flat")
+    >>> bool(hologram.psnr > 10)
+    True
     """
 
     display: Display
@@ -724,7 +743,8 @@ class Network:
     --------
     >>> from odak.learn.models import hologram_network
     >>> from odak.learn.wave import Network
-    >>> solver = Network(hologram_network(pretrained=True))
+    >>> Network(hologram_network(pretrained=True)).model.training
+    False
     """
 
     model: Callable
@@ -770,6 +790,15 @@ class DisplayedHologram:
         The same of the intensities at the middles of pixels, which no sensor sees.
     losses : tuple of float
         Loss after each iteration.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import Display, Modulator, Run, optimise
+    >>> display = Display(Modulator((48, 64), 8e-6), 532e-9, 2e-3)
+    >>> hologram = optimise(display, torch.ones(48, 64), run=Run(iterations=2, progress=False))
+    >>> hologram.levels().shape, sorted(hologram.table()[0])[:2]
+    (torch.Size([1, 48, 64]), ['brightness', 'distance'])
     """
 
     display: Display

@@ -606,9 +606,9 @@ def tolerances_for_yield(
     samples : int
         Number of systems of the Monte Carlo analysis.
     seed : int
-        Of its random numbers.
+        Seed of its random numbers.
     compensators : sequence of pairs
-        As in :func:`tolerance`.
+        What is adjusted when a system is put together, name and surface; see :func:`tolerance`.
 
     Returns
     -------

@@ -171,7 +171,7 @@ class configurations(torch.nn.Module):
         Parameters
         ----------
         wavelengths : sequence of float, optional
-            Those of the system by default.
+            Wavelengths to trace; by default the system's.
 
         Returns
         -------
