@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from odak import _validate
+from odak import _show, _validate
 from odak._array import Array
 from odak.catalog.materials import Material, material, refractive_index
 from odak.raytracing import arguments
@@ -63,6 +63,8 @@ class plane_detector:
     >>> np.argwhere(detector.get_amplitude())[0], round(float(detector.get_amplitude().max()), 4)
     (array([2, 3, 0]), 9.9502)
     """
+
+    __repr__ = _show.one_line
 
     def __init__(
         self,
@@ -241,6 +243,8 @@ class thin_diffuser:
            [0.06999, 0.     , 1.     ]])
     """
 
+    __repr__ = _show.one_line
+
     def __init__(
         self,
         phase: Array | None = None,
@@ -378,6 +382,8 @@ class plano_convex_lens:
     >>> normal[0, 0], distance
     (array([ 0.,  0., -1.]), array([4.]))
     """
+
+    __repr__ = _show.one_line
 
     def __init__(
         self,

@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.ndimage import map_coordinates, uniform_filter
 from scipy.optimize import least_squares
 
-from odak import _validate
+from odak import _show, _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.instruments.array_files import SUFFIXES, checked_array, checked_number, read_hdf5, write_hdf5
 from odak.instruments.captures import LARGEST_DISTANCE, PITCHES, WAVELENGTHS
@@ -165,6 +165,8 @@ class Calibration:
     regional_phases: np.ndarray | None = field(default=None, repr=False)
     uncertainty: dict[str, float] = field(default_factory=dict, repr=False)
 
+    __repr__ = _show.one_line
+
     @classmethod
     def nominal(cls, modulator: Modulator, camera: Camera, wavelength: float, distance: float) -> "Calibration":
         """Return the nominal properties of a table, without faults.
@@ -198,6 +200,41 @@ class Calibration:
             Registration(np.diag([camera.pitch, camera.pitch, 1.0]), 0.0, shape),
         )
 
+    def _repr_html_(self) -> str:
+        return _show.page(self, Calibration._view)
+
+    def _view(self) -> _show.View:
+        """Return what notebooks show of it: illumination, aberration and response, with uncertainties."""
+        warn_of_short_range(self.phases)
+        low, high = float(self.wavefront.min()), float(self.wavefront.max())
+        pictures: list = [
+            ("amplitude of the illumination, 0 to 1", _show.png(self.amplitude)),
+            (f"aberration, {low:.3g} to {high:.3g} rad", _show.png((self.wavefront - low) / (high - low or 1.0))),
+            (f"phase of each level, 0 to 2π over 0 to {len(self.phases) - 1}", _response_drawn(self.phases)),
+        ]
+        waves = float((self.wavefront - self.wavefront.mean()).std()) / (2 * np.pi)
+        doubts = {name: f"± {value:.2g} {UNITS[f'uncertainty_{name}']}" for name, value in self.uncertainty.items()}
+        rows = [
+            ("wavelength", f"{1e9 * self.wavelength:.6g} nm", ""),
+            ("pitch", f"{1e6 * self.pitch:.6g} µm", ""),
+            ("distance", f"{1e3 * self.distance:.6g} mm", doubts.get("distance", "")),
+            (
+                "phase from the first to the last level",
+                f"{float(self.phases[-1] / np.pi):.4g}π",
+                doubts.get("phases", ""),
+            ),
+            ("aberration, root mean square", f"{waves:.3g} λ", doubts.get("wavefront", "")),
+            ("least amplitude", f"{float(self.amplitude.min()):.3g}", doubts.get("amplitude", "")),
+            ("residual of the mapping", f"{self.registration.residual:.3g} pixels", doubts.get("registration", "")),
+        ]
+        table = [("property", "value", "uncertainty"), *rows]
+        return _show.View(
+            f"Calibration of {self.wavefront.shape[0]} × {self.wavefront.shape[1]} pixels",
+            pictures,
+            table,
+            _doubts(self.uncertainty),
+        )
+
     @property
     def response(self) -> np.ndarray:
         """Phase of each level in regions of the modulator, where it was measured, or else that of all."""
@@ -210,6 +247,29 @@ class Calibration:
         continues to the edges of the modulator.
         """
         return nearest_levels(np.asarray(phase) - self.wavefront, self.response)
+
+
+def _doubts(uncertainty: Mapping[str, float]) -> list[str]:
+    """Return what is less certain than holograms need."""
+    return [
+        f"the calibration is uncertain: {name} by {uncertainty[name]:.2g} {UNITS[f'uncertainty_{name}']}, "
+        f"more than {limit:.2g}"
+        for name, limit in LIMITS.items()
+        if uncertainty.get(name, 0.0) > limit
+    ]
+
+
+def _response_drawn(phases: np.ndarray) -> str:
+    """Return the curve of a response, and in grey the straight one."""
+    levels = np.linspace(0, 1, len(phases))
+    top = max(1.0, float(np.max(phases)) / (2 * np.pi))
+
+    def curve(values: np.ndarray, colour: str) -> str:
+        points = " ".join(f"{10 + 300 * x:.1f},{210 - 200 * y / top:.1f}" for x, y in zip(levels, values, strict=True))
+        return f'<polyline points="{points}" stroke="{colour}" stroke-width="2"/>'
+
+    drawn = curve(levels, "#9a9a9a") + curve(phases / (2 * np.pi), "#1f4e9c")
+    return f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 320 220" width="320" fill="none">{drawn}</svg>'
 
 
 def nearest_levels(phase: np.ndarray, phases: np.ndarray) -> np.ndarray:
@@ -444,13 +504,8 @@ def calibrate_table(
         registration.uncertainty, far * uncertainty["distance"] / (distance * camera.pitch)
     )
     registration = replace(registration, uncertainty=uncertainty["registration"])
-    for name, limit in LIMITS.items():
-        if uncertainty[name] > limit:
-            unit = UNITS[f"uncertainty_{name}"]
-            warn(
-                f"the calibration is uncertain: {name} by {uncertainty[name]:.2g} {unit}, more than {limit:.2g}",
-                AccuracyWarning,
-            )
+    for text in _doubts(uncertainty):
+        warn(text, AccuracyWarning)
     amplitude, uncertainty["amplitude"] = illumination_with_uncertainty(
         *there, distance, response, registration, wavefront=wavefront
     )

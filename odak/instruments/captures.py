@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from odak import _validate
+from odak import _show, _validate
 from odak.instruments.array_files import checked_array, checked_number, read_hdf5, write_hdf5
 from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
 
@@ -74,6 +74,8 @@ class Captures:
     camera_bits: int
     exposure: float
     dark: np.ndarray | float = 0.0
+
+    __repr__ = _show.one_line
 
     def __len__(self) -> int:
         return len(self.levels)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from odak import _validate
+from odak import _show, _validate
 from odak.tools.paths import replacing, validate_path
 
 __all__ = ["FileCamera", "FileModulator", "ScreenModulator", "VideoCamera"]
@@ -47,6 +47,8 @@ class ScreenModulator:
     """
 
     bits = 8
+
+    __repr__ = _show.one_line
 
     @_validate.takes_units("pitch")
     def __init__(self, pitch: float, display: int = 0, shape: Sequence[int] | None = None, settling_time: float = 0.05):
@@ -107,6 +109,8 @@ class VideoCamera:
     >>> from odak.instruments import VideoCamera
     >>> camera = VideoCamera(0, pitch=3e-6)  # doctest: +SKIP
     """
+
+    __repr__ = _show.one_line
 
     @_validate.takes_units("pitch")
     def __init__(
@@ -201,6 +205,8 @@ class FileModulator:
     ['pattern.txt', 'pattern_1.npy']
     """
 
+    __repr__ = _show.one_line
+
     @_validate.takes_units("pitch")
     def __init__(
         self,
@@ -272,6 +278,8 @@ class FileCamera:
     ...     camera.capture(2).shape
     (2, 4, 6)
     """
+
+    __repr__ = _show.one_line
 
     @_validate.takes_units("pitch")
     def __init__(

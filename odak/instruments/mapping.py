@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from odak import _array
+from odak import _array, _show
 from odak._array import Array, ArrayT
 
 __all__ = ["Registration", "plane_points"]
@@ -72,6 +72,8 @@ class Registration:
     shape: tuple[int, int]
     residual: float = 0.0
     uncertainty: float = 0.0
+
+    __repr__ = _show.one_line
 
     def plane_points(self, pixels: np.ndarray) -> np.ndarray:
         """Return the points x, y in metres ``[..., 2]`` that are imaged onto pixels (column, row) ``[..., 2]``."""

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import fft
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from odak import _validate
+from odak import _show, _validate
 from odak.instruments.drivers import checked_levels
 from odak.instruments.mapping import plane_points
 from odak.tools.zernike import zernike_polynomial
@@ -170,6 +170,8 @@ class SimulatedTable:
     >>> table.camera.capture(2).shape
     (2, 40, 48)
     """
+
+    __repr__ = _show.one_line
 
     @_validate.takes_units("pitch", "wavelength", "distance", "camera_pitch")
     def __init__(
@@ -383,6 +385,8 @@ class SimulatedModulator:
 
     bits = 8
 
+    __repr__ = _show.one_line
+
     def __init__(self, table: SimulatedTable, shape: tuple[int, int], pitch: float, settling_time: float = 0.0):
         self._table, self.shape, self.pitch, self.settling_time = table, shape, pitch, settling_time
 
@@ -398,6 +402,8 @@ class SimulatedCamera:
     """Simulated camera of 12 bits with noise, fixed pattern and saturation; see :class:`SimulatedTable`."""
 
     bits = 12
+
+    __repr__ = _show.one_line
 
     def __init__(self, table: SimulatedTable, shape: tuple[int, int], pitch: float, draw: np.random.Generator):
         self._table, self.shape, self.pitch = table, shape, pitch
@@ -454,12 +460,16 @@ class SimulatedCamera:
 class SimulatedLaser:
     """Simulated laser; see :class:`SimulatedTable`."""
 
+    __repr__ = _show.one_line
+
     def __init__(self, wavelength: float):
         self.wavelength, self.power = wavelength, 1.0
 
 
 class SimulatedRotator:
     """Simulated rotation mount with a polariser; see :class:`SimulatedTable`."""
+
+    __repr__ = _show.one_line
 
     def __init__(self):
         self.angle = 0.0
@@ -471,6 +481,8 @@ class SimulatedRotator:
 
 class SimulatedStage:
     """Simulated linear stage on which the camera is mounted; see :class:`SimulatedTable`."""
+
+    __repr__ = _show.one_line
 
     def __init__(self):
         self.position = 0.0

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from odak import _array, _validate
+from odak import _array, _show, _validate
 from odak._array import Array, is_array, namespace, phasor_of_cycles
 
 _TAU = 2 * _array.numpy_namespace.pi
@@ -40,6 +40,9 @@ class StackResponse(NamedTuple):
     reflectance: Any
     transmittance: Any
     absorptance: Any
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
 
 
 @_validate.takes_units(degrees=("angle",))

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from odak import _array, _validate
+from odak import _array, _show, _validate
 from odak._array import Array, is_readable, namespace
 from odak._warnings import AccuracyWarning, warn
 from odak.raytracing import arguments, geometry
@@ -319,6 +319,9 @@ class FieldRays(NamedTuple):
     ray: Any
     power: Any
     path: Any
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
 
 
 def rays_from_field(

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from odak import _array, _validate
+from odak import _array, _show, _validate
 from odak._array import Array, phasor_of_cycles
 from odak._warnings import SamplingWarning, warn
 from odak.jones.calculus import polarizer, retarder
@@ -733,6 +733,9 @@ class BenchPlane(NamedTuple):
     pitch: Any
     element: Any
 
+    def __repr__(self) -> str:
+        return _show.one_line(self)
+
 
 class optical_bench:
     """Sequence of optical elements as one object, differentiable in each of its numbers.
@@ -766,6 +769,8 @@ class optical_bench:
     ((128, 128), 2e-06)
     """
 
+    __repr__ = _show.one_line
+
     @_validate.takes_units("wavelength")
     def __init__(self, elements: Iterable, wavelength: float | Array):
         if isinstance(elements, (str, bytes)) or not isinstance(elements, Iterable):
@@ -776,6 +781,43 @@ class optical_bench:
                 raise TypeError(f"elements must have a method apply(field, pitch, wavelength), got {element!r:.80}")
         wavelength = _validate.real("wavelength", wavelength, positive=True)
         self.wavelength = np.asarray(wavelength) if isinstance(wavelength, (list, tuple)) else wavelength
+
+    def _repr_html_(self) -> str:
+        return _show.page(self, optical_bench._view)
+
+    def _view(self) -> _show.View:
+        """Return what notebooks show of it: a drawing with rays, the elements and the ray matrix."""
+        pictures, failed, place = [], [], 0.0
+        try:
+            pictures = [("section with paraxial rays", _show.png(np.asarray(self.draw(self._drawn_height())) / 255))]
+        except (TypeError, ValueError, RuntimeError) as error:
+            failed = [f"the bench cannot be drawn: {error}"]
+        wave = ", ".join(f"{1e9 * w:.4g}" for w in (_known_all(self.wavelength) or []))
+        table: list = [("place", "element")]
+        for element in self.elements:
+            known = _known_all(_length(element))
+            table.append((f"{1e3 * place:.6g} mm", _show.one_line(element)))
+            place += math.nan if known is None else abs(known[0])
+        matrices = self.matrix()
+        for axis, matrix in zip(("rows", "columns"), matrices if _is_pair(matrices) else [matrices], strict=False):
+            entries = _known(*(value for row in matrix for value in row))
+            name = f"ray matrix, {axis}" if _is_pair(matrices) else "ray matrix"
+            if entries is not None:
+                a, b, c, d = entries
+                table.append((name, f"A = {a:.6g}, B = {b:.6g} m, C = {c:.6g} 1/m, D = {d:.6g}"))
+                table.append(("focal length", "∞" if abs(c) < 1e-12 else f"{-1e3 / c:.6g} mm"))
+        return _show.View(
+            f"Bench of {len(self.elements)} elements, {1e3 * place:.6g} mm, {wave} nm", pictures, table, failed
+        )
+
+    def _drawn_height(self) -> float:
+        """Return half the height of the smallest aperture, 1 mm without one."""
+        sizes = [
+            float(element.radius if isinstance(element, CircularAperture) else element.height / 2)
+            for element in self.elements
+            if isinstance(element, (CircularAperture, RectangularAperture))
+        ]
+        return min(sizes, default=1e-3)
 
     @_validate.takes_units("dx")
     def propagate(self, field: Array, dx: float | Sequence[float]) -> tuple:

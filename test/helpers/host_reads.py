@@ -24,8 +24,9 @@ REASONS = {
         tools/file: *
         tools/function: __array__
         tools/models: fit
-        raytracing/system/waves: field_modulation field_quality relative_illumination
-        wave/displays: _png
+        raytracing/system/surfaces: _view
+        raytracing/system/waves: _view field_modulation field_quality relative_illumination
+        wave/displays: _view
         wave/gaussians/sets: _points save_splats
         wave/training: _show _take_up fingerprint go
         wave/display_models: capture count display_camera fit_display of registration

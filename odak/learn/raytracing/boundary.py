@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from odak import _validate
+from odak import _show, _validate
 from odak._array import is_readable
 from odak.learn._face import torch_face
 from odak.learn._tensors import checked_device, reals_of
@@ -447,6 +447,8 @@ class detector:
     >>> image.nonzero().flatten(), distances.argmin(dim=1)
     (tensor([7]), tensor([7]))
     """
+
+    __repr__ = _show.one_line
 
     def __init__(
         self,

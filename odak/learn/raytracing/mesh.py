@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from odak import _validate
+from odak import _show, _validate
 from odak.learn._tensors import checked_device, reals_of, tensor, trainable
 from odak.learn._threads import each
 from odak.learn.raytracing.boundary import reflect
@@ -328,6 +328,9 @@ class MeshHit(NamedTuple):
     barycentric: Any
     status: Any
 
+    def __repr__(self) -> str:
+        return _show.one_line(self)
+
     @property
     def hit(self) -> torch.Tensor:
         """Which rays hit, bool ``[...]``."""
@@ -533,6 +536,8 @@ class triangle_mesh:
     >>> hit.distance, hit.face
     (tensor([5., nan]), tensor([ 0, -1]))
     """
+
+    __repr__ = _show.one_line
 
     def __init__(
         self,
@@ -828,6 +833,8 @@ class planar_mesh:
     tensor([[[0.2000, 0.7500, 0.0000],
              [0.0000, 0.6000, 0.8000]]])
     """
+
+    __repr__ = _show.one_line
 
     def __init__(
         self,

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from odak import _array, _validate
+from odak import _array, _show, _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._face import torch_face
 from odak.learn._tensors import checked_device, floating, in_own_precision, tensor, tensors_of
@@ -332,6 +332,8 @@ class PerspectiveCamera:
     >>> camera.transform_world_to_camera_space(torch.zeros(1, 3))
     tensor([[0., 0., 5.]])
     """
+
+    __repr__ = _show.one_line
 
     def __init__(
         self,

@@ -5,7 +5,7 @@ from typing import Any
 
 import torch
 
-from odak import _validate
+from odak import _show, _validate
 from odak.learn._tensors import kind_of, tensor
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.slm import checked_fill, iris_cutoff, on_samples, panel_map
@@ -128,6 +128,8 @@ class simulated_camera(torch.nn.Module):
 
     aberration: torch.Tensor
     illumination: torch.Tensor
+
+    extra_repr = _show.numbers_of
 
     @_validate.takes_units("wavelength", "distance", "pixel_pitch", "iris_radius", "iris_focal_length")
     def __init__(

@@ -12,7 +12,7 @@ import torch
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 
-from odak import _array, _validate
+from odak import _array, _show, _validate
 from odak._warnings import ConvergenceWarning, warn
 from odak.instruments import Calibration, Camera, Captures, Modulator, Registration, load_calibration
 from odak.instruments.mapping import plane_points
@@ -142,6 +142,8 @@ class display_model(torch.nn.Module):
     _fine_x: torch.Tensor
     _pixels: torch.Tensor
     _homography: torch.Tensor
+
+    extra_repr = _show.numbers_of
 
     @_validate.takes_units("pitch", "wavelength", "distance", "camera_pitch")
     def __init__(
@@ -634,6 +636,8 @@ class DisplayFit:
     uncertainties: dict[str, torch.Tensor]
     history: list[float] = field(repr=False)
     noise: tuple[float, float]
+
+    __repr__ = _show.one_line
 
 
 def fit_display(

@@ -5,8 +5,6 @@ computes the patterns that show a target on it, by one of several solvers, and r
 quality that another computation has judged.
 """
 
-import base64
-import io
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -16,7 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from odak import _array, _validate
+from odak import _array, _show, _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import floating, trainable
 from odak.learn.wave.convolution import convolve
@@ -248,6 +246,34 @@ class Display(torch.nn.Module):
 
     def __repr__(self) -> str:
         return f"Display: {self.extra_repr()}"
+
+    def _repr_html_(self) -> str:
+        return _show.page(self, Display._view)
+
+    def _view(self) -> _show.View:
+        """Return what notebooks show of it: a section with the light of a pixel in each colour, and its numbers."""
+        panel = self.modulator
+        pair, (rows, columns) = _pitch_pair(panel.pitch), panel.resolution
+        size = f"{1e3 * rows * pair[0]:.4g} mm × {1e3 * columns * pair[1]:.4g} mm"
+        table: list = [
+            ("property", "value"),
+            ("pixels, rows × columns", f"{rows} × {columns}"),
+            ("pitch", " × ".join(f"{1e6 * p:.4g}" for p in dict.fromkeys(pair)) + " µm"),
+            ("size of panel and images", size),
+            ("share of a pixel that emits", f"{panel.fill:g}"),
+            ("levels", "any" if panel.bits is None else str(2**panel.bits)),
+            ("frames", str(self.frames)),
+            ("stop", "one diffraction order" if self.iris == "order" else repr(self.iris)),
+            ("refractive index", f"{self.medium:g}"),
+        ]
+        angles = []
+        for wavelength in self.wavelengths:
+            sine = wavelength / (2 * max(pair) * self.medium)
+            angles.append(math.asin(min(1.0, sine)))
+            table.append((f"largest angle at {1e9 * wavelength:.4g} nm", f"{math.degrees(angles[-1]):.4g}°"))
+        table += [(f"plane {i}", f"{1e3 * distance:.6g} mm") for i, distance in enumerate(self.distances)]
+        section = _section(rows * pair[0], self.distances, list(zip(self.wavelengths, angles, strict=True)))
+        return _show.View(repr(self), [("section: panel, planes, and the light of a pixel", section)], table)
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
@@ -767,6 +793,32 @@ SOLVERS: dict[str, Callable] = {
 }
 
 
+def _section(height: float, distances: Sequence[float], colours: list[tuple[float, float]]) -> str:
+    """Return a drawing of a panel, planes and cones of light, lengths along the axis and across it to scales apart."""
+    near, far = min(0.0, *distances), max(0.0, *distances)
+    length = far - near or 1.0
+
+    def at(z: float, y: float) -> str:
+        return f"{40 + 560 * (z - near) / length:.1f},{110 - 80 * y / height:.1f}"
+
+    def line(z: float, colour: str, width: float) -> str:
+        return f'<polyline points="{at(z, -height / 2)} {at(z, height / 2)}" stroke="{colour}" stroke-width="{width}"/>'
+
+    parts = []
+    for wavelength, angle in colours:
+        # Visible light from violet to red.
+        hue = max(0.0, min(270.0, 270 * (700e-9 - wavelength) / 300e-9))
+        for end in (near, far):
+            reach = min(math.tan(angle) * abs(end) if angle < 1.5 else height, 1.3 * height)
+            stop = end if reach < 1.3 * height else math.copysign(reach / math.tan(angle) if angle < 1.5 else 0.0, end)
+            points = f"{at(0, 0)} {at(stop, reach)} {at(stop, -reach)}"
+            parts.append(f'<polygon points="{points}" fill="hsl({hue:.0f},90%,50%)" fill-opacity="0.2"/>')
+    parts += [line(distance, "#9a9a9a", 2) for distance in distances] + [line(0.0, "#202020", 5)]
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 640 220" width="640" fill="none">{"".join(parts)}</svg>'
+    )
+
+
 @dataclass(frozen=True)
 class DisplayedHologram:
     """Patterns for a display, what is seen of them, and how good it is.
@@ -835,38 +887,28 @@ class DisplayedHologram:
         return f"DisplayedHologram: {span} dB over the areas of pixels, {self.display.extra_repr()}"
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{1e3 * r['distance']:.4g} mm</td><td>{1e9 * r['wavelength']:.4g} nm</td>"
-            f"<td>{r['psnr_db']:.1f} dB</td><td>{r['psnr_at_points_db']:.1f} dB</td></tr>"
-            for r in self.table()
-        )
-        pictures = "".join(
-            f'<figure style="display:inline-block;margin:4px"><img style="max-width:320px" alt="{name}" '
-            f'src="data:image/png;base64,{_png(values)}"><figcaption>{name}</figcaption></figure>'
-            for name, values in (
-                ("target", _picture(self.target[0])),
-                ("image", _picture(self.images[0])),
-                ("pattern", self.phases[0] / TURN),
+        return _show.page(self, DisplayedHologram._view)
+
+    def _view(self) -> _show.View:
+        """Return what notebooks show of it: target, image and pattern, and the quality of each plane and colour."""
+        named = (("target", self.target[0]), ("image", self.images[0]))
+        pictures = [(name, _show.png(_picture(planes.detach().cpu()))) for name, planes in named]
+        pictures.append(("pattern", _show.png((self.phases[0] / TURN).detach().cpu())))
+        head = ("plane", "wavelength", "PSNR over areas", "at points", "brightness")
+        rows = [
+            (
+                *(f"{1e3 * r['distance']:.4g} mm", f"{1e9 * r['wavelength']:.4g} nm"),
+                *(f"{r['psnr_db']:.1f} dB", f"{r['psnr_at_points_db']:.1f} dB", f"{r['brightness']:.4g}"),
             )
-        )
-        head = "<tr><th>plane</th><th>wavelength</th><th>PSNR over areas</th><th>at points</th></tr>"
-        return f"<div><p>{self.display.extra_repr()}</p>{pictures}<table>{head}{rows}</table></div>"
+            for r in self.table()
+        ]
+        return _show.View(repr(self), pictures, [head, *rows])
 
 
 def _picture(planes: torch.Tensor) -> torch.Tensor:
     """Return a picture, ``[rows, columns]`` or in colour ``[rows, columns, 3]``, of images ``[C, rows, columns]``."""
     values = planes.clamp(0, 1) ** (1 / 2.2)
     return values.movedim(0, -1) if len(values) == 3 else values.mean(0)
-
-
-def _png(values: torch.Tensor) -> str:
-    from PIL import Image
-
-    image = Image.fromarray((values.detach().cpu().clamp(0, 1) * 255).round().to(torch.uint8).numpy())
-    image.thumbnail((640, 640))
-    memory = io.BytesIO()
-    image.save(memory, "png")
-    return base64.b64encode(memory.getvalue()).decode()
 
 
 def optimise(

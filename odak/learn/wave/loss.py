@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import nn
 
-from odak import _validate
+from odak import _show, _validate
 from odak._warnings import AccuracyWarning, MissingPackageWarning, warn
 from odak.learn import perception
 from odak.learn._tensors import checked_device, checked_generator, get_device, in_own_precision, kind_of, tensor
@@ -363,6 +363,8 @@ class phase_gradient(nn.Module):
 
     kernel: torch.Tensor
 
+    extra_repr = _show.numbers_of
+
     def __init__(
         self,
         kernel: torch.Tensor | None = None,
@@ -421,6 +423,8 @@ class speckle_contrast(nn.Module):
     >>> speckle_contrast(2)(stripes).item()
     0.25
     """
+
+    extra_repr = _show.numbers_of
 
     def __init__(
         self,
@@ -541,6 +545,8 @@ class multiplane_loss(FocalTargets):
     >>> loss(targets[1], targets[1], plane_id=1).item()
     0.0
     """
+
+    extra_repr = _show.numbers_of
 
     @_validate.takes_units("distances", "wavelengths", "pixel_pitch")
     def __init__(

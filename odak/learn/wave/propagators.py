@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-from odak import _array, _validate
+from odak import _array, _show, _validate
 from odak.learn._tensors import checked_device, floating, kind_of, tensor
 from odak.learn.wave.convolution import Workspace, convolve
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
@@ -211,6 +211,8 @@ class propagator(display_volume):
 
     phase_scale: torch.Tensor
     channel_power: torch.Tensor
+
+    extra_repr = _show.numbers_of
 
     @_validate.takes_units(
         "wavelengths",

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import torch
 
-from odak import _array, _validate
+from odak import _array, _show, _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import floating, in_own_precision
 from odak.learn.wave.fields import unit_phasor
@@ -164,6 +164,8 @@ class spatial_light_modulator(torch.nn.Module):
 
     amplitude: torch.Tensor | None
     bits: int | None
+
+    extra_repr = _show.numbers_of
 
     def __init__(
         self,
@@ -386,6 +388,8 @@ class temporal_modulator(torch.nn.Module):
     >>> modulator(torch.zeros(3, 4, 4)).shape
     torch.Size([6, 4, 4])
     """
+
+    extra_repr = _show.numbers_of
 
     def __init__(
         self,

@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from odak import _array, _validate
+from odak import _array, _show, _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import checked_device, floating, kind_of, tensor
 from odak.learn.wave.convolution import convolve
@@ -682,6 +682,8 @@ class holographic_display(display_volume):
     >>> display.reconstruct(torch.zeros(1, 16, 24), torch.ones(1, 1)).shape
     torch.Size([1, 2, 1, 16, 24])
     """
+
+    extra_repr = _show.numbers_of
 
     @_validate.takes_units("wavelengths", "pixel_pitch", "volume_depth", "image_location_offset")
     def __init__(

@@ -184,14 +184,6 @@ def test_a_run_is_continued_bit_for_bit(disc, tmp_path):
     assert torch.equal(optimise(display, disc, solver=Descent("adam"), run=Run(**options)).phases, whole.phases)
 
 
-def test_a_result_shows_itself(disc):
-    display = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3)
-    found = optimise(display, disc, run=Run(iterations=2, progress=False))
-    page = found._repr_html_()
-    assert page.count("data:image/png;base64,") == 3 and f"{float(found.psnr):.1f} dB" in page
-    assert "532 nm" in repr(display) and "dB" in repr(found)
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from odak import _validate
+from odak import _show, _validate
 from odak.learn.raytracing.system.paraxial import check_media, entrance_pupil, first_order, matrix, signed_indices
 from odak.learn.raytracing.system.pupils import at_stop, field_points, launch, pupil_of, trace_fields, weights_of
 from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
@@ -67,6 +67,12 @@ class Spots(NamedTuple):
     rms: torch.Tensor
     largest: torch.Tensor
     status: torch.Tensor
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
+
+    def _repr_html_(self) -> str:
+        return _show.page(self, "odak.learn.raytracing.system.drawing:spots_view")
 
 
 def spot_diagram(
@@ -384,6 +390,9 @@ class Footprint(NamedTuple):
     y: torch.Tensor
     status: torch.Tensor
 
+    def __repr__(self) -> str:
+        return _show.one_line(self)
+
 
 def footprint(
     system: Any,
@@ -506,6 +515,9 @@ class Incidence(NamedTuple):
     y: torch.Tensor
     angle: torch.Tensor
     places: tuple[int, ...]
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
 
 
 def incidence_angles(
@@ -838,6 +850,9 @@ class Wavefront(NamedTuple):
     status: torch.Tensor
     weights: torch.Tensor | None = None
 
+    def __repr__(self) -> str:
+        return _show.one_line(self)
+
 
 def wavefront(
     system: Any,
@@ -1019,6 +1034,9 @@ class QFit(NamedTuple):
     cosine: torch.Tensor
     sine: torch.Tensor
     residual: torch.Tensor
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
 
 
 def q_fit(found: Wavefront, radial: int = 4, azimuthal: int = 4) -> QFit:

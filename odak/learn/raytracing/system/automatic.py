@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from odak import _validate
+from odak import _show, _validate
 from odak._warnings import ConvergenceWarning, warn
 from odak.learn.raytracing.system.analysis import rms_spot
 from odak.learn.raytracing.system.design import Solve, Variable, lens_design
@@ -113,6 +113,9 @@ class AutomaticResult(NamedTuple):
     system: optical_system
     stages: tuple[Stage, ...]
     start: optical_system
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
 
 
 def automatic_design(

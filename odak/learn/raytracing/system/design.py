@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from odak import _validate
+from odak import _show, _validate
 from odak.catalog import material, nearest_materials
 from odak.catalog.materials import MICROMETRES, cauchy_through, model_glass
 from odak.learn.raytracing.system.operands import (
@@ -194,6 +194,8 @@ class lens_design:
     >>> design.optimise().converged, round(float(lens.surfaces[0].radius))
     (True, 60)
     """
+
+    __repr__ = _show.one_line
 
     def __init__(
         self,

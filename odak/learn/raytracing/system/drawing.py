@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any
 
+import matplotlib
 import numpy as np
 import torch
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -18,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
-from odak import _validate
+from odak import _show, _validate
 from odak.catalog.materials import MICROMETRES
 from odak.learn._tensors import takes_constants
 from odak.learn.raytracing.system.analysis import (
@@ -68,6 +69,27 @@ from odak.tools.paths import _text, replacing
 COLOURS = ((33, 102, 172), (27, 120, 55), (178, 24, 43), (118, 42, 131), (179, 88, 6), (1, 102, 94))
 INK, FAINT, GLASS = "#202020", "#9a9a9a", "#d9e9f6"
 POINTS = 81
+# Configurations that are drawn in a notebook.
+SHOWN = 4
+
+
+class _Figure(Figure):
+    """A figure that a notebook shows as the last line of a cell, whether or not pyplot is in use."""
+
+    def __init__(self, *arguments: Any, **options: Any):
+        super().__init__(*arguments, **options)
+        FigureCanvasAgg(self)
+
+    def _repr_html_(self) -> str:
+        return f'<img style="max-width:100%" alt="figure" src="{_show.source(_svg_of(self))}">'
+
+
+def _svg_of(figure: Figure) -> str:
+    """Return a figure as the text of an SVG file that has its letters as letters."""
+    stream = io.StringIO()
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "odak"}):
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    return stream.getvalue()
 
 
 def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
@@ -118,8 +140,7 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
     items = [*surfaces, image]
     radii = _radii(items, frames, paths[..., -len(frames) :, :])
     profiles = [_profile(*pair) for pair in zip(items, frames, radii, strict=True)]
-    figure = Figure(figsize=(10, 5), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = _Figure(figsize=(10, 5), layout="constrained")
     axes = figure.add_subplot()
     axes.set_aspect("equal", adjustable="datalim")
     axes.axis("off")
@@ -129,7 +150,14 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
             axes.fill(*_element(profiles, frames, radii, i, behind).T, color=GLASS, ec=FAINT, lw=0.6)
             foot = min((profiles[i][0], profiles[behind][0]), key=lambda end: end[1])[1]
             middle = (profiles[i][0][0] + profiles[behind][0][0]) / 2
-            style: dict[str, Any] = {"rotation": 90, "ha": "center", "va": "top", "fontsize": 6, "color": INK}
+            style: dict[str, Any] = {
+                "rotation": 90,
+                "ha": "center",
+                "va": "top",
+                "fontsize": 6,
+                "color": INK,
+                "parse_math": False,
+            }
             axes.annotate(_glass_name(surfaces, i), (middle, foot), (0, -4), textcoords="offset points", **style)
     for f in range(paths.shape[0]):
         color = color_of(f)
@@ -161,7 +189,7 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
     axes.plot(*profiles[-1].T, color=INK, lw=2, zorder=3)
     figure.legend(fontsize=8, frameon=False, loc="outside right upper", title="field", title_fontsize=8)
     _scale_bar(axes, system.unit)
-    axes.set_title(system.name, fontsize=11)
+    axes.set_title(system.name, fontsize=11, parse_math=False)
     return figure
 
 
@@ -309,8 +337,7 @@ def spots_figure(system: Any, found: Spots | None = None) -> Figure:
     count = found.x.shape[-2]
     rows = 1 if count < 4 else 2
     columns = -(-count // rows)
-    figure = Figure(figsize=(2.6 * columns + 1.2, 3.4 * rows), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = _Figure(figsize=(2.6 * columns + 1.2, 3.4 * rows), layout="constrained")
     cells = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     for axes in cells.flat[count:]:
         axes.remove()
@@ -364,8 +391,7 @@ def fans_figure(system: Any, count: int = 41, aim: str = "paraxial") -> Figure:
     """
     checked_system(system)
     scale, fields = MICROMETRES[system.unit], len(system.fields)
-    figure = Figure(figsize=(11, 2.0 * fields + 0.8), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = _Figure(figsize=(11, 2.0 * fields + 0.8), layout="constrained")
     panels = figure.subplots(fields, 4, squeeze=False, sharex=True, sharey="col")
     for column, (kind, axis) in enumerate((("ray", "y"), ("ray", "x"), ("path", "y"), ("path", "x"))):
         with torch.no_grad():
@@ -420,8 +446,7 @@ def field_figure(system: Any, points: int = 21) -> Figure:
     numbers = system.prescription().at(system.reference)
     curves = field_curvature(system, prescription=numbers, fields=fields)
     tangential, sagittal = (value.detach()[0] * focus_unit(system)[1] for value in curves)
-    figure = Figure(figsize=(9, 3.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = _Figure(figsize=(9, 3.6), layout="constrained")
     first, second, third = figure.subplots(1, 3, sharey=True)
     first.plot(tangential, heights, color=color_of(0), label="tangential")
     first.plot(sagittal, heights, color=color_of(2), ls="--", label="sagittal")
@@ -482,8 +507,7 @@ def transfer_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> Fi
     if not cutoff:
         raise ValueError("system must have a focus, got an afocal one: there is no modulation transfer at an image")
     numbers = system.prescription().at(place)
-    figure = Figure(figsize=(10, 3.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = _Figure(figsize=(10, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     with torch.no_grad():
         # More than a wave of aberration: geometric, for the samples would not resolve the diffraction.
@@ -587,8 +611,7 @@ def _picture(figure: Figure) -> Image.Image:
 
 
 def _panels(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Figure, np.ndarray]:
-    figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = _Figure(figsize=size, layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
@@ -648,8 +671,7 @@ def through_focus_figure(
     shown = sorted({round(i * (len(shifts) - 1) / 4) for i in range(5)})
     fields = len(system.fields)
     size = (2 + 1.5 * len(shown) + 3.4, 1.5 * fields + 1.2)
-    figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = _Figure(figsize=size, layout="constrained")
     widths = [1.0] * len(shown) + [2.2]
     cells = figure.add_gridspec(max(fields, 2), len(shown) + 1, width_ratios=widths)
     unit, factor = focus_unit(system)
@@ -1343,8 +1365,8 @@ def _table(head, rows) -> str:
 
 
 @torch.no_grad()
-def _numbers_of(system, aim: str, quality: FieldQuality) -> list[str]:
-    """Return the tables of a report."""
+def _first_order_rows(system) -> list[tuple[str, Any]]:
+    """Return names and values of first-order properties; those of afocal systems include no focal length."""
     unit, scale = unit_of(system), MICROMETRES[system.unit]
     properties = first_order(system)
     rows: list[Any] = [(name.replace("_", " "), value) for name, value in properties._asdict().items()]
@@ -1359,7 +1381,14 @@ def _numbers_of(system, aim: str, quality: FieldQuality) -> list[str]:
             rows += [("exit pupil diameter", properties.entrance_pupil_diameter / magnification.abs())]
         else:
             rows += [(f"slope per object height (1/{unit})", magnification)]
-    parts = [f"<h2>First order ({unit})</h2>", _table(("property", "value"), rows)]
+    return rows
+
+
+_COLUMNS = ("radius", "thickness", "material", "shape")
+
+
+def _surface_rows(system) -> list[tuple]:
+    """Return the number, radius, thickness, material and shape of each surface."""
     rows = []
     for i, entry in enumerate(system_to_dict(system)["surfaces"]):
         kind = "break" if entry.get("break") else entry.get("shape", {}).get("kind", "")
@@ -1368,7 +1397,15 @@ def _numbers_of(system, aim: str, quality: FieldQuality) -> list[str]:
         rows.append(
             (f"{i}{mark}", "∞" if radius is None else radius, entry["thickness"], str(entry.get("material", "")), kind)
         )
-    parts += [f"<h2>Prescription ({unit})</h2>", _table(("surface", "radius", "thickness", "material", "shape"), rows)]
+    return rows
+
+
+@torch.no_grad()
+def _numbers_of(system, aim: str, quality: FieldQuality) -> list[str]:
+    """Return the tables of a report."""
+    unit, scale = unit_of(system), MICROMETRES[system.unit]
+    parts = [f"<h2>First order ({unit})</h2>", _table(("property", "value"), _first_order_rows(system))]
+    parts += [f"<h2>Prescription ({unit})</h2>", _table(("surface", *_COLUMNS), _surface_rows(system))]
     largest = spot_diagram(system, "rings", 8, aim=aim).largest
     rows = [
         (
@@ -1402,3 +1439,100 @@ def _numbers_of(system, aim: str, quality: FieldQuality) -> list[str]:
     names = ("spherical", "coma", "astigmatism", "Petzval", "distortion")
     rows = [(str(i), *waves[:, i]) for i in range(waves.shape[-1])] + [("sum", *waves.sum(-1))]
     return [*parts, "<h2>Seidel coefficients by surface (wavelengths)</h2>", _table(("surface", *names), rows)]
+
+
+# First-order properties that have no unit.
+_RATIOS = ("magnification", "f number", "working f number", "numerical aperture", "angular magnification")
+
+
+@torch.no_grad()
+def _drawn(system) -> tuple[list, list, list]:
+    """Return the layout of a system, rows of its first-order properties, and why either is missing."""
+    pictures: list = []
+    rows: list = []
+    failed: list = []
+    try:
+        pictures = [("layout", _svg_of(layout_figure(system)))]
+    except (ValueError, RuntimeError, ArithmeticError, IndexError) as error:
+        failed.append(f"the layout cannot be drawn: {error}")
+    try:
+        found = [(name, float(value)) for name, value in _first_order_rows(system)]
+        unit = unit_of(system)
+        rows = [(n, f"{v + 0.0:.6g}" + (f" {unit}" if n not in _RATIOS and "(" not in n else "")) for n, v in found]
+    except (ValueError, RuntimeError) as error:
+        failed.append(f"first-order properties cannot be stated: {error}")
+    return pictures, rows, failed
+
+
+def system_view(system: Any) -> _show.View:
+    """Return what notebooks show of a system: its layout, first-order properties and surfaces.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    """
+    pictures, rows, failed = _drawn(system)
+    unit = unit_of(system)
+    surfaces = [(f"surface {i}", *rest) for i, *rest in _surface_rows(system)]
+    head = [("property", "value"), *rows, ("", f"radius ({unit})", f"thickness ({unit})", *_COLUMNS[2:]), *surfaces]
+    return _show.View(_title(system), pictures, head, failed)
+
+
+def _title(system) -> str:
+    """Return name, aperture, fields and wavelengths of a system in a line."""
+    scale = MICROMETRES[system.unit] * 1e3
+    kind = {"EPD": "entrance pupil of", "stop": "stop of"}.get(system.aperture_type, system.aperture_type)
+    size = f"{kind} {system.aperture:g}" + (f" {unit_of(system)}" if system.aperture_type in ("EPD", "stop") else "")
+    fields = ", ".join(field_label(system, i) for i in range(len(system.fields)))
+    waves = ", ".join(f"{wave * scale:.4g}" for wave in system.wavelengths)
+    return f"{system.name or 'Optical system'}: {size}, fields {fields}, {waves} nm"
+
+
+def configurations_view(zoom: Any) -> _show.View:
+    """Return what notebooks show of configurations: layouts of the first four, and first-order properties of all.
+
+    Parameters
+    ----------
+    zoom : configurations
+        The configurations.
+    """
+    found = [_drawn(zoom.view(i)) for i in range(zoom.count)]
+    pictures = [(f"configuration {i}", p[0][1]) for i, (p, _, _) in enumerate(found[:SHOWN]) if p]
+    names = list(dict.fromkeys(name for _, rows, _ in found for name, _ in rows))
+    head = ("property", *(f"configuration {i}" for i in range(zoom.count)))
+    table = [head, *((name, *(dict(rows).get(name, "") for _, rows, _ in found)) for name in names)]
+    failed = [f"configuration {i}: {text}" for i, (_, _, texts) in enumerate(found) for text in texts]
+    return _show.View(f"{zoom.count} configurations of {_title(zoom.system)}", pictures, table, failed)
+
+
+def spots_view(found: Spots) -> _show.View:
+    """Return what notebooks show of a spot diagram; lengths are in the unit of its system, which it does not know.
+
+    Parameters
+    ----------
+    found : Spots
+        From :func:`spot_diagram`.
+    """
+    x, y, lost = (value.detach().cpu() for value in (found.x, found.y, found.status != 0))
+    x, y, lost = (value.flatten(0, -4)[0] if value.ndim > 3 else value for value in (x, y, lost))
+    count = x.shape[-2]
+    rms, largest, center = (v.detach().cpu() for v in (found.rms, found.largest, found.center))
+    rms, largest, center = rms.reshape(-1, count)[0], largest.reshape(-1, count)[0], center.reshape(-1, count, 2)[0]
+    half = 1.1 * float(largest.nan_to_num(0.0, 0.0, 0.0).max()) or 1.0
+    shown = min(count, 8)
+    figure = _Figure(figsize=(2.2 * shown + 0.4, 2.6), layout="constrained")
+    for i, axes in enumerate(figure.subplots(1, shown, squeeze=False, sharey=True)[0]):
+        for j in range(len(x)):
+            axes.plot(x[j, i].numpy(), y[j, i].numpy(), ".", ms=2, color=color_of(j))
+        axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal")
+        axes.set_title(f"field {i}", fontsize=9)
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=80)
+    table: list = [("field", "centre x", "centre y", "RMS", "largest", "rays lost")]
+    for i in range(count):
+        missing = f"{int(lost[:, i].sum())} of {lost[:, i].numel()}"
+        table.append((str(i), *map(float, (*center[i].round(decimals=9), rms[i], largest[i])), missing))
+    batch = x.shape != found.x.shape
+    title = "Spot diagram, in the unit of the lens" + (", of the first system of a batch" if batch else "")
+    return _show.View(title, [("spots of each field, a colour for each wavelength", stream.getvalue())], table)

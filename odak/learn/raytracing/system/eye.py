@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import torch
 
-from odak import _validate
+from odak import _show, _validate
 from odak.catalog.materials import Material
 from odak.learn._tensors import kind_of, tensor
 from odak.learn.raytracing.system.analysis import wavefront
@@ -581,6 +581,9 @@ class RetinalField(NamedTuple):
 
     field: torch.Tensor
     pitch: tuple[float, float]
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
 
 
 def retinal_field(

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from odak import _validate
+from odak import _show, _validate
 from odak._array import is_readable
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import floating
@@ -64,6 +64,9 @@ class PointSpreadMap(NamedTuple):
     undistort: torch.Tensor
     pitch: float
     shape: tuple[int, int]
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
 
 
 def point_spread_map(

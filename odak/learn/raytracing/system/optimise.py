@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from odak import _validate
+from odak import _show, _validate
 from odak._torch_private import load_forward_rules
 from odak.catalog.materials import MICROMETRES, Material
 from odak.learn._tensors import takes_constants
@@ -58,6 +58,9 @@ class LevenbergMarquardtResult(NamedTuple):
     loss: float
     history: tuple[float, ...]
     converged: bool
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
 
 
 def levenberg_marquardt(
@@ -403,6 +406,9 @@ class ToleranceResult(NamedTuple):
     nominal: torch.Tensor
     prescription: Prescription
 
+    def __repr__(self) -> str:
+        return _show.one_line(self)
+
     def yield_within(self, limit: Any) -> torch.Tensor:
         """Return the share of the systems whose merits are all at most `limit`; lost ones, of merit NaN, are none.
 
@@ -439,6 +445,9 @@ class Sensitivity(NamedTuple):
     names: tuple[str, ...]
     merit: torch.Tensor
     nominal: torch.Tensor
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
 
 
 def sensitivity(

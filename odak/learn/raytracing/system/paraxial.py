@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from odak import _array, _validate
+from odak import _array, _show, _validate
 from odak._array import is_readable
 from odak.learn.raytracing.system.surfaces import (
     Coating,
@@ -74,6 +74,9 @@ class FirstOrder(NamedTuple):
     f_number: torch.Tensor
     working_f_number: torch.Tensor
     numerical_aperture: torch.Tensor
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
 
 
 class Matrix(NamedTuple):
@@ -188,6 +191,9 @@ class ParaxialRays(NamedTuple):
     marginal_slope: torch.Tensor
     chief_height: torch.Tensor
     chief_slope: torch.Tensor
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
 
 
 def paraxial_rays(system: Any, field: Any = None, prescription: Prescription | None = None) -> ParaxialRays:
@@ -439,6 +445,9 @@ class ThirdOrder(NamedTuple):
     seidel: torch.Tensor
     chromatic: torch.Tensor
     transverse: dict
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
 
 
 def seidel_sums(system: Any, field: Any = None, prescription: Prescription | None = None) -> ThirdOrder:

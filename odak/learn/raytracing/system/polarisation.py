@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from odak import _validate
+from odak import _show, _validate
 from odak.catalog.materials import Material, absorption_coefficient
 from odak.learn.raytracing.system.pupils import launch
 from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
@@ -50,6 +50,9 @@ class PolarizedRays(NamedTuple):
     incoming: torch.Tensor
     outgoing: torch.Tensor
     absorption: torch.Tensor
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
 
     @property
     def jones(self) -> torch.Tensor:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from odak import _validate
+from odak import _show, _validate
 from odak._array import is_readable
 from odak.learn._tensors import checked_device, checked_dtype
 from odak.learn.raytracing.system.paraxial import entrance_pupil
@@ -107,6 +107,9 @@ class PupilQuadrature(NamedTuple):
 
     points: torch.Tensor
     weights: torch.Tensor
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
 
 
 @torch.no_grad()

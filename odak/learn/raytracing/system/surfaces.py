@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, SupportsComplex, cast
 
 import torch
 
-from odak import _validate
+from odak import _show, _validate
 from odak._array import Array, complex_dtype, is_readable, namespace
 from odak.catalog.materials import MICROMETRES, Material, refractive_index
 from odak.catalog.materials import material as find_material
@@ -659,6 +659,30 @@ class Prescription(NamedTuple):
     wavelengths: torch.Tensor | None = None
     gradients: tuple | None = None
 
+    def __repr__(self) -> str:
+        return _show.one_line(self)
+
+    def _repr_html_(self) -> str:
+        return _show.page(self, Prescription._view)
+
+    def _view(self) -> _show.View:
+        """Return what notebooks show of it: a row for each surface of the first system of a batch."""
+        count, batch = self.thickness.shape[-1], self.batch.numel()
+
+        def of(name: str) -> list[float]:
+            values = getattr(self, name).detach()
+            return values.expand(*self.batch, count).reshape(-1, count)[0].tolist() if batch else []
+
+        with torch.no_grad():
+            index = self.index.expand(*self.batch, *self.index.shape[-2:]).reshape(-1, *self.index.shape[-2:])[0].cpu()
+        waves = range(len(index)) if self.wavelengths is None else self.wavelengths.tolist()
+        table: list = [("surface", "radius", "conic constant", "thickness", *(f"index at {w:.6g}" for w in waves))]
+        for i, (bend, conic, length) in enumerate(zip(of("curvature"), of("conic"), of("thickness"), strict=True)):
+            kind = type(self.shapes[i]).__name__ if self.shapes is not None and self.shapes[i] is not None else None
+            table.append((str(i), kind or (1 / bend if bend else "∞"), conic, length, *index[:, i + 1].tolist()))
+        of_batch = f", the first of {batch}" if batch != 1 else ""
+        return _show.View(f"Prescription in the unit of its lens: {count} surfaces{of_batch}", (), table)
+
     @property
     def batch(self) -> torch.Size:
         """Leading axes of the batch."""
@@ -1082,6 +1106,9 @@ class optical_system(torch.nn.Module):
         self.wavelength_weights = checked_weights("wavelength_weights", wavelength_weights, count)
         self.name, self.source = _validate.text("name", name), _validate.text("source", source)
         self.settings = checked_settings(settings, len(surfaces))
+
+    def _repr_html_(self) -> str:
+        return _show.page(self, "odak.learn.raytracing.system.drawing:system_view")
 
     @property
     def at_infinity(self) -> bool:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from odak import _array, _torch_private, _validate
+from odak import _array, _show, _torch_private, _validate
 from odak.learn.raytracing.system.fused import Trace
 from odak.learn.raytracing.system.sequence import HIT, flat_arguments, placement, plain_trace, points_within
 from odak.learn.raytracing.system.surfaces import (
@@ -49,6 +49,9 @@ class Rays(NamedTuple):
     u: torch.Tensor
     v: torch.Tensor
     w: torch.Tensor
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
 
     @classmethod
     def from_tensor(cls, ray: torch.Tensor) -> "Rays":
@@ -105,6 +108,9 @@ class Traced(NamedTuple):
     w: torch.Tensor
     path: torch.Tensor
     status: torch.Tensor
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
 
     @property
     def arrived(self) -> torch.Tensor:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from odak import _validate
+from odak import _show, _validate
 from odak._array import is_readable, phasor_of_cycles
 from odak._torch_private import load_forward_rules
 from odak._warnings import AccuracyWarning, warn
@@ -273,6 +273,9 @@ class Spread(NamedTuple):
     pitch: torch.Tensor
     strehl: torch.Tensor
 
+    def __repr__(self) -> str:
+        return _show.one_line(self)
+
 
 def point_spread_function(system: Any, samples: int = 64, size: int = 256, **options: Any) -> Spread:
     """Return the image of a point with diffraction, by a Fourier transform of the exit pupil.
@@ -494,6 +497,20 @@ class FieldQuality(NamedTuple):
     passed: torch.Tensor
     count: int  # type: ignore[assignment]  # hides tuple.count
     change: float
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
+
+    def _repr_html_(self) -> str:
+        return _show.page(self, FieldQuality._view)
+
+    def _view(self) -> _show.View:
+        """Return what notebooks show of it: a row for each field."""
+        columns = [v.detach().cpu() for v in (self.rms_spot, self.wavefront_rms, self.strehl, 100 * self.passed)]
+        head = ("field", "RMS spot (unit of the lens)", "wavefront RMS (λ)", "Strehl ratio", "passed (%)")
+        rows = [(str(i), *map(float, row)) for i, row in enumerate(zip(*columns, strict=True))]
+        title = f"Quality over the field, {self.count} rings; with half as many it differs by {self.change:.1g}"
+        return _show.View(title, (), [head, *rows])
 
 
 @torch.no_grad()
@@ -790,6 +807,9 @@ class ExitField(NamedTuple):
     wavelength: float
     to_image: torch.Tensor
     status: torch.Tensor
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
 
 
 def exit_field(

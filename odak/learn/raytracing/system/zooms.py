@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-from odak import _validate
+from odak import _show, _validate
 from odak.learn.raytracing.system.surfaces import (
     Prescription,
     Row,
@@ -77,6 +77,11 @@ class configurations(torch.nn.Module):
                 self.register_buffer(key, torch.tensor(values, dtype=torch.float64))
             else:
                 self._others.append((name, place, values))
+
+    def _repr_html_(self) -> str:
+        return _show.page(self, "odak.learn.raytracing.system.drawing:configurations_view")
+
+    extra_repr = _show.numbers_of
 
     @property
     def settings(self) -> tuple[tuple, ...]:

@@ -14,7 +14,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from odak import _array, _validate
+from odak import _array, _show, _validate
 from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import floating, get_device, rows_of, shaped, tensor, trainable
 from odak.learn.tools.file import first_line, save_torch_tensor, torch_load
@@ -77,6 +77,9 @@ class Splats(NamedTuple):
     opacities: torch.Tensor
     harmonics: torch.Tensor
 
+    def __repr__(self) -> str:
+        return _show.one_line(self)
+
 
 class ColmapView(NamedTuple):
     """One image of a reconstruction by COLMAP.
@@ -107,6 +110,9 @@ class ColmapView(NamedTuple):
     name: str
     camera: PerspectiveCamera
     size: tuple[int, int]
+
+    def __repr__(self) -> str:
+        return _show.one_line(self)
 
 
 def load_splats(path: str | os.PathLike) -> Splats:

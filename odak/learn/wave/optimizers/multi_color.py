@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from odak import _validate
+from odak import _show, _validate
 from odak.learn._tensors import checked_device, checked_generator, floating
 from odak.learn.wave.camera import captured_by, with_model_gradient
 from odak.learn.wave.convolution import Workspace, release_memory
@@ -121,6 +121,8 @@ class multi_color_hologram_optimizer:
 
     _title = "multi-colour hologram"
     _workspace: Workspace | None = None
+
+    __repr__ = _show.one_line
 
     @_validate.takes_units("wavelengths")
     def __init__(
@@ -641,6 +643,8 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
     """
 
     _title = "mixed-colour hologram"
+
+    __repr__ = _show.one_line
 
     @_validate.takes_units("wavelengths")
     def __init__(

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import torch
 
-from odak import _validate
+from odak import _show, _validate
 from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import floating
 from odak.learn.wave.fields import mean_intensity, unit_phasor
@@ -100,6 +100,8 @@ class multiplane_hologram_optimizer:
     >>> images.shape
     torch.Size([2, 32, 32])
     """
+
+    __repr__ = _show.one_line
 
     @_validate.takes_units("wavelength", "image_location", "slm_pixel_pitch", "zero_mode_distance")
     def __init__(
