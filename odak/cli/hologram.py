@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from tqdm import tqdm
@@ -443,7 +444,7 @@ def _descend_over_areas(job: Job, intensity: torch.Tensor, wavelength: float, ca
     start = _phases_of_frames(job, intensity, wavelength).reshape(frames, *job.resolution)
     run = wave.Run(False, callback, iterations=job.iterations, seed=job.seed)
     problem = wave.Problem(display, intensity[None, None], torch.nn.functional.mse_loss, start, run, job.scale)
-    phases = wave.Descent(job.optimizer or SOLVERS[0], job.learning_rate or LEARNING_RATE).solve(problem)
+    phases: Any = wave.Descent(job.optimizer or SOLVERS[0], job.learning_rate or LEARNING_RATE).solve(problem)
     return wave.generate_complex_field(1.0, phases.reshape(*([frames] if frames > 1 else []), *job.resolution))
 
 

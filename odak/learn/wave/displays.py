@@ -5,6 +5,7 @@ computes the patterns that show a target on it, by one of several solvers, and r
 quality that another computation has judged.
 """
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -20,9 +21,10 @@ from odak.learn._tensors import floating, trainable
 from odak.learn.wave.convolution import convolve
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.holograms import STARTS, best_scale, encode_double_phase, starting_phase
+from odak.learn.wave.loss import FocalTargets, multiplane_loss
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.slm import TURN, even_levels
-from odak.learn.wave.training import Options, constant, cosine, fingerprint, minimise
+from odak.learn.wave.training import Options, constant, cosine, fingerprint, minimise, random_numbers_for
 from odak.wave import phase_retrieval
 from odak.wave.linear_kernels import checked_pixel_fill, linear_kernel
 from odak.wave.sampling import sampling_report
@@ -134,8 +136,7 @@ class Display(torch.nn.Module):
 
     Use it where you want to know what an eye or a camera sees of phase patterns: :meth:`forward` returns the means of
     the intensity over the areas of pixels, with the spectrum of pixels of finite size. Patterns for it are computed
-    by :func:`optimise`. For fields at points, learned powers of the sources or a relay, use
-    :class:`odak.learn.wave.propagator`.
+    by :func:`optimise`. For fields at points or a relay, use :class:`odak.learn.wave.propagator`.
 
     Parameters
     ----------
@@ -148,7 +149,8 @@ class Display(torch.nn.Module):
     frames : int, optional
         Patterns F that are shown one after another, faster than an eye tells apart; one for each source by default.
     powers : torch.Tensor, optional
-        Power of each source in each frame, ``[F, C]``; by default frame f is lit by source f mod C alone.
+        Power of each source in each frame, ``[F, C]``; by default frame f is lit by source f mod C alone. Images are
+        those of one unit of power of each source, shared out among its frames.
     profile : torch.Tensor, optional
         Amplitude of the light on the modulator, ``[rows, columns]`` or ``[C, rows, columns]``; one by default.
     iris : Iris or str, optional
@@ -208,12 +210,9 @@ class Display(torch.nn.Module):
         self.frames = colours if frames is None else _validate.integer("frames", frames, minimum=1)
         if powers is None:
             powers = torch.eye(colours).repeat(-(-self.frames // colours), 1)[: self.frames]
-        powers = floating("powers", powers).detach()
-        if tuple(powers.shape) != (self.frames, colours) or bool((powers < 0).any()):
-            raise ValueError(
-                f"powers must be [frames, wavelengths] = [{self.frames}, {colours}] of at least 0, "
-                f"got {list(powers.shape)}"
-            )
+        powers = self._fitting(powers).detach()
+        if bool((powers < 0).any()):
+            raise ValueError(f"powers must be at least 0, got {float(powers.min())}")
         if not bool((powers.sum(0) > 0).all()):
             raise ValueError(
                 f"powers must light each wavelength in a frame, got {powers.sum(0).tolist()} over all {self.frames} "
@@ -344,13 +343,15 @@ class Display(torch.nn.Module):
         middles = [self._kernels(c, light.dtype)[:: self.samples**2] for c in range(self.shape[1])]
         return torch.stack([convolve(self._lit(light, c)[:, None], k) for c, k in enumerate(middles)], 2)
 
-    def forward(self, phases: torch.Tensor) -> torch.Tensor:
+    def forward(self, phases: torch.Tensor, powers: torch.Tensor | None = None) -> torch.Tensor:
         """Return what is seen: for each plane and colour the mean over time, and over the area of each pixel.
 
         Parameters
         ----------
         phases : torch.Tensor
             Phases ``[F, rows, columns]`` in radians, or ``[rows, columns]`` for a single frame; differentiable.
+        powers : torch.Tensor, optional
+            Other powers ``[F, C]`` than those of the display, differentiable, of the sources that are on there.
 
         Returns
         -------
@@ -358,7 +359,8 @@ class Display(torch.nn.Module):
             Real ``[D, C, rows, columns]``, in units of the light on the modulator.
         """
         light = self._light(phases)
-        return torch.stack([self._image(light, colour) for colour in range(self.shape[1])], 1)
+        powers = self.powers if powers is None else self._fitting(powers)
+        return torch.stack([self._image(light, colour, powers[:, colour]) for colour in range(self.shape[1])], 1)
 
     def _light(self, phases):
         phases = floating("phases", phases)
@@ -367,11 +369,16 @@ class Display(torch.nn.Module):
             raise ValueError(f"phases must be [frames, rows, columns] = {list(shape)}, got {list(phases.shape)}")
         return self.modulator.light(phases.reshape(shape).to(self.powers.device))
 
+    def _fitting(self, powers):
+        powers, shape = floating("powers", powers), [self.frames, len(self.wavelengths)]
+        if list(powers.shape) != shape:
+            raise ValueError(f"powers must be [frames, wavelengths] = {shape}, got {list(powers.shape)}")
+        return powers
+
     def _lit(self, light, colour):
         return light if self.profile is None else light * self.profile[colour].to(light.dtype)
 
-    def _image(self, light, colour):
-        power = self.powers[:, colour]
+    def _image(self, light, colour, power):
         frames = [f for f in range(self.frames) if self._shares()[f][colour]]
         lit = light if len(frames) == self.frames else torch.stack([light[f] for f in frames])
         light = self._lit(lit, colour)[:, None]
@@ -414,6 +421,11 @@ class Display(torch.nn.Module):
                     images[0, d, c] += power[f] * mean_over_areas(shown, self.modulator.resolution, self._orders())
                     images[1, d, c] += power[f] * _middles(intensity(shown), self.modulator.resolution, self._orders())
         return images[0], images[1]
+
+    def lit_by(self, powers: torch.Tensor) -> "Display":
+        """Return the same display with other powers of the sources, ``[F, C]``."""
+        given = self.modulator, self.wavelengths, self.distances, self.frames, powers, self.profile
+        return Display(*given, self.iris, self.medium).to(self.powers.device)
 
     def _propagated(self, light, wavelength, distance):
         """Return a field on a grid of twice its extent, with several samples per pixel where there are more orders."""
@@ -617,6 +629,10 @@ class Problem:
     run: Run
     free: bool = True
 
+    def loss_of(self, phases: torch.Tensor, powers: torch.Tensor | None = None) -> torch.Tensor:
+        """Return the loss of phases ``[F, rows, columns]`` and powers ``[F, C]``, those of the display by default."""
+        return self.loss(self.scaled(self.display(phases, powers)), self.target)
+
     def scaled(self, images: torch.Tensor) -> torch.Tensor:
         """Return images at the brightness of each colour that is closest to the target: sources can be dimmed."""
         return images * _brightness(images.detach(), self.target) if self.free else images
@@ -634,6 +650,10 @@ class Descent:
         The method; see :func:`odak.learn.wave.stochastic_gradient_descent`.
     learning_rate : float
         Step of Adam in radians, which falls to a half along a cosine.
+    powers : bool
+        Find the powers of the sources in each frame too, beginning with those of the display; a source that is off in
+        a frame stays off. With ``powers=torch.ones(F, C)`` in the display all colours share all frames (Kavaklı et al.,
+        Multi-color holograms improve brightness in holographic displays, SIGGRAPH Asia 2023).
 
     Examples
     --------
@@ -644,13 +664,25 @@ class Descent:
 
     method: str = "lbfgs"
     learning_rate: float = 0.1
+    powers: bool = False
 
-    def solve(self, problem: Problem) -> torch.Tensor:
-        """Return the phases of a problem, ``[F, rows, columns]``."""
+    def solve(self, problem: Problem) -> torch.Tensor | tuple[torch.Tensor, torch.Tensor]:
+        """Return the phases of a problem, ``[F, rows, columns]``, and the powers ``[F, C]`` where they are found."""
         phases, run = problem.start.clone().requires_grad_(), problem.run
+        learned, powers = {"phase": phases}, problem.display.powers
+        # The slope along a phase falls with the number of pixels, that along the amplitude of a source does not; these
+        # units make them alike. Adam takes the same step in all.
+        unit = math.sqrt(powers.numel() / phases.numel()) if self.method == "lbfgs" else 1.0
+        if self.powers:
+            learned["amplitude"] = (powers.sqrt() / unit).to(phases.dtype).requires_grad_()
+        keywords, drawn_from = random_numbers_for(problem.loss, run.seed, phases.device)
+        problem = replace(problem, loss=functools.partial(problem.loss, **keywords))
+
+        def found():
+            return (unit * learned["amplitude"]).square() if self.powers else None
 
         def gradient(iteration):
-            loss = problem.loss(problem.scaled(problem.display(phases)), problem.target)
+            loss = problem.loss_of(phases, found())
             loss.backward()
             return loss.detach()
 
@@ -659,11 +691,14 @@ class Descent:
             about["target"] = fingerprint(problem.target, problem.start)
         rate = cosine(self.learning_rate, self.learning_rate / 2, run.iterations)
         rate = constant(self.learning_rate) if self.method == "lbfgs" else rate
-        minimise({"phase": phases}, gradient, run.iterations, rate, run, solver=self.method, about=about)
-        return phases.detach()
+        minimise(
+            learned, gradient, run.iterations, rate, run, solver=self.method, about=about, generators=drawn_from
+        )  # fmt: skip
+        return (phases.detach(), found().detach()) if self.powers else phases.detach()
 
     def __post_init__(self):
         _validate.one_of("method", self.method, ("lbfgs", "adam"))
+        _validate.flag("powers", self.powers)
         _validate.real("learning_rate", self.learning_rate, positive=True)
 
 
@@ -826,7 +861,7 @@ class DisplayedHologram:
     Attributes
     ----------
     display : Display
-        The display they are for.
+        The display they are for. If powers of the sources were found, they are its own, relative to the brightest.
     target : torch.Tensor
         What was to be seen, ``[D, C, rows, columns]``.
     phases : torch.Tensor
@@ -842,6 +877,8 @@ class DisplayedHologram:
         The same of the intensities at the middles of pixels, which no sensor sees.
     losses : tuple of float
         Loss after each iteration.
+    psnr_in_focus : torch.Tensor, optional
+        Of a target with depth: the same ratio of each colour with each pixel from its own plane, ``[C]``.
 
     Examples
     --------
@@ -861,6 +898,7 @@ class DisplayedHologram:
     psnr: torch.Tensor
     psnr_at_points: torch.Tensor
     losses: tuple[float, ...] = field(default=(), repr=False)
+    psnr_in_focus: torch.Tensor | None = None
 
     def levels(self) -> torch.Tensor:
         """Return the levels to send to the panel, int32 ``[F, rows, columns]``."""
@@ -913,7 +951,7 @@ def _picture(planes: torch.Tensor) -> torch.Tensor:
 
 def optimise(
     display: Display,
-    target: torch.Tensor,
+    target: torch.Tensor | tuple[torch.Tensor, torch.Tensor] | FocalTargets,
     loss: Callable | None = None,
     solver: Any = "lbfgs",
     start: str | torch.Tensor = "gs",
@@ -922,21 +960,24 @@ def optimise(
     """Return the patterns that show a target on a display, with their images and quality.
 
     Use it for a picture on one plane, for several planes, colours and frames alike. What is optimised is what is
-    stated: means over the areas of pixels. For learned powers of the sources and eyeboxes, use
-    :class:`odak.learn.wave.multi_color_hologram_optimizer` and :func:`odak.learn.wave.eyebox_hologram`.
+    stated: means over the areas of pixels. For eyeboxes, use :func:`odak.learn.wave.eyebox_hologram`.
 
     Parameters
     ----------
     display : Display
         The display.
-    target : torch.Tensor
+    target : torch.Tensor, tuple of torch.Tensor or multiplane_loss
         Intensities 0 … 1, ``[rows, columns]`` for one plane and colour, ``[C, rows, columns]`` for one plane, or
-        ``[D, C, rows, columns]``. Its brightness is free: the sources of each colour are dimmed to it.
+        ``[D, C, rows, columns]``. Its brightness is free: the sources of each colour are dimmed to it. A picture with
+        depth is a pair of ``[C, rows, columns]`` and a depth ``[rows, columns]``, 0 the first plane and 1 the last:
+        each pixel is in focus on its own plane, and blurred on the others by the cone of its light. For another blur,
+        give a :class:`odak.learn.wave.multiplane_loss`.
     loss : callable, optional
-        ``loss(images, target)``, both ``[D, C, rows, columns]``; the mean squared error by default.
+        ``loss(images, target)``, both ``[D, C, rows, columns]``; the mean squared error by default, for a picture with
+        depth its :class:`odak.learn.wave.multiplane_loss`. One that takes a `generator` is given one.
     solver : str or object
         "lbfgs", "adam", "gerchberg-saxton" or "double phase", or an object with a method
-        ``solve(problem) -> phases``, such as :class:`Descent` or :class:`Network`.
+        ``solve(problem) -> phases``, or phases and powers, such as :class:`Descent` or :class:`Network`.
     start : str or torch.Tensor
         "gs", "quadratic", "flat", "random" or "double phase", see
         :func:`odak.learn.wave.stochastic_gradient_descent`, or phases ``[F, rows, columns]`` in radians.
@@ -969,12 +1010,14 @@ def optimise(
     run = Run() if run is None else run
     if not isinstance(run, Run):
         raise TypeError(f"run must be an odak.learn.wave.Run, got {type(run).__name__}")
-    target = _checked_target(display, target)
+    focal = target if isinstance(target, FocalTargets) else _focal_targets(display, target)
+    target = _checked_target(display, target if focal is None else focal.targets)
     if isinstance(solver, str):
         solver = SOLVERS[_validate.one_of("solver", solver, tuple(SOLVERS))]()
     if not callable(getattr(solver, "solve", None)):
         raise TypeError(f"solver must have a method solve(problem), got {type(solver).__name__}")
-    loss = torch.nn.functional.mse_loss if loss is None else _validate.function_or_none("loss", loss)
+    usual = torch.nn.functional.mse_loss if focal is None else focal
+    loss = usual if loss is None else _validate.function_or_none("loss", loss)
     losses: list[torch.Tensor] = []
 
     def record(iteration, value):
@@ -982,17 +1025,39 @@ def optimise(
         return run.callback is not None and run.callback(iteration, value)
 
     problem = Problem(display, target, loss, _start(display, target, start, run), replace(run, callback=record))
-    phases = display.modulator.shown(solver.solve(problem))
+    solved = solver.solve(problem)
+    phases, powers = solved if isinstance(solved, tuple) else (solved, None)
+    phases, display = display.modulator.shown(phases), display if powers is None else display.lit_by(powers)
     areas, points = display.judge(phases)
     brightness = _brightness(areas, target)
-    images = areas * brightness
+    images, lights = areas * brightness, brightness[:, 0, 0]
+    if powers is not None:
+        shared = powers / powers.sum(0) * lights.clamp_min(1e-6)
+        display = display.lit_by(shared / shared.max())
 
-    def ratio(shown):
-        return -10 * torch.log10((shown - target).square().mean((-2, -1)).clamp_min(1e-30))
+    def ratio(shown, wanted=target):
+        return -10 * torch.log10((shown - wanted).square().mean((-2, -1)).clamp_min(1e-30))
 
     at_points = ratio(points * _brightness(points, target))
+    sharp = None if focal is None else ratio((images * focal.masks).sum(0), (target * focal.masks).sum(0))
     history = tuple(torch.stack(losses).tolist()) if losses else ()
-    return DisplayedHologram(display, target, phases, images, brightness[:, 0, 0], ratio(images), at_points, history)
+    return DisplayedHologram(display, target, phases, images, lights, ratio(images), at_points, history, sharp)
+
+
+def _focal_targets(display, target):
+    """Return the targets of the planes of a picture with depth; None for any other target."""
+    if not isinstance(target, (tuple, list)) or len(target) != 2:
+        return None
+    iris = display.iris
+    return multiplane_loss(
+        *target,
+        number_of_planes=display.shape[0],
+        device=display.powers.device,
+        distances=display.distances,
+        wavelengths=[wavelength / display.medium for wavelength in display.wavelengths],
+        pixel_pitch=display.modulator.pitch,
+        numerical_aperture=iris.radius / iris.focal_length if isinstance(iris, Iris) else None,
+    )
 
 
 def _brightness(images, target):

@@ -13,7 +13,9 @@ from odak.learn.wave import (
     Iris,
     Modulator,
     Network,
+    Problem,
     Run,
+    multiplane_loss,
     optimise,
     spatial_light_modulator,
     stochastic_gradient_descent,
@@ -209,3 +211,54 @@ def test_displays_that_cannot_be_are_named():
         Modulator((16, 16), PITCH, fill=1.2)
     with pytest.raises(ValueError, match="response must have a fill factor of 1"):
         Modulator((16, 16), PITCH, response=spatial_light_modulator(fill_factor=0.9))
+
+
+def test_powers_of_the_sources_are_found(disc):
+    target = torch.stack([disc.roll(-9, 1), 0.5 * disc.roll(9, 1), disc.roll(9, 0)])
+    display = Display(Modulator(disc.shape, PITCH), [639e-9, 515e-9, 473e-9], 2e-3, frames=3, powers=torch.ones(3, 3))
+    fixed, found = (
+        optimise(display, target, start="random", solver=Descent(powers=powers), run=QUIET) for powers in (False, True)
+    )
+    assert found.psnr.mean() > fixed.psnr.mean() + 5
+    powers = found.display.powers
+    assert powers.max() == 1 and not torch.equal(fixed.display.powers, powers)
+    # The sources of a colour are as bright as its image.
+    torch.testing.assert_close(powers.sum(0) / powers.sum(), found.brightness / found.brightness.sum())
+    areas, _ = found.display.judge(found.phases)
+    torch.testing.assert_close(areas * found.brightness[:, None, None], found.images)
+
+
+def test_slopes_of_powers_and_sources_that_are_off():
+    powers = torch.tensor([[0.5, 1.5], [0.7, 0.0]], dtype=torch.float64, requires_grad=True)
+    display = Display(Modulator((4, 4), PITCH, bits=None), [639e-9, 515e-9], 1e-3, 2, powers.detach())
+    phases = torch.rand(2, 4, 4, dtype=torch.float64, requires_grad=True)
+    torch.testing.assert_close(display.lit_by(3 * powers)(phases), display(phases))
+    assert torch.autograd.gradcheck(
+        lambda p, a: display(p, torch.cat([a[:3], a[3:] * 0]).reshape(2, 2)),
+        (phases, powers.detach().flatten().requires_grad_()),
+    )
+    problem = Problem(display, torch.rand(1, 2, 4, 4).double(), torch.nn.functional.mse_loss, phases.detach(), QUIET)
+    assert Descent(powers=True).solve(problem)[1][1, 1] == 0
+
+
+def test_a_picture_with_depth_is_sharp_on_its_own_plane(disc):
+    depth = (torch.arange(48) > 24).float().expand(40, -1)
+    display = Display(Modulator(disc.shape, PITCH), WAVELENGTH, [2e-3, 4e-3])
+    loss = multiplane_loss(disc, depth, blur_ratio=2.0, number_of_planes=2)
+    near, far = optimise(display, loss, run=QUIET), optimise(display, loss.targets, loss=loss, run=QUIET)
+    assert torch.equal(near.phases, far.phases) and far.psnr_in_focus is None
+    sharp = torch.where(depth[None] == 0, near.images[0], near.images[1])
+    torch.testing.assert_close(near.psnr_in_focus, -10 * (sharp - disc).square().mean((1, 2)).log10())
+    by_geometry = optimise(display, (disc, depth), run=QUIET)
+    assert torch.equal(by_geometry.target[0, 0, :, :25], disc[:, :25])
+    assert by_geometry.target[0, 0, :, 25:].std() < disc[:, 25:].std() and by_geometry.psnr_in_focus > 15
+
+
+def test_a_seed_reaches_the_random_numbers_of_a_loss(disc):
+    def noisy(images, target, generator=None):
+        return (images - target - 0.1 * torch.randn(target.shape, generator=generator)).square().mean()
+
+    display, seeds = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3), (1, 1, 2)
+    runs = [Run(iterations=3, seed=seed, progress=False) for seed in seeds]
+    one, again, other = (optimise(display, disc, noisy, "adam", "flat", run).phases for run in runs)
+    assert torch.equal(one, again) and not torch.equal(one, other)
