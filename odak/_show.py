@@ -24,7 +24,7 @@ LONGEST, WORDS = 600, 48
 # Largest side of a picture in pixels.
 SIDE = 640
 _BOX = "border-left:4px solid #b35806;background:#fff4e5;color:#202020;padding:.4em .8em;margin:.5em 0;max-width:60em"
-_CELL = "padding:.15em .9em .15em 0;text-align:left;vertical-align:top"
+_CELL = "padding:.15em .9em .15em 0;text-align:left;vertical-align:top;overflow-wrap:normal"
 
 
 class View(NamedTuple):

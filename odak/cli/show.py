@@ -5,6 +5,7 @@ import html
 import io
 import os
 from collections.abc import Sequence
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -22,34 +23,44 @@ PICTURES = (".bmp", ".gif", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")
 LENSES = (".json", ".zmx", ".seq", ".len")
 LARGEST_SIDE = 1024
 RESPONSIVE = {"responsive": True}
-# What the files of a run hold, by the beginnings of their names.
+# What the files of a run hold, by the beginnings of their names, in the order in which a page shows them.
 CAPTIONS = {
-    "comparison": "the results side by side",
-    "hologram_": "phase pattern for the modulator; its grey levels stand for phases from 0 to 2π",
     "reconstruction": "intensity that a camera would record in the plane of the image, computed from the saved pattern",
-    "focal_stack": "intensity in each of the planes",
     "metamer": "the picture that looks the same to an eye that fixates the gaze position",
-    "pooling_map": "width of the regions over which the eye pools, on a logarithmic scale: white is the largest",
     "layout": "section through the lens with rays of its fields",
+    "comparison": "the results side by side",
+    "focal_stack": "intensity in each of the planes",
+    "pooling_map": "width of the regions over which the eye pools, on a logarithmic scale: white is the largest",
     "spots": "where the rays of each field meet the image plane",
     "fans": "errors and path differences of rays over the pupil",
     "transfer": "modulation transfer functions and encircled energy",
     "field": "field curvature, distortion and lateral colour",
+    "hologram_": "phase pattern for the modulator; its grey levels stand for phases from 0 to 2π",
 }
+# Names of numbers as they are written elsewhere.
+WRITTEN = {"psnr": "PSNR", "ssim": "SSIM", "db": "(dB)", "rms": "RMS", "mtf": "MTF"}
 _PAGE = """\
 <!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>{title}</title>
 <style>
-body {{ font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 80rem; padding: 0 1rem; }}
-img {{ max-width: 100%; image-rendering: auto; }}
-table {{ border-collapse: collapse; }} td {{ padding: 0.2rem 1rem 0.2rem 0; vertical-align: top; }}
-td:first-child {{ max-width: 44rem; }} td:last-child {{ white-space: nowrap; }} .wide {{ white-space: normal; }}
-small {{ display: block; opacity: 0.75; }}
-figure {{ margin: 1.5rem 0; }} figcaption {{ max-width: 44rem; }}
+body {{ font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 76rem; padding: 0 1rem; color: #202020; }}
+body {{ overflow-wrap: anywhere; }} h1 {{ font-size: 1.6rem; line-height: 1.2; margin: 0 0 0.5rem; }}
+img {{ max-width: 100%; height: auto; }} figure {{ margin: 1rem 0 2rem; }}
+figcaption, small {{ color: #5a5a5a; font-size: 0.9rem; }} small {{ display: block; max-width: 60rem; }}
+figure.first img {{ max-height: 75vh; }}
+table {{ border-collapse: collapse; }} td {{ padding: 0.2rem 1.5rem 0.2rem 0; vertical-align: top; }}
+[role=note] {{ border-left: 4px solid #b35806; background: #fff4e5; padding: 0.5rem 1rem; margin: 0.5rem 0; }}
+details {{ margin: 1rem 0; }} summary {{ cursor: pointer; font-weight: 600; }}
 .plotly-graph-div {{ height: 560px !important; }}
-@media (max-width: 45em) {{ body {{ margin: 1rem auto; }} .plotly-graph-div {{ height: 380px !important; }} }}
-@media (prefers-color-scheme: dark) {{ body {{ background: #16181c; color: #e6e6e6; }} }}
+@media (max-width: 45em) {{
+  body {{ margin: 1rem auto; }} .plotly-graph-div {{ height: 380px !important; }}
+  figure.sheet {{ overflow-x: auto; }} figure.sheet img {{ max-width: none; width: 56rem; }}
+}}
+@media (prefers-color-scheme: dark) {{
+  body {{ background: #16181c; color: #e6e6e6; }} figcaption, small {{ color: #b0b0b0; }}
+  [role=note] {{ background: #3a2a14; }} .drawn img, .plotly-graph-div {{ background: white; }}
+}}
 </style></head><body><h1>{title}</h1>
 {body}
 </body></html>
@@ -84,10 +95,11 @@ def run(path: str, page: Path) -> Path:
     if page.is_dir():
         raise InputError(f"--output must be a file, but {str(page)!r} is a folder")
     source = Path(os.path.expanduser(path))
+    title = source.name or str(source)
     if source.name == REPORT and source.is_file():
         source = source.parent
     if source.is_dir():
-        body = _folder(source)
+        title, body = _folder(source)
     elif source.suffix.lower() in PICTURES and source.is_file():
         from odak.cli.target import read_picture
 
@@ -102,13 +114,15 @@ def run(path: str, page: Path) -> Path:
 
         if not source.suffix and path not in sample_systems():
             raise InputError(f"FILE not found: {path!r}.{did_you_mean(path, sample_systems())}")
-        body = _figures([(system_show(read_system(path, "FILE")[0], show=False).fig, "")])
+        lens = read_system(path, "FILE")[0]
+        title = lens.name or title
+        body = f'<div class="drawn">{lens._repr_html_()}</div>{_figures([(system_show(lens, show=False).fig, "")])}'
     elif not source.is_file():
         raise InputError(f"FILE not found: {str(source)!r}")
     else:
         accepted = ", ".join([*PICTURES, ".npy", ".pt", *LENSES])
         raise InputError(f"FILE must be a folder of results, or end in {accepted}; got {str(source)!r}")
-    text = _PAGE.format(title=html.escape(source.name or str(source)), body=body)
+    text = _PAGE.format(title=html.escape(title), body=body)
     writable_folder(page.parent)
     with replacing(str(page)) as stream:
         # Names of files may hold bytes that are no UTF-8, and texts of reports halves of characters.
@@ -116,29 +130,60 @@ def run(path: str, page: Path) -> Path:
     return page
 
 
-def _folder(folder: Path) -> str:
+def _folder(folder: Path) -> tuple[str, str]:
+    """Return title and body of the page of a run: pictures, figures and numbers, and what it was made of, folded."""
     names = sorted(path.name for path in folder.iterdir())
     pictures = [_inside(folder, name) for name in names if Path(name).suffix.lower() in PICTURES]
     fields = [_inside(folder, name) for name in names if Path(name).suffix.lower() == ".npy"]
     report = _checked(_inside(folder, REPORT)) if REPORT in names else {}
     if not pictures and not fields:
         raise InputError(f"FILE must be a folder with pictures or fields, got {str(folder)!r}, which has neither")
-    parts = [_table(report)] if report else []
-    parts += [
-        f'<figure><img alt="{html.escape(path.name)}" src="data:{_encoded(path)}">'
-        f"<figcaption>{html.escape(_caption(path.name))}</figcaption></figure>"
-        for path in sorted(pictures, key=lambda path: path.name != "comparison.png")
-    ]
+    parts = [f'<p role="note">Warning: {html.escape(text)}</p>' for text in report.get("warnings", [])]
     settings = report.get("bench") or report.get("parameters") or {}
     pitch, wavelength = settings.get("pixel_pitch"), settings.get("wavelength")
-    figures = [_field_figure(_load(path), path.name, pitch, wavelength) for path in fields]
-    patterns = [_inside(folder, name, missing=True) for name in report.get("pattern", {}).get("files", [])]
-    figures += [
-        _field_figure(np.exp(1j * _phase(path)), path.name, pitch, quantities=["phase"])
-        for path in patterns
-        if path.is_file()
-    ]
-    return "\n".join([*parts, _figures(figures)])
+    named = report.get("pattern", {}).get("files", [])
+    patterns = [path for path in (_inside(folder, name, missing=True) for name in named) if path.is_file()]
+    pictures.sort(key=lambda path: _rank(path.name))
+    drawn = [_pictured(path, number == 0) for number, path in enumerate(pictures) if path.name not in named]
+    kept = [_pictured(path) for path in pictures if path.name in named]
+    parts = [*drawn[:1], *parts, *drawn[1:]]
+    figures = _together([(_load(path), path.name) for path in fields], pitch, wavelength)
+    phases = [(np.exp(1j * _phase(path)), path.name) for path in patterns]
+    figures += _together(phases, pitch, quantities=["phase"])
+    parts += [_figures(figures), _numbers(report)]
+    parts += [f"<details><summary>Patterns</summary>{''.join(kept)}</details>"] if kept else []
+    made_of = settings.get("image")
+    title = f"{Path(made_of).stem}, {folder.name}" if isinstance(made_of, str) and made_of else folder.name
+    return title, "\n".join(parts)
+
+
+def _rank(name: str) -> int:
+    """Return the place of a picture on a page."""
+    return next((place for place, start in enumerate(CAPTIONS) if name.startswith(start)), len(CAPTIONS))
+
+
+def _pictured(path: Path, first: bool = False) -> str:
+    """Return a picture of a run as a part of its page."""
+    kind = "first" if first else "sheet" if path.name.startswith("comparison") else "picture"
+    return (
+        f'<figure class="{kind}"><img alt="{html.escape(path.name)}" src="data:{_encoded(path)}">'
+        f"<figcaption>{html.escape(_caption(path.name))}</figcaption></figure>"
+    )
+
+
+def _together(fields: list, pitch, wavelength=None, quantities: Sequence[str] | None = None) -> list:
+    """Return figures of fields; those of one shape and kind share a figure with a slider."""
+    groups: dict[Any, list] = {}
+    for values, name in fields:
+        groups.setdefault((values.shape, values.dtype) if values.ndim == 2 else name, []).append((values, name))
+    found = []
+    for group in groups.values():
+        values, names = zip(*group, strict=True)
+        same = sum(1 for _ in takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False)))
+        labels = [Path(name).stem[same:] or name for name in names] if len(group) > 1 else ()
+        stack = np.stack(values) if len(group) > 1 else values[0]
+        found.append(_field_figure(stack, ", ".join(names), pitch, wavelength, quantities, labels))
+    return found
 
 
 def _inside(folder: Path, name: str, missing: bool = False) -> Path:
@@ -185,19 +230,35 @@ def _caption(name: str) -> str:
     return f"{name}: {told}" if told else name
 
 
-def _table(report: dict) -> str:
-    """Return the single numbers and texts of a report as rows, with their definitions."""
+def _numbers(report: dict) -> str:
+    """Return the numbers that a report defines as rows, and folded: the definitions, parameters and versions."""
     shown = {name: value for name, value in report.items() if isinstance(value, (int, float, str))}
     shown.pop(FINGERPRINT, None)
-    notes = {name: f"<small>{html.escape(text)}</small>" for name, text in report.get("definitions", {}).items()}
-    rows = [(name, f"{value:.6g}" if type(value) is float else str(value)) for name, value in shown.items()]
-    rows += [("warning", text) for text in report.get("warnings", [])]
-    cells = "".join(
-        f"<tr><td>{html.escape(name.replace('_', ' '))}{notes.get(name, '')}</td>"
-        f"<td{' class=wide' if len(text) > 20 else ''}>{html.escape(text)}</td></tr>"
-        for name, text in rows
+    notes = report.get("definitions", {})
+    results = {name: value for name, value in shown.items() if name in notes and not name.startswith("seconds")}
+    results = results or {name: value for name, value in shown.items() if not isinstance(value, str)}
+    others = {name: value for name, value in shown.items() if name not in results}
+    for part in ("parameters", "bench", "versions"):
+        found = report.get(part, {})
+        others |= {n: v for n, v in (found.items() if isinstance(found, dict) else ()) if v is not None}
+    defined = "".join(
+        f"<p><b>{_written(n)}</b><small>{html.escape(notes[n])}</small></p>" for n in results if n in notes
     )
-    return f"<table>{cells}</table>"
+    parts = [_rows(results)] if results else []
+    parts += [f"<details><summary>Definitions</summary>{defined}</details>"] if defined else []
+    parts += [f"<details><summary>Parameters</summary>{_rows(others)}</details>"] if others else []
+    return "\n".join(parts)
+
+
+def _rows(values: dict) -> str:
+    """Return names and values as a table."""
+    cells = ((name, f"{value:.6g}" if type(value) is float else str(value)) for name, value in values.items())
+    return f"<table>{''.join(f'<tr><td>{_written(n)}</td><td>{html.escape(v)}</td></tr>' for n, v in cells)}</table>"
+
+
+def _written(name: str) -> str:
+    """Return the name of a number as a reader expects it, escaped."""
+    return html.escape(" ".join(WRITTEN.get(word, word) for word in name.split("_")))
 
 
 def _encoded(path: Path) -> str:
@@ -260,6 +321,7 @@ def _field_figure(
     pitch: float | Sequence[float] | None = None,
     wavelength: float | None = None,
     quantities: Sequence[str] | None = None,
+    labels: Sequence[str] = (),
 ) -> tuple[Any, str]:
     """Return a figure of a field and its caption; of one too large for a page its middle, of a picture means."""
     from odak.visualize.plotly import field_show
@@ -276,6 +338,7 @@ def _field_figure(
         pitch = None if pitch is None else [value * step for value in pitches(pitch)]
         title = f"{title}, means over {step} × {step} samples"
     chosen: dict[str, Any] = {} if quantities is None else {"quantities": quantities}
+    chosen |= {"labels": labels, "layout": "slider"} if labels else {}
     return field_show(values, pitch, wavelength, title=title, show=False, **chosen).fig, title
 
 

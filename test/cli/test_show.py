@@ -1,8 +1,12 @@
 """Interactive pages of results."""
 
 import base64
+import html.parser
 import io
 import json
+import re
+import shutil
+import subprocess
 
 import numpy as np
 import pytest
@@ -24,11 +28,104 @@ def test_a_run_is_shown_with_pictures_numbers_and_figures(tmp_path):
     run("photo", "--output", tmp_path / "run", *SMALL, "--grey", "--quiet")
     page = page_of(tmp_path / "run", tmp_path)
     psnr = json.loads((tmp_path / "run" / "report.json").read_text())["psnr_db"]
-    assert "<tr><td>psnr db<small>10*log10(1/mean((s*I - T)^2))" in page and f"<td>{psnr:.6g}</td>" in page
+    assert f"<tr><td>PSNR (dB)</td><td>{psnr:.6g}</td></tr>" in page and "<small>10*log10(1/mean((s*I - T)^2))" in page
     assert "hologram_532nm.png: phase pattern for the modulator" in page
     assert page.count("data:image/png;base64,") >= 3 and page.count("Plotly.newPlot(") >= 1
     assert f"<td>{psnr:.6g}</td>" in page_of(tmp_path / "run" / "report.json", tmp_path)
     assert '<script src="http' not in page and "<link" not in page.partition("<script")[0]
+
+
+class Parts(html.parser.HTMLParser):
+    """What a page shows, in order: titles, alternative texts of images, notes, figures and summaries."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.parts, self.now, self.folded = [], None, 0
+        self.feed(page)
+
+    def handle_starttag(self, tag, attributes):
+        given = dict(attributes)
+        self.folded += tag == "details"
+        self.now = "note" if given.get("role") == "note" else tag if tag in ("h1", "summary") else None
+        if tag == "img":
+            self.parts.append(("folded image" if self.folded else "image", given["alt"]))
+        elif "plotly-graph-div" in given.get("class", ""):
+            self.parts.append(("figure", ""))
+
+    def handle_endtag(self, tag):
+        self.folded -= tag == "details"
+        self.now = None
+
+    def handle_data(self, data):
+        if self.now:
+            self.parts.append((self.now, data))
+
+
+@pytest.fixture
+def many(tmp_path):
+    """A run in three colours with warnings, as its files are."""
+    path, levels = tmp_path / "h1", np.arange(12 * 10, dtype=np.uint8).reshape(12, 10)
+    path.mkdir()
+    patterns = [f"hologram_{nm}nm.png" for nm in (450, 520, 638)]
+    for name in ["a.png", "comparison.png", "reconstruction.png", *patterns]:
+        Image.fromarray(levels).save(path / name)
+    report = {"psnr_db": 21.5, "seconds_total": 3.25, "definitions": {"psnr_db": "x < y"}, "warnings": ["a & b", "c"]}
+    more = {"pattern": {"files": patterns}, "parameters": {"image": "/home/<me>/cup.png", "pixel_pitch": 8e-6}}
+    (path / "report.json").write_text(json.dumps(report | more))
+    return path
+
+
+def test_a_page_begins_with_the_picture_and_folds_the_rest(many, tmp_path):
+    page = page_of(many, tmp_path)
+    parts = Parts(page).parts
+    assert parts[:5] == [
+        *(("h1", "cup, h1"), ("image", "reconstruction.png")),
+        *(("note", "Warning: a & b"), ("note", "Warning: c"), ("image", "comparison.png")),
+    ]
+    assert parts[5:7] == [("image", "a.png"), ("figure", "")]
+    folded = [("summary", name) for name in ("Definitions", "Parameters", "Patterns")]
+    names = [f"hologram_{nm}nm.png" for nm in (450, 520, 638)]
+    assert parts[7:] == [*folded, *(("folded image", name) for name in names)]
+    shown, _, rest = page.partition("<details>")
+    assert "<td>PSNR (dB)</td><td>21.5</td>" in shown and "<td>3.25</td>" not in shown and "<td>3.25</td>" in rest
+    assert "x &lt; y" in rest and "&lt;me&gt;" in rest and "<me>" not in page
+
+
+def test_patterns_of_several_colours_share_a_slider(many):
+    report = json.loads((many / "report.json").read_text())
+    values = [(np.exp(1j * show._phase(many / name)), name) for name in report["pattern"]["files"]]
+    ((figure, caption),) = show._together(values, 8e-6, quantities=["phase"])
+    assert [step.label for step in figure.layout.sliders[0].steps] == ["450nm", "520nm", "638nm"]
+    assert caption == ", ".join(name for _, name in values)
+    other = (np.ones((4, 5), complex), "field.npy")
+    assert len(show._together([*values, other], 8e-6)) == 2
+
+
+def test_the_page_of_a_lens_holds_what_a_notebook_shows(tmp_path):
+    page = page_of("cooke_triplet", tmp_path)
+    # Cooke triplets are scaled to 50 mm; the sample's own first order is tested with lenses.
+    assert "<td" in page and ">50.001 mm</td>" in page and Parts(page).parts[0] == ("h1", "Cooke triplet f/4")
+    assert [kind for kind, _ in Parts(page).parts] == ["h1", "image", "figure"]
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+@pytest.mark.parametrize("width", [390, 1400])
+def test_nothing_on_a_page_is_wider_than_the_window(width, many, tmp_path):
+    if (browser := shutil.which("chromium") or shutil.which("google-chrome")) is None:
+        pytest.skip("there is no Chromium")
+    page_of(many, tmp_path)
+    wider = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+    script = f"<script>addEventListener('load', () => parent.postMessage({wider}, '*'))</script>"
+    with (tmp_path / "page.html").open("a", encoding="utf-8") as stream:
+        stream.write(script)
+    frame = f"<iframe src='page.html' width='{width}' height='900'></iframe>"
+    heard = "<script>onmessage = event => document.body.dataset.wider = event.data</script>"
+    (tmp_path / "frame.html").write_text(f"<!doctype html><body>{heard}{frame}</body>")
+    command = [browser, "--headless", "--no-sandbox", "--virtual-time-budget=5000", "--window-size=1500,1000"]
+    address = (tmp_path / "frame.html").as_uri()
+    found = subprocess.run([*command, "--dump-dom", address], capture_output=True, text=True, timeout=120).stdout
+    assert re.search(r'data-wider="(-?\d+)"', found)[1] == "0"
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".pt"])

@@ -1475,7 +1475,10 @@ def system_view(system: Any) -> _show.View:
     pictures, rows, failed = _drawn(system)
     unit = unit_of(system)
     surfaces = [(f"surface {i}", *rest) for i, *rest in _surface_rows(system)]
-    head = [("property", "value"), *rows, ("", f"radius ({unit})", f"thickness ({unit})", *_COLUMNS[2:]), *surfaces]
+    # Most lenses have no shapes but spheres and aspheres.
+    columns = _COLUMNS[2:] if any(row[-1] for row in surfaces) else _COLUMNS[2:3]
+    surfaces = [row[: 3 + len(columns)] for row in surfaces]
+    head = [("property", "value"), *rows, ("", f"radius ({unit})", f"thickness ({unit})", *columns), *surfaces]
     return _show.View(_title(system), pictures, head, failed)
 
 
