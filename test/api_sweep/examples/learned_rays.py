@@ -5,7 +5,7 @@ import functools
 import torch
 from api_sweep.build import Build, tensor
 
-from odak.learn.raytracing import Conic, define_circle, define_cylinder, sphere_function
+from odak.learn.raytracing import Conic, define_circle, define_cylinder, light_source, sphere_function
 from odak.learn.raytracing.system import (
     Perturbation,
     Variable,
@@ -277,6 +277,11 @@ BY_CALL = {
     f"{HERE}.system.field_figure": {"points": 3},
     f"{HERE}.system.spots_figure": {"found": Build(lambda _: spot_diagram(_lens(), count=2))},
     f"{HERE}.system.transfer_figure": {"samples": 16},
+    f"{HERE}.Element": {"name": "a screen"},
+    f"{HERE}.Scene.trace": {
+        "light": Build(lambda _: light_source("point", 8, half_angle=60.0, center=(0.0, 0.0, -3.0))),
+        "wavelength": 550e-6,
+    },
     f"{HERE}.system.through_focus": {"shifts": [-0.1, 0.0]},
     f"{HERE}.system.through_focus_modulation": {"shifts": [-0.1, 0.0], "frequency": 5.0, "samples": 8},
     f"{HERE}.system.through_focus_figure": {"shifts": [-0.1, 0.0, 0.1], "frequency": 5.0},
@@ -306,7 +311,7 @@ POSITIVE = {
     f"{HERE}.system": {"aperture", "size", "semi_diameter", "wavelengths"},
 }
 SIDES = {HERE: {"no", "number_of_meshes"}, f"{HERE}.system.exit_field": {"size"}}
-FREE_TEXT = {HERE: {"source"}}
+FREE_TEXT = {HERE: {"name", "source"}}
 NO_USE = "kept so that older calls work, counts nowhere"
 START = "only the direction counts: the result starts where the normal does"
 ALLOWED = {

@@ -1,0 +1,1137 @@
+"""Non-sequential tracing: at each step the nearest of all surfaces decides where the light of a ray goes.
+
+Surfaces and meshes stand anywhere, with a medium on each side. Light is split at them by Fresnel's equations, by a
+coating, by given shares or among the orders of a grating, scattered, absorbed and detected, and all of the power that
+was emitted is accounted for.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
+from numbers import Real
+from typing import Any, NamedTuple
+
+import torch
+
+from odak import _validate
+from odak.catalog.materials import MICROMETRES, Material, absorption_coefficient, extinction_of, refractive_index
+from odak.catalog.materials import material as find_material
+from odak.learn._tensors import reals_of, tensor
+from odak.learn._threads import each
+from odak.learn.raytracing.mesh import triangle_mesh
+from odak.learn.raytracing.system.surfaces import Coating
+from odak.raytracing import components as vec
+from odak.raytracing.apertures import Aperture
+from odak.raytracing.batches import needs_gradient
+from odak.raytracing.geometry import safe_sqrt
+from odak.raytracing.interfaces import Phase, fresnel_shares, reflected, refracted
+from odak.raytracing.surfaces import Plane, Shape, intersection
+from odak.tools.transformation import rotation_matrix
+
+__all__ = [
+    "Element",
+    "GaussianScatter",
+    "Interface",
+    "LambertianScatter",
+    "Light",
+    "MeasuredScatter",
+    "Received",
+    "Scene",
+    "SceneLight",
+    "light_source",
+]
+
+# Rays that are traced together on a CPU: what one step needs of them stays in the cache.
+BLOCK = 1 << 15
+SOURCES = ("collimated", "lambertian", "point")
+# Samples of a radial distribution, between which its sum is inverted linearly in r².
+SAMPLES = 4096
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Base class of scattering: which share of the light leaves its direction, and where to.
+
+    Parameters
+    ----------
+    share : float or torch.Tensor
+        Fraction of the reflected and of the transmitted light that is scattered; the rest keeps its direction.
+
+    Notes
+    -----
+    Directions are drawn as points of the unit disc, the components β of unit vectors along the surface, in which
+    distributions of microscopic roughness do not depend on the direction of the light (Harvey, Proc. SPIE 107, 41
+    (1977)). What is drawn beyond the disc would not leave the surface: it keeps its direction.
+    """
+
+    share: Any = 1.0
+
+    def __post_init__(self):
+        _checked_share("share", self.share)
+
+    def _draw(self, along: Any, across: Any, first: Any, second: Any) -> tuple:
+        """Return components of scattered directions along the surface.
+
+        Parameters
+        ----------
+        along, across : torch.Tensor
+            Those of the direction without scattering.
+        first, second : torch.Tensor
+            Random numbers between 0 and 1.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must define _draw(along, across, first, second)")
+
+
+@dataclass(frozen=True)
+class LambertianScatter(Scatter):
+    """Scattering with the same radiance in all directions, whatever the direction of the light.
+
+    Parameters
+    ----------
+    share : float or torch.Tensor
+        Fraction of the light that is scattered.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing import Interface, LambertianScatter
+    >>> white = Interface(0.98, 0.0, scatter=LambertianScatter())
+    >>> white.scatter.share
+    1.0
+    """
+
+    def _draw(self, along: Any, across: Any, first: Any, second: Any) -> tuple:
+        """Return points of equal density on the unit disc."""
+        radius, angle = first.sqrt(), 2 * math.pi * second
+        return radius * angle.cos(), radius * angle.sin()
+
+
+@dataclass(frozen=True)
+class GaussianScatter(Scatter):
+    """Scattering by a Gaussian distribution about the direction without scattering.
+
+    Parameters
+    ----------
+    share : float or torch.Tensor
+        Fraction of the light that is scattered.
+    sigma : float or torch.Tensor
+        Standard deviation of each component of the direction along the surface.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing import Interface, GaussianScatter
+    >>> brushed = Interface(0.9, 0.0, scatter=GaussianScatter(1.0, 0.05))
+    >>> brushed.scatter
+    GaussianScatter(share=1.0, sigma=0.05)
+    """
+
+    sigma: Any = 0.1
+
+    def _draw(self, along: Any, across: Any, first: Any, second: Any) -> tuple:
+        """Return points about the given ones, by the transform of Box and Muller."""
+        radius, angle = self.sigma * (-2 * (1 - first).log()).sqrt(), 2 * math.pi * second
+        return along + radius * angle.cos(), across + radius * angle.sin()
+
+
+@dataclass(frozen=True)
+class MeasuredScatter(Scatter):
+    """Scattering by a BSDF that depends on the distance of the direction from that without scattering alone.
+
+    Parameters
+    ----------
+    offsets : sequence of float or torch.Tensor
+        Distances |β − β₀| of components along the surface, ascending from 0.
+    values : sequence of float or torch.Tensor
+        BSDF there in 1/sr: linear in between, 0 beyond the last.
+
+    Raises
+    ------
+    ValueError
+        If the offsets do not ascend from 0, or if more light would be scattered than there is.
+
+    Notes
+    -----
+    The attribute `share` is the total integrated scatter, the fraction of the light that is scattered.
+
+    Examples
+    --------
+    The total integrated scatter of A/(B + |β − β₀|²) over a radius of 2 is πA·ln(1 + 4/B):
+
+    >>> from odak.learn.raytracing import MeasuredScatter
+    >>> found = MeasuredScatter.abg(1e-3, 1e-4, 2.0)
+    >>> round(float(found.share), 5)
+    0.03329
+    """
+
+    share: Any = field(init=False, default=None)
+    offsets: Any = (0.0, 1.0)
+    values: Any = (0.0, 0.0)
+
+    def __post_init__(self):
+        offsets, values = _doubles(offsets=self.offsets, values=self.values)
+        if offsets.ndim != 1 or offsets.shape != values.shape or len(offsets) < 2:
+            shapes = f"{tuple(offsets.shape)} and {tuple(values.shape)}"
+            raise ValueError(f"offsets and values must be two or more numbers each, as many, got {shapes}")
+        offsets = offsets.detach()
+        if bool(offsets[0] != 0) or not bool((offsets.diff() > 0).all()):
+            raise ValueError(f"offsets must ascend from 0, got {offsets.tolist()!s:.60}")
+        if not bool((values.detach() >= 0).all()):
+            raise ValueError(f"values must be at least 0, got {values.tolist()!s:.60}")
+        count = -(-SAMPLES // (len(offsets) - 1))
+        part = torch.arange(count, dtype=torch.float64, device=offsets.device) / count
+        radius = (offsets[:-1, None] + offsets.diff()[:, None] * part).flatten()
+        density = (values[:-1, None] + values.diff()[:, None] * part).flatten()
+        radius, density = torch.cat((radius, offsets[-1:])), torch.cat((density, values[-1:]))
+        weight = radius * density
+        ends = 2 * math.pi * torch.cumsum((weight[1:] + weight[:-1]) / 2 * radius.diff(), 0)
+        _checked_share("the total integrated scatter of values", ends[-1])
+        object.__setattr__(self, "share", ends[-1])
+        sums = torch.cat((0 * ends[:1], ends)).detach()
+        object.__setattr__(self, "_table", (sums / sums[-1].clamp_min(1e-300), radius * radius))
+
+    @classmethod
+    def abg(cls, a: Any, b: Any, g: Any) -> "MeasuredScatter":
+        """Return the ABg model, A/(B + |β − β₀|^g).
+
+        Parameters
+        ----------
+        a : float or torch.Tensor
+            A, which the values are proportional to.
+        b : float or torch.Tensor
+            B, which limits them at the centre.
+        g : float or torch.Tensor
+            Exponent.
+        """
+        a, b, g = _doubles(a=a, b=b, g=g)
+        offsets = _offsets(a.device)
+        return cls(offsets, a / (b + offsets**g))
+
+    @classmethod
+    def harvey(cls, peak: Any, shoulder: Any, slope: Any) -> "MeasuredScatter":
+        """Return Harvey's model, b₀·(1 + (|β − β₀|/l)²)^(s/2).
+
+        Parameters
+        ----------
+        peak : float or torch.Tensor
+            b₀ in 1/sr.
+        shoulder : float or torch.Tensor
+            l, the distance at which the values begin to fall.
+        slope : float or torch.Tensor
+            s, negative.
+        """
+        peak, shoulder, slope = _doubles(peak=peak, shoulder=shoulder, slope=slope)
+        offsets = _offsets(peak.device)
+        return cls(offsets, peak * (1 + (offsets / shoulder) ** 2) ** (slope / 2))
+
+    def _draw(self, along: Any, across: Any, first: Any, second: Any) -> tuple:
+        """Return points about the given ones, by the inverse of the distribution's sum over the radius."""
+        sums, squares = (value.to(first) for value in self._table)  # type: ignore[attr-defined]
+        place = torch.searchsorted(sums, first.contiguous()).clamp(1, len(sums) - 1)
+        low, high = sums[place - 1], sums[place]
+        part = ((first - low) / torch.where(high > low, high - low, 1.0)).clamp(0, 1)
+        radius = (squares[place - 1] + part * (squares[place] - squares[place - 1])).sqrt()
+        angle = 2 * math.pi * second
+        return along + radius * angle.cos(), across + radius * angle.sin()
+
+
+def _doubles(**values) -> list[torch.Tensor]:
+    """Return numbers as float64 on one device."""
+    # Python's numbers are not rounded to torch's default precision first.
+    return [value.double() for value in reals_of(**{n: tensor(n, v, _precision(v)) for n, v in values.items()})]
+
+
+def _precision(value) -> torch.dtype | None:
+    return None if isinstance(value, torch.Tensor) else torch.float64
+
+
+def _offsets(device) -> torch.Tensor:
+    spaced = torch.logspace(-7, math.log10(2.0), SAMPLES, dtype=torch.float64, device=device)
+    return torch.cat((0 * spaced[:1], spaced))
+
+
+def _plain(name: str, value) -> float:
+    """Return a fraction, of at least 0, without its graph."""
+    value = _validate.number(name, value, least=0)
+    return float(value.detach()) if isinstance(value, torch.Tensor) else float(value)
+
+
+def _checked_share(name: str, value) -> None:
+    value = _plain(name, value)
+    if value > 1 + 1e-9:
+        raise ValueError(f"{name} must be at most 1, got {value:g}")
+
+
+@dataclass(frozen=True)
+class Interface:
+    """Where the light goes at a surface; without any argument as at a bare, smooth interface of two media.
+
+    Parameters
+    ----------
+    reflectance : float, torch.Tensor or mapping, optional
+        Fraction of the power that is reflected, together with `transmittance`; the rest is absorbed. With a `phase`, a
+        mapping from the diffraction order to its efficiency: a number, or a function of the directions ``[m, 3]`` in
+        the element's frame that returns ``[m]``. The share of an order that does not propagate is absorbed.
+    transmittance : float, torch.Tensor or mapping, optional
+        Fraction that is transmitted. (1, 0) is a mirror, (0, 0) a black surface. Where light is totally reflected, this
+        share is reflected too.
+    coating : Coating, optional
+        Thin films, for light that passes the element along its normal, from medium 0 to medium 1. With a `substrate`, a
+        mirror from both sides.
+    phase : odak.raytracing.interfaces.Phase, optional
+        A grating or another phase that has an `order`.
+    scatter : Scatter, optional
+        Scattering of what is reflected and transmitted.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If shares add up to more than 1, or arguments do not go together, naming them.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing import Interface
+    >>> Interface(0.5, 0.5).reflectance
+    0.5
+    """
+
+    reflectance: Any = None
+    transmittance: Any = None
+    coating: Coating | None = None
+    phase: Phase | None = None
+    scatter: Scatter | None = None
+
+    def __post_init__(self):
+        given = self.reflectance, self.transmittance
+        for name, kind in (("coating", Coating), ("phase", Phase), ("scatter", Scatter)):
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, kind):
+                raise TypeError(f"{name} must be a {kind.__name__} or None, got {type(value).__name__}")
+        if (given[0] is None) != (given[1] is None):
+            raise ValueError(f"reflectance and transmittance must be given both or neither, got {given}")
+        if given[0] is not None and self.coating is not None:
+            raise ValueError("coating gives reflectance and transmittance, which must be left out then")
+        total = 0.0
+        if self.phase is not None:
+            if not all(isinstance(part, Mapping) for part in given) or not hasattr(self.phase, "order"):
+                raise TypeError(
+                    "reflectance and transmittance must be mappings from orders to efficiencies where there is a "
+                    f"phase, which must have an order; got {given} and {self.phase!r:.60}"
+                )
+            values = [value for part in given for value in part.values() if not callable(value)]
+        else:
+            values = [value for value in given if value is not None]
+        for value in values:
+            total += _plain("reflectance and transmittance", value)
+        if total > 1 + 1e-9:
+            raise ValueError(f"reflectance and transmittance must add up to at most 1, got {total:g}")
+
+
+BARE = Interface()
+
+
+class Element:
+    """A surface or a mesh in space: its shape, the media on both sides, and where light goes at it.
+
+    Parameters
+    ----------
+    shape : Shape or triangle_mesh
+        A plane, a conic, any other surface z = sag(x, y), or triangles.
+    media : pair of str, float, torch.Tensor or Material
+        Medium 0, from which the normal points away (in front of a surface, inside a mesh with outward normals), and
+        medium 1, into which it points.
+    interface : Interface, optional
+        Where light goes; by default a bare interface.
+    center : sequence of float or torch.Tensor, optional
+        Position of the vertex, ``[3]``.
+    angles : sequence of float or torch.Tensor, optional
+        Rotation in degrees about X, Y and Z, applied in this order, ``[3]``; or a rotation matrix ``[3, 3]``.
+    aperture : float or Aperture, optional
+        Limits of a surface: a semi-diameter or any aperture. Rays pass outside without noticing it.
+    detects : bool
+        Whether :attr:`SceneLight.received` lists the rays that arrive.
+    name : str, optional
+        Name in results; by default its number in the scene.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing import Element, Interface, Plane
+    >>> screen = Element(Plane(), interface=Interface(0, 0), center=(0, 0, 50), detects=True, name="screen")
+    >>> screen.name
+    'screen'
+    """
+
+    def __init__(
+        self,
+        shape: Shape | triangle_mesh,
+        media: Sequence = (1.0, 1.0),
+        interface: Interface | None = None,
+        center: Any = None,
+        angles: Any = None,
+        aperture: float | Aperture | None = None,
+        detects: bool = False,
+        name: str | None = None,
+    ) -> None:
+        if not isinstance(shape, (Shape, triangle_mesh)):
+            raise TypeError(f"shape must be a Shape or a triangle_mesh, got {type(shape).__name__}")
+        if isinstance(media, str) or not isinstance(media, Sequence) or len(media) != 2:
+            raise ValueError(f"media must be two, one on each side, got {media!r:.80}")
+        if interface is not None and not isinstance(interface, Interface):
+            raise TypeError(f"interface must be an Interface, got {type(interface).__name__}")
+        self.shape = shape
+        self.media = tuple(_checked_medium(value) for value in media)
+        self.interface = BARE if interface is None else interface
+        self.center, self.rotation = None, None
+        if center is not None:
+            (found,) = _doubles(center=center)
+            self.center = _validate.shaped("center", found, 3)
+        if angles is not None:
+            (found,) = _doubles(angles=angles)
+            if tuple(found.shape) not in ((3,), (3, 3)):
+                raise ValueError(f"angles must be three angles or a matrix [3, 3], got {tuple(found.shape)}")
+            self.rotation = rotation_matrix(found) if found.ndim == 1 else found
+        if aperture is not None and not isinstance(aperture, Aperture):
+            aperture = _validate.constant("aperture", aperture, positive=True)
+        if aperture is not None and isinstance(shape, triangle_mesh):
+            raise ValueError("aperture belongs to surfaces, not to meshes, which end where their triangles end")
+        self.aperture = aperture
+        self.detects = _validate.flag("detects", detects)
+        self.name = None if name is None else _validate.text("name", name)
+
+    @property
+    def _reach(self) -> float:
+        """Largest distance from the origin that is known of it."""
+        far = 0.0 if self.center is None else float(self.center.detach().norm())
+        if isinstance(self.shape, triangle_mesh):
+            return far + float(self.shape.vertices.detach().norm(dim=1).amax()) if len(self.shape.vertices) else far
+        return far + (
+            0.0
+            if self.aperture is None
+            else self.aperture.reach()
+            if isinstance(self.aperture, Aperture)
+            else self.aperture
+        )
+
+    def _enter(self, point: tuple, direction: tuple) -> tuple:
+        """Return points and directions in the element's frame."""
+        if self.center is not None:
+            point = vec.minus(point, self.center.to(point[0]).unbind())
+        if self.rotation is not None:
+            columns = [column.unbind() for column in self.rotation.to(point[0]).unbind(1)]
+            point, direction = (tuple(vec.dot(column, v) for column in columns) for v in (point, direction))
+        return point, direction
+
+    def _leave(self, vector: tuple, place: bool = False) -> tuple:
+        """Return a direction, or a place, of the element's frame in that of the scene."""
+        if self.rotation is not None:
+            vector = tuple(vec.dot(row.unbind(), vector) for row in self.rotation.to(vector[0]).unbind(0))
+        if place and self.center is not None:
+            vector = tuple(a + b for a, b in zip(vector, self.center.to(vector[0]).unbind(), strict=True))
+        return vector
+
+    def _meet(self, point: tuple, direction: tuple, left: Any, face: Any, margin: float) -> tuple:
+        """Return where rays meet the element, in its frame.
+
+        Parameters
+        ----------
+        point, direction : tuple of torch.Tensor
+            Rays in its frame, unit directions.
+        left : torch.Tensor or None
+            Which rays start on it, ``[m]``.
+        face : torch.Tensor or None
+            Triangles that they start on, −1 for none.
+        margin : float
+            Length below which two places are the same.
+
+        Returns
+        -------
+        tuple
+            Distances, infinite for rays that do not meet it, places, normals as tuples, and triangles or None.
+        """
+        if isinstance(self.shape, triangle_mesh):
+            rays = torch.stack((torch.stack(point, -1), torch.stack(direction, -1)), -2)
+            leaving = None if left is None else torch.where(left, face, -1)
+            found: Any = self.shape.intersect(rays, leaving=leaving)
+            places = tuple(part.unbind(-1) for part in (found.point, found.normal))
+            return torch.where(found.hit, found.distance, torch.inf), *places, found.face
+        if isinstance(self.shape, Plane):
+            # In closed form, since guides and boxes consist of planes.
+            steep = direction[2] != 0
+            distance = -point[2] / torch.where(steep, direction[2], 1.0)
+            hit = steep & (distance > 0)
+            if left is not None:
+                hit = hit & ~left
+            place = vec.along(point, distance, direction)
+            if self.aperture is not None and not isinstance(self.aperture, Aperture):
+                hit = hit & (place[0] * place[0] + place[1] * place[1] <= self.aperture**2)
+            zero = torch.zeros_like(distance)
+            place, normal = (place[0], place[1], zero), (zero, zero, zero + 1)
+        else:
+            limit = None if isinstance(self.aperture, Aperture) else self.aperture
+            start = vec.along(point, margin, direction)
+            found, _ = intersection(start, direction, self.shape, limit, "ahead")
+            distance, hit, place, normal = found.distance + margin, found.hit, found.point, found.normal
+        if isinstance(self.aperture, Aperture):
+            hit = hit & self.aperture.passes(place[0], place[1])
+        return torch.where(hit, distance, torch.inf), place, normal, None
+
+
+def _checked_medium(value):
+    if isinstance(value, str):
+        try:
+            return 1.0 if value.casefold() == "air" else find_material(value)
+        except ValueError as error:
+            raise ValueError(f"media: {error}") from None
+    if isinstance(value, Material):
+        return value
+    if isinstance(value, bool) or not isinstance(value, (Real, torch.Tensor)):
+        raise TypeError(f"media must be names, indices or Materials, got {type(value).__name__}")
+    return _validate.number("media", value, positive=True)
+
+
+class Light(NamedTuple):
+    """Rays with their power.
+
+    Attributes
+    ----------
+    rays : torch.Tensor
+        ``[m, 2, 3]``, points and unit directions.
+    power : torch.Tensor
+        ``[m]``.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing import light_source
+    >>> tuple(light_source("point", 10).rays.shape)
+    (10, 2, 3)
+    """
+
+    rays: torch.Tensor
+    power: torch.Tensor
+
+
+def light_source(
+    kind: str,
+    count: int,
+    size: Any = 0.0,
+    half_angle: float | None = None,
+    center: Any = (0.0, 0.0, 0.0),
+    angles: Any = (0.0, 0.0, 0.0),
+    power: Any = 1.0,
+    seed: int = 0,
+) -> Light:
+    """Return rays of a source that shines along z, or along z rotated.
+
+    Parameters
+    ----------
+    kind : str
+        "collimated": parallel rays from an area. "lambertian": from an area with the same radiance in all directions.
+        "point": from a point with the same intensity in all directions.
+    count : int
+        Number of rays, of equal power.
+    size : float or pair of float
+        Radius of a disc, or the two sides of a rectangle; 0 of a point.
+    half_angle : float, optional
+        Angle in degrees about the axis within which light is emitted; by default 90 of a Lambertian source, 180 of a
+        point. A Lambertian source, within a smaller angle, has the same radiance there.
+    center : sequence of float or torch.Tensor
+        Its middle, ``[3]``; a tensor gives device and precision of the rays.
+    angles : sequence of float or torch.Tensor
+        Rotation in degrees about X, Y and Z, applied in this order, ``[3]``.
+    power : float or torch.Tensor
+        Power of all rays together.
+    seed : int
+        Seed of the places and directions, which are points of a scrambled Sobol sequence: means over them converge
+        faster than over independent ones.
+
+    Returns
+    -------
+    Light
+        float64 unless `center` is of another precision; differentiable in center, angles and power.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing import light_source
+    >>> light = light_source("lambertian", 4096, size=2.0)
+    >>> round(float(light.rays[:, 1, 2].mean()), 3)  # 2/3, since the density is that of the cosine
+    0.667
+    """
+    kind = _validate.one_of("kind", kind, SOURCES)
+    count = _validate.integer("count", count, minimum=1)
+    like = center if isinstance(center, torch.Tensor) and center.is_floating_point() else None
+    dtype = torch.float64 if like is None else like.dtype
+    place, angles, power = (value.to(dtype) for value in _doubles(center=center, angles=angles, power=power))
+    power = _validate.number("power", power, least=0)
+    place, angles = _validate.shaped("center", place, 3), _validate.shaped("angles", angles, 3)
+    most = 90.0 if kind == "lambertian" else 180.0
+    half = most if half_angle is None else _validate.constant("half_angle", half_angle, least=0)
+    if half > most:
+        raise ValueError(f"half_angle must be at most {most:g} of a {kind} source, got {half:g}")
+    sides = [_validate.constant("size", value, least=0) for value in (size if isinstance(size, Sequence) else [size])]
+    if len(sides) not in (1, 2) or (kind == "point" and any(sides)):
+        raise ValueError(f"size must be a radius or two sides, and 0 of a point, got {size!r} of a {kind} source")
+    engine = torch.quasirandom.SobolEngine(4, scramble=True, seed=_validate.integer("seed", seed))
+    a, b, c, d = engine.draw(count, dtype=torch.float64).to(place.device).unbind(1)
+    if len(sides) == 2:
+        x, y = sides[0] * (a - 0.5), sides[1] * (b - 0.5)
+    else:
+        x, y = (sides[0] * a.sqrt() * turn for turn in ((2 * math.pi * b).cos(), (2 * math.pi * b).sin()))
+    if kind == "collimated":
+        u, v, w = 0 * c, 0 * c, 0 * c + 1
+    else:
+        if kind == "lambertian":
+            sine = c.sqrt() * math.sin(math.radians(half))
+            w = (1 - sine * sine).sqrt()
+        else:
+            w = 1 - c * (1 - math.cos(math.radians(half)))
+            sine = (1 - w * w).clamp_min(0).sqrt()
+        u, v = (sine * turn for turn in ((2 * math.pi * d).cos(), (2 * math.pi * d).sin()))
+    matrix = rotation_matrix(angles)
+    points, ways = (torch.stack(part, -1).to(dtype) @ matrix.mT for part in ((x, y, 0 * x), (u, v, w)))
+    return Light(torch.stack((points + place, ways), 1), (power / count).expand(count))
+
+
+class Received(NamedTuple):
+    """Rays that arrived at an element, in its frame.
+
+    Attributes
+    ----------
+    point, direction : torch.Tensor
+        ``[k, 3]``.
+    power : torch.Tensor
+        Of each ray when it arrived, ``[k]``.
+    path : torch.Tensor
+        Optical path from the source, ``[k]``.
+    ray : torch.Tensor
+        Which of the emitted rays it comes from, int64 ``[k]``.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing import Element, Interface, Plane, Scene, light_source
+    >>> screen = Element(Plane(), interface=Interface(0, 0), center=(0, 0, 5), detects=True, name="screen")
+    >>> found = Scene([screen]).trace(light_source("collimated", 1000, (2.0, 2.0)), 550e-6)
+    >>> pixels = found.received["screen"].irradiance((2.0, 2.0), (4, 4))
+    >>> round(float(pixels.mean()), 6)  # a power of 1 on an area of 4
+    0.25
+    """
+
+    point: torch.Tensor
+    direction: torch.Tensor
+    power: torch.Tensor
+    path: torch.Tensor
+    ray: torch.Tensor
+
+    def irradiance(self, size: Any, pixels: Any = (64, 64)) -> torch.Tensor:
+        """Return the power on each unit of area, ``[rows, columns]``: rows along y, columns along x, both ascending.
+
+        Parameters
+        ----------
+        size : float or pair of float
+            Sides along x and y of the map, which is centred at the element's vertex.
+        pixels : pair of int
+            Number of rows and columns.
+
+        Notes
+        -----
+        A ray counts in the four pixels about it in proportion to its distance from their centres, so that the map is
+        differentiable in its place; at the edge it counts in the last pixel. The sum of the power is kept.
+        """
+        rows, columns = _validate.size("pixels", pixels)
+        width, height = _validate.pair("size", size, positive=True)
+        return _binned(self.point[:, 0] / width, self.point[:, 1] / height, self.power, rows, columns) / (
+            width * height / (rows * columns)
+        )
+
+    def intensity(self, pixels: Any = (64, 64), reach: float = 1.0) -> torch.Tensor:
+        """Return the power in each unit of solid angle over direction cosines along x and y, ``[rows, columns]``.
+
+        Parameters
+        ----------
+        pixels : pair of int
+            Number of rows (along y) and columns (along x).
+        reach : float
+            Largest direction cosine of the map, at most 1.
+        """
+        rows, columns = _validate.size("pixels", pixels)
+        reach = _validate.constant("reach", reach, positive=True)
+        if reach > 1:
+            raise ValueError(f"reach must be at most 1, got {reach:g}")
+        found = _binned(
+            self.direction[:, 0] / (2 * reach), self.direction[:, 1] / (2 * reach), self.power, rows, columns
+        )
+        v, u = (((torch.arange(n, device=found.device) + 0.5) / n - 0.5) * 2 * reach for n in (rows, columns))
+        cosine = (1 - u * u - (v * v)[:, None]).clamp_min(0).sqrt().to(found)
+        return found * cosine / (4 * reach * reach / (rows * columns))
+
+
+def _binned(x, y, power, rows: int, columns: int) -> torch.Tensor:
+    """Return the power in pixels of places within ±½, shared out bilinearly."""
+    inside = (x.abs() <= 0.5) & (y.abs() <= 0.5)
+    total = power.new_zeros(rows * columns)
+    weight = torch.where(inside, power, 0.0)
+    parts = []
+    for value, n in ((x, columns), (y, rows)):
+        place = torch.where(inside, (value + 0.5) * n - 0.5, 0.0)
+        low = place.detach().floor()
+        parts.append([((low + k).long().clamp(0, n - 1), (1 - k) + (2 * k - 1) * (place - low)) for k in (0, 1)])
+    for column, share in parts[0]:
+        for row, other in parts[1]:
+            total = total.index_add(0, row * columns + column, weight * share * other)
+    return total.reshape(rows, columns)
+
+
+class SceneLight(NamedTuple):
+    """Where the light of a source went.
+
+    Attributes
+    ----------
+    emitted : torch.Tensor
+        Power of all rays.
+    absorbed : torch.Tensor
+        Power that each element absorbed, ``[elements]``: what a detector received and did not pass on.
+    in_media : torch.Tensor
+        Power absorbed on the way through media.
+    escaped : torch.Tensor
+        Power of rays that met nothing more.
+    cut : torch.Tensor
+        Power of rays that were not followed further: below the threshold, or after the largest number of bounces.
+    received : dict of str to Received
+        Rays that arrived at the elements that detect, by name.
+    segments : torch.Tensor or None
+        Straight pieces of the rays, ``[k, 2, 3]``, where they were asked for.
+    segment_rays : torch.Tensor or None
+        Which of the emitted rays each piece belongs to, ``[k]``.
+    segment_power : torch.Tensor or None
+        Power at the start of each piece, ``[k]``.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing import Element, Plane, Scene, light_source
+    >>> plate = [Element(Plane(), (1.0, 1.5)), Element(Plane(), (1.5, 1.0), center=(0, 0, 3))]
+    >>> found = Scene(plate).trace(light_source("collimated", 10, center=(0, 0, -1)), 550e-6, split=True)
+    >>> total = found.absorbed.sum() + found.in_media + found.escaped + found.cut
+    >>> bool(abs(total - found.emitted) < 1e-12)
+    True
+    """
+
+    emitted: torch.Tensor
+    absorbed: torch.Tensor
+    in_media: torch.Tensor
+    escaped: torch.Tensor
+    cut: torch.Tensor
+    received: dict[str, Received]
+    segments: torch.Tensor | None
+    segment_rays: torch.Tensor | None
+    segment_power: torch.Tensor | None
+
+
+class _State(NamedTuple):
+    """Rays on their way: points, directions, power, optical path, number, element and triangle that they leave."""
+
+    point: tuple
+    direction: tuple
+    power: torch.Tensor
+    path: torch.Tensor
+    ray: torch.Tensor
+    left: torch.Tensor
+    face: torch.Tensor
+
+    def take(self, index) -> "_State":
+        point, direction = (tuple(v.index_select(0, index) for v in part) for part in (self.point, self.direction))
+        power, path, ray, left, face = (v.index_select(0, index) for v in self[2:])  # type: ignore[union-attr]
+        return _State(point, direction, power, path, ray, left, face)
+
+
+def _joined(states: list[_State]) -> _State:
+    if len(states) == 1:
+        return states[0]
+    found: list[Any] = [tuple(torch.cat(part) for part in zip(*(s[i] for s in states), strict=True)) for i in (0, 1)]
+    rest: list[Any] = list(zip(*(s[2:] for s in states), strict=True))
+    return _State(*found, *map(torch.cat, rest))
+
+
+class Scene:
+    """Surfaces and meshes in space, through which light finds its own way.
+
+    Parameters
+    ----------
+    elements : sequence of Element
+        The elements.
+    unit : str
+        Unit of lengths, for the dispersion and absorption of materials.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If there is none, something else, or two of one name.
+
+    Notes
+    -----
+    The media at an intersection are those of the element that is met, on the side from which the ray comes, so that
+    adjoining elements must agree on the medium between them. Light is unpolarised at each interface.
+
+    Examples
+    --------
+    A plate of index 1.5 lets (1 − R)/(1 + R) of the light pass, all reflections between its faces included:
+
+    >>> from odak.learn.raytracing import Element, Interface, Plane, Scene, light_source
+    >>> screen = Element(Plane(), interface=Interface(0, 0), center=(0, 0, 9), detects=True, name="screen")
+    >>> plate = [Element(Plane(), (1.0, 1.5)), Element(Plane(), (1.5, 1.0), center=(0, 0, 3))]
+    >>> light = light_source("collimated", 10, size=1.0, center=(0, 0, -1))
+    >>> found = Scene([*plate, screen]).trace(light, 550e-6, split=True, threshold=1e-12)
+    >>> round(float(found.absorbed[2]), 9), round((1 - 0.04) / (1 + 0.04), 9)
+    (0.923076923, 0.923076923)
+    """
+
+    def __init__(self, elements: Iterable[Element], unit: str = "mm") -> None:
+        if isinstance(elements, Element) or not isinstance(elements, Iterable):
+            raise TypeError(f"elements must be a sequence of Elements, got {type(elements).__name__}")
+        self.elements = tuple(elements)
+        for item in self.elements:
+            if not isinstance(item, Element):
+                raise TypeError(f"elements must be Elements, got {type(item).__name__}")
+        if not self.elements:
+            raise ValueError("elements must hold one at least, got none")
+        self.names = [str(i) if item.name is None else item.name for i, item in enumerate(self.elements)]
+        if len(set(self.names)) < len(self.names):
+            raise ValueError(f"elements must have different names, got {self.names}")
+        self.unit = _validate.one_of("unit", unit, MICROMETRES)
+
+    def trace(
+        self,
+        light: Light,
+        wavelength: Any,
+        split: bool = False,
+        threshold: float = 1e-6,
+        bounces: int = 1000,
+        seed: int = 0,
+        paths: bool = False,
+    ) -> SceneLight:
+        """Follow light until it is absorbed, leaves the scene, or is too weak.
+
+        Parameters
+        ----------
+        light : Light
+            From :func:`light_source`, or rays and powers of your own.
+        wavelength : float or torch.Tensor
+            In vacuum, in the scene's unit.
+        split : bool
+            Follow all rays into which a ray is split, whose number grows; otherwise one of them, drawn by its share of
+            the power, which carries all that was not absorbed.
+        threshold : float
+            Rays of less than this fraction of a source's mean ray are cut.
+        bounces : int
+            Largest number of intersections of a ray.
+        seed : int
+            Seed of the drawn rays and scattered directions.
+        paths : bool
+            Keep the pieces of all rays, for drawings.
+
+        Returns
+        -------
+        SceneLight
+            Differentiable in rays, power, wavelength, places, shapes, media and shares, for the choice of path that was
+            drawn: gradients do not see that light could have met another element. Those of shares are unbiased.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument is of another form, naming it.
+
+        Notes
+        -----
+        All rays of a block take a step together; the elements are sorted by what was met, for which one reading of the
+        device suffices in each step (meshes search with their own). On a CPU a block has 32 768 rays.
+        """
+        light = _checked_light(light)
+        split, paths = _validate.flag("split", split), _validate.flag("paths", paths)
+        threshold = _validate.constant("threshold", threshold, least=0)
+        bounces = _validate.integer("bounces", bounces, minimum=1)
+        rays, power = light
+        wave = _validate.number("wavelength", tensor("wavelength", wavelength, _precision(wavelength)), positive=True)
+        wave = wave.to(rays)
+        seeds = torch.Generator().manual_seed(_validate.integer("seed", seed))
+        size = float(rays.detach()[:, 0].abs().amax()) + max(item._reach for item in self.elements)
+        plan = _Walk(self, wave, split, size, paths, threshold * power.detach().sum() / len(power))
+        block = len(rays) if rays.is_cuda else BLOCK
+        number = torch.arange(len(rays), device=rays.device)
+        parts = zip(rays.split(block), power.split(block), number.split(block), strict=True)
+        # Each block draws its own random numbers: what comes out does not depend on the number of threads.
+        blocks = [(*part, int(torch.randint(2**62, (), generator=seeds))) for part in parts]
+
+        def follow(*part):
+            return plan.begin(*part, bounces)
+
+        if torch.is_grad_enabled() and self._may_need_gradient(rays, power, wave):
+            walks = [follow(*part) for part in blocks]
+        else:
+            walks = list(each(follow, blocks, not rays.is_cuda))
+        return plan.result(power.sum(), walks)
+
+    def _may_need_gradient(self, *numbers) -> bool:
+        """Return whether derivatives may be asked for: functions of the caller's own may hold what is not seen here."""
+        found: list = list(numbers)
+        for item in self.elements:
+            shape, interface = item.shape, item.interface
+            found += [item.center, item.rotation, *item.media, interface.reflectance, interface.transmittance]
+            found += [shape.vertices, shape.normals] if isinstance(shape, triangle_mesh) else shape.parameters()
+            found += interface.phase.parameters() if interface.phase is not None else ()
+            found += vars(interface.scatter).values() if interface.scatter is not None else ()
+            found += interface.coating.thicknesses if interface.coating is not None else ()
+        flat = [v for one in found for v in (one.values() if isinstance(one, Mapping) else [one])]
+        flat = [v for one in flat for v in (one if isinstance(one, (list, tuple)) else [one])]
+        return any(callable(v) or (isinstance(v, torch.Tensor) and v.requires_grad) for v in flat)
+
+
+def _checked_light(light) -> Light:
+    if not isinstance(light, Light):
+        raise TypeError(f"light must be a Light, as light_source returns it, got {type(light).__name__}")
+    rays, power = reals_of(rays=light.rays, power=light.power)
+    if rays.ndim != 3 or rays.shape[1:] != (2, 3) or len(rays) == 0 or power.shape != rays.shape[:1]:
+        raise ValueError(f"light must be rays [m, 2, 3] with powers [m], got {[*rays.shape]} and {[*power.shape]}")
+    return Light(rays, power)
+
+
+class _Walk:
+    """What a trace has found so far, and the numbers that it needs at every step."""
+
+    random: torch.Generator
+
+    def __init__(self, scene: Scene, wavelength, split: bool, size: float, paths: bool, least):
+        self.scene, self.wavelength, self.split, self.size, self.least = scene, wavelength, split, size, least
+        self.margin = 4096 * torch.finfo(wavelength.dtype).eps * size
+        self.index = [[self._index(m) for m in item.media] for item in scene.elements]
+        self.loss = [[self._absorption(m) for m in item.media] for item in scene.elements]
+        self.films = [self._both_ways(item.interface.coating) for item in scene.elements]
+        zero = torch.zeros_like(wavelength)
+        self.absorbed = [zero for _ in scene.elements]
+        self.media = self.escaped = self.cut = zero
+        self.arrived: dict[int, list] = {i: [] for i, item in enumerate(scene.elements) if item.detects}
+        self.pieces: list | None = [] if paths else None
+
+    def begin(self, rays, power, number, seed: int, bounces: int) -> "_Walk":
+        """Return a walk of its own that has followed a block of rays to their ends."""
+        walk = copy(self)
+        walk.absorbed, walk.arrived = list(self.absorbed), {i: [] for i in self.arrived}
+        walk.pieces = None if self.pieces is None else []
+        walk.random = torch.Generator(rays.device).manual_seed(seed)
+        start, way = rays.unbind(1)
+        none = torch.full_like(number, -1)
+        state = _State(vec.split(start), vec.split(way), power, torch.zeros_like(power), number, none, none)
+        walk.follow(state, bounces)
+        return walk
+
+    def _index(self, medium):
+        if isinstance(medium, Material):
+            return refractive_index(medium, self.wavelength, self.scene.unit, medium="air")
+        return medium
+
+    def _absorption(self, medium):
+        if not isinstance(medium, Material) or extinction_of(medium) is None:
+            return None
+        return absorption_coefficient(medium, self.wavelength, self.scene.unit)
+
+    @staticmethod
+    def _both_ways(coating):
+        if coating is None:
+            return None
+        return coating, coating if coating.substrate is not None else coating.reversed()
+
+    def follow(self, state: _State, bounces: int) -> None:
+        """Follow rays to their ends."""
+        count = len(self.scene.elements)
+        for step in range(bounces + 1):
+            if len(state.power) == 0:
+                return
+            which = self._nearest(state, step)
+            alive = state.power.detach() > self.least
+            which = torch.where(alive if step < bounces else torch.zeros_like(alive), which, count + 1)
+            order = which.argsort()
+            places = torch.arange(count + 2, device=which.device)
+            # The one reading of the device in a step.
+            counts = (which == places[:, None]).sum(1).tolist()
+            groups = order.split(counts)
+            self.cut = self.cut + state.power.index_select(0, groups[-1]).sum()
+            self._escape(state, groups[-2])
+            following = []
+            for i, group in enumerate(groups[:-2]):
+                if len(group):
+                    following += self._act(i, state.take(group), step)
+            if not following:
+                return
+            state = _joined(following)
+
+    def _escape(self, state: _State, group) -> None:
+        self.escaped = self.escaped + state.power.index_select(0, group).sum()
+        if self.pieces is not None and len(group):
+            gone = state.take(group)
+            self._keep(gone, vec.along(gone.point, self.size, gone.direction))
+
+    def _keep(self, state: _State, end: tuple) -> None:
+        if self.pieces is not None:
+            ends = torch.stack([torch.stack(part, -1) for part in (state.point, end)], 1)
+            self.pieces.append((ends.detach(), state.ray, state.power.detach()))
+
+    @torch.no_grad()
+    def _nearest(self, state: _State, step: int) -> torch.Tensor:
+        """Return the number of the element that each ray meets first, the number of elements for none."""
+        best = torch.full_like(state.power, torch.inf)
+        which = torch.full_like(state.ray, len(self.scene.elements))
+        for i, item in enumerate(self.scene.elements):
+            point, direction = item._enter(state.point, state.direction)
+            left = state.left == i if step else None
+            distance = item._meet(point, direction, left, state.face, self.margin)[0]
+            closer = distance < best
+            best, which = torch.where(closer, distance, best), torch.where(closer, i, which)
+        return which
+
+    def _act(self, i: int, state: _State, step: int) -> list[_State]:
+        """Return the rays into which rays split at an element."""
+        item, interface = self.scene.elements[i], self.scene.elements[i].interface
+        point, way = item._enter(state.point, state.direction)
+        left = state.left == i if step else None
+        distance, place, normal, face = item._meet(point, way, left, state.face, self.margin)
+        cosine = vec.dot(way, normal)
+        forwards = cosine > 0
+        n1, n2 = (torch.where(forwards, *pair) for pair in (self._spread(i, cosine), self._spread(i, cosine)[::-1]))
+        power, path = state.power, state.path + n1 * distance
+        if any(value is not None for value in self.loss[i]):
+            losses: list[Any] = [(0.0 if value is None else value) + 0 * cosine for value in self.loss[i]]
+            rate = torch.where(forwards, losses[0], losses[1])
+            passed = power * torch.exp(-rate * distance)
+            self.media, power = self.media + (power - passed).sum(), passed
+        end = item._leave(place, True)
+        self._keep(state, end)
+        if item.detects:
+            self.arrived[i].append((torch.stack(place, -1), torch.stack(way, -1), power, path, state.ray))
+        options = self._options(i, interface, place, way, normal, (n1, n2, cosine), power)
+        kept = sum((share for _, share in options), torch.zeros_like(power))
+        self.absorbed[i] = self.absorbed[i] + (power - kept).sum()
+        if not self.split and len(options) > 1:
+            options = [self._drawn(options)]
+        if interface.scatter is not None:
+            options = [one for option in options for one in self._scattered(interface.scatter, normal, *option)]
+        state = state._replace(
+            point=end,
+            path=path,
+            left=torch.full_like(state.left, i),
+            face=state.face if face is None else face,
+        )
+        return [state._replace(direction=item._leave(out), power=share) for out, share in options]
+
+    def _spread(self, i: int, like) -> tuple:
+        return tuple(torch.as_tensor(value, dtype=like.dtype, device=like.device) + 0 * like for value in self.index[i])
+
+    def _options(self, i: int, interface: Interface, place, way, normal, numbers, power) -> list[tuple]:
+        """Return directions and powers of the rays into which light is divided, before it is scattered."""
+        n1, n2, cosine = numbers
+        if interface.phase is not None:
+            found = []
+            for reflects, shares in ((True, interface.reflectance), (False, interface.transmittance)):
+                for order, share in shares.items():
+                    if not callable(share) and not isinstance(share, torch.Tensor) and share == 0:
+                        continue
+                    behind = n1 if reflects else n2
+                    phase = replace(interface.phase, order=order)  # type: ignore[call-arg]
+                    wave = self.wavelength.to(cosine)
+                    out, through, _ = phase.deflect(place, way, normal, n1, behind, wave, reflects)
+                    value = share(torch.stack(way, -1)) if callable(share) else share
+                    out = tuple(torch.where(through, o, v) for o, v in zip(out, way, strict=True))
+                    found.append((out, torch.where(through, value * power, 0.0)))
+            return found
+        back, behind = self._shares(i, interface, numbers)
+        found = []
+        if back is not None:
+            out = reflected(way, normal)
+            found.append((out, back * power))
+        if behind is not None:
+            out, through, _ = refracted(way, normal, n1, n2)
+            out = tuple(torch.where(through, o, v) for o, v in zip(out, way, strict=True))
+            found.append((out, torch.where(through, behind * power, 0.0)))
+        return found
+
+    def _shares(self, i: int, interface: Interface, numbers) -> tuple:
+        """Return the fractions of the power that are reflected and transmitted; None for one that is always 0."""
+        n1, n2, cosine = numbers
+        incidence = cosine.abs().clamp(max=1.0)
+        if interface.reflectance is None and interface.coating is None:
+            back = fresnel_shares(incidence, n1, n2)
+            return back, 1 - back
+        squared = 1 - (n1 / n2) ** 2 * (1 - incidence * incidence)
+        through = squared > 0
+        if interface.coating is None:
+            back, behind = interface.reflectance, interface.transmittance
+            if not isinstance(behind, torch.Tensor) and behind == 0:
+                black = not isinstance(back, torch.Tensor) and back == 0
+                return (None if black else back), None
+            return torch.where(through, back + 0 * incidence, back + behind), torch.where(through, behind, 0 * cosine)
+        cosine_behind = safe_sqrt(torch.where(through, squared, 1.0))
+        wave = self.wavelength
+        both = [films.amplitudes(n1, n2, incidence, cosine_behind, wave, self.scene.unit) for films in self.films[i]]
+        shares = []
+        for pair in ((0, 1), (2, 3)):
+            values: list[Any] = [sum(found[k].abs().square() for k in pair) / 2 for found in both]
+            shares.append(torch.where(cosine > 0, values[0], values[1]).to(cosine))
+        if interface.coating.substrate is not None:
+            return shares[0], None
+        return shares[0], torch.where(through, shares[1], 0.0)
+
+    def _uniform(self, like) -> torch.Tensor:
+        return torch.rand(len(like), generator=self.random, dtype=like.dtype, device=like.device)
+
+    def _drawn(self, options: list[tuple]) -> tuple:
+        """Return one of several rays, drawn by its share of the power, with the power of all."""
+        shares = [share.detach() for _, share in options]
+        total = sum(shares)
+        pick, reached = self._uniform(total) * total, total
+        out, power = options[0]
+        reached = shares[0]
+        for other, share in options[1:]:
+            beyond = (pick >= reached) & (share.detach() > 0)
+            out = tuple(torch.where(beyond, a, b) for a, b in zip(other, out, strict=True))
+            power = torch.where(beyond, share, power)
+            reached = reached + share.detach()
+        held = power.detach()
+        if needs_gradient(power):
+            return out, power * torch.where(held > 0, total / torch.where(held > 0, held, 1.0), 0.0)
+        return out, torch.where(held > 0, total, 0.0)
+
+    def _scattered(self, scatter: Scatter, normal, out, power) -> list[tuple]:
+        """Return what is scattered of light that leaves a surface, and what is not."""
+        # Any two axes across the normal: Duff et al., J. Comput. Graph. Tech. 6(1), 1 (2017).
+        nx, ny, nz = normal
+        sign = torch.where(nz < 0, -1.0, 1.0).to(nz)
+        a = -1 / (sign + nz)
+        b = nx * ny * a
+        first, second = (1 + sign * nx * nx * a, sign * b, -sign * nx), (b, sign + ny * ny * a, -ny)
+        along, across = scatter._draw(
+            vec.dot(out, first), vec.dot(out, second), self._uniform(power), self._uniform(power)
+        )
+        squared = 1 - along * along - across * across
+        leaves = squared > 0
+        height = torch.copysign(safe_sqrt(torch.where(leaves, squared, 1.0)), vec.dot(out, normal))
+        turned = vec.along(vec.along(vec.scaled(first, along), across, second), height, normal)
+        turned = tuple(torch.where(leaves, t, o) for t, o in zip(turned, out, strict=True))
+        share = scatter.share
+        if not isinstance(share, torch.Tensor) and share == 1:
+            return [(turned, power)]
+        weak = torch.where(leaves, share * power, 0.0)
+        options = [(out, power - weak), (turned, weak)]
+        return options if self.split else [self._drawn(options)]
+
+    def result(self, emitted, walks: list["_Walk"]) -> SceneLight:
+        """Return what walks have found together."""
+        received = {}
+        for i in self.arrived:
+            parts = [part for walk in walks for part in walk.arrived[i]]
+            if not parts:
+                none = emitted.new_zeros(0)
+                rays = torch.zeros(0, dtype=torch.int64, device=none.device)
+                parts = [(none.reshape(0, 3), none.reshape(0, 3), none, none, rays)]
+            received[self.scene.names[i]] = Received(*map(torch.cat, zip(*parts, strict=True)))
+        pieces: Any = (None, None, None)
+        if self.pieces is not None:
+            held = [piece for walk in walks for piece in walk.pieces or ()]
+            pieces = (torch.cat(part) for part in zip(*held, strict=True))
+        absorbed = torch.stack([torch.stack(walk.absorbed) for walk in walks]).sum(0)
+        media, escaped, cut = (torch.stack([getattr(w, n) for w in walks]).sum() for n in ("media", "escaped", "cut"))
+        return SceneLight(emitted, absorbed, media, escaped, cut, received, *pieces)

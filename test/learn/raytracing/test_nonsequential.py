@@ -1,0 +1,341 @@
+"""Non-sequential tracing: energy, closed forms of plates, spheres, guides, discs and corner cubes, gradients."""
+
+import math
+
+import pytest
+import torch
+
+from odak.catalog import internal_transmittance, refractive_index
+from odak.learn.raytracing import (
+    Conic,
+    Element,
+    EvenAsphere,
+    GaussianScatter,
+    Interface,
+    LambertianScatter,
+    Light,
+    MeasuredScatter,
+    Plane,
+    Scene,
+    light_source,
+    triangle_mesh,
+)
+from odak.learn.raytracing.system import Coating
+from odak.raytracing.apertures import CircularAperture, RectangularAperture
+from odak.raytracing.interfaces import LinearGrating, fresnel, fresnel_shares
+
+WAVE = 550e-6
+BLACK, MIRROR = Interface(0, 0), Interface(1, 0)
+
+
+def tensor(values):
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def balance(found):
+    return float(found.absorbed.sum() + found.in_media + found.escaped + found.cut - found.emitted)
+
+
+def screen(z, interface=BLACK, **options):
+    return Element(Plane(), interface=interface, center=(0, 0, z), detects=True, name="screen", **options)
+
+
+def plate(index=1.5, thickness=3.0, **options):
+    media = (1.0, index), (index, 1.0)
+    return [Element(Plane(), pair, center=(0, 0, i * thickness), **options) for i, pair in enumerate(media)]
+
+
+def test_shares_are_the_means_of_fresnels_equations():
+    cosine = torch.linspace(0.02, 1, 40, dtype=torch.float64)
+    ways = torch.stack([0 * cosine, (1 - cosine**2).sqrt(), cosine], -1)
+    for n1, n2 in ((1.0, 1.6), (1.6, 1.0)):
+        found = fresnel(ways, tensor([0.0, 0.0, 1.0]).expand(40, 3), n1, n2)
+        mean = (found.reflectance_s + found.reflectance_p) / 2
+        assert (fresnel_shares(cosine, n1, n2) - mean).abs().max() < 1e-12
+
+
+@pytest.mark.parametrize("split", [True, False])
+def test_a_plate_passes_the_incoherent_sum_of_its_reflections(split):
+    light = light_source("collimated", 40 if split else 40_000, size=1.0, center=(0, 0, -1))
+    found = Scene([*plate(), screen(9)]).trace(light, WAVE, split=split, threshold=1e-12)
+    one = 0.04
+    assert float(found.absorbed[2]) == pytest.approx((1 - one) / (1 + one), abs=1e-9 if split else 6e-3)
+    assert float(found.escaped) == pytest.approx(2 * one / (1 + one), abs=1e-9 if split else 6e-3)
+    assert abs(balance(found)) < 1e-12
+
+
+def test_a_coated_plate_reflects_as_its_films_from_both_sides():
+    films = Coating((1.38, 2.1), [60e-6, 90e-6])
+    front = Element(Plane(), (1.0, 1.5), Interface(coating=films))
+    for angle, side in ((0.0, 1), (40.0, 1), (25.0, -1)):
+        light = light_source("collimated", 5, center=(0, 0, -side), angles=(angle + 90 - 90 * side, 0, 0))
+        found = Scene([front, screen(side * 9)]).trace(light, WAVE, split=True, threshold=0)
+        n1, n2 = (1.0, 1.5)[::side]
+        cosine = tensor(math.cos(math.radians(angle)))
+        behind = (1 - (n1 / n2) ** 2 * (1 - cosine**2)).sqrt()
+        held = (films if side > 0 else films.reversed()).amplitudes(n1, n2, cosine, behind, tensor(WAVE))
+        share = (held.transmitted_s.abs() ** 2 + held.transmitted_p.abs() ** 2) / 2
+        assert float(found.absorbed[1]) == pytest.approx(float(share), abs=1e-12)
+        assert abs(balance(found)) < 1e-12
+
+
+def test_glass_absorbs_along_the_way():
+    glass = "SF6"
+    light = light_source("collimated", 5, center=(0, 0, -1))
+    found = Scene([*plate(glass, 25.0), screen(99)]).trace(light, 400e-6, split=True, threshold=0, bounces=3)
+    index = refractive_index(glass, 400e-6, "mm", medium="air")
+    surface = 1 - ((index - 1) / (index + 1)) ** 2
+    assert float(found.absorbed[2]) == pytest.approx(
+        surface**2 * internal_transmittance(glass, 400e-9, 0.025), rel=1e-9
+    )
+    assert float(found.in_media) > 0.1
+    assert abs(balance(found)) < 1e-12
+
+
+def sphere(radius, interface, port=None):
+    hole = None if port is None else CircularAperture(obscures=True, radius=port)
+    return [
+        Element(Conic(1 / radius), interface=interface, name="half"),
+        Element(Conic(-1 / radius), interface=interface, center=(0, 0, 2 * radius), aperture=hole, name="other half"),
+    ]
+
+
+def test_an_integrating_sphere_multiplies_the_irradiance():
+    # Labsphere, A guide to integrating sphere theory: M = rho/(1 - rho(1 - f)), f the share of the ports.
+    radius, port, white = 10.0, 5.0, 0.9
+    height = radius - math.sqrt(radius**2 - port**2)
+    exit_plane = Element(
+        Plane(), interface=BLACK, center=(0, 0, 2 * radius - height), aperture=port + 1e-9, detects=True, name="port"
+    )
+    wall = Interface(white, 0.0, scatter=LambertianScatter())
+    scene = Scene([*sphere(radius, wall, port), exit_plane])
+    light = light_source("point", 4_000, half_angle=20, center=(0, 0, 6.0), angles=(90, 0, 0))
+    found = scene.trace(light, WAVE, threshold=1e-9)
+    share = height / (2 * radius)
+    expected = white * share / (1 - white * (1 - share))
+    assert float(found.absorbed[2]) == pytest.approx(expected, rel=0.06)
+    assert abs(balance(found)) < 1e-9
+    assert float(found.escaped) < 1e-12
+
+
+def test_a_lambertian_disc_illuminates_its_axis():
+    # E = power/area * sin^2 of the half angle that the disc subtends.
+    light = light_source("lambertian", 400_000, size=5.0)
+    target = screen(5.0, aperture=0.5)
+    found = Scene([target]).trace(light, WAVE)
+    expected = 1 / (math.pi * 25) * 0.5 * math.pi * 0.25
+    assert float(found.absorbed[0]) == pytest.approx(expected, rel=0.02)
+
+
+def guide(core, cladding, side, length):
+    half = side / 2
+    wall = RectangularAperture(half_width=half, half_height=length / 2)
+    middle = length / 2
+    places = [((0, half, middle), (-90, 0, 0)), ((0, -half, middle), (90, 0, 0))]
+    walls = [Element(Plane(), (core, cladding), center=c, angles=a, aperture=wall) for c, a in places]
+    places = [((half, 0, middle), (0, 90, 0)), ((-half, 0, middle), (0, -90, 0))]
+    wall = RectangularAperture(half_width=length / 2, half_height=half)
+    walls += [Element(Plane(), (core, cladding), center=c, angles=a, aperture=wall) for c, a in places]
+    end = RectangularAperture(half_width=half, half_height=half)
+    faces = [Element(Plane(), (1.0, core), aperture=end)]
+    return [*walls, *faces, Element(Plane(), (core, 1.0), center=(0, 0, length), aperture=end)]
+
+
+def test_a_light_guide_accepts_its_numerical_aperture():
+    core, cladding = 1.5, 1.45
+    aperture = math.sqrt(core**2 - cladding**2)
+    scene = Scene(
+        [
+            *guide(core, cladding, 1.0, 60.0),
+            screen(60.001, aperture=RectangularAperture(half_width=0.5, half_height=0.5)),
+        ]
+    )
+    passed = []
+    for sine in (0.97 * aperture, 1.03 * aperture):
+        angle = math.degrees(math.asin(sine))
+        light = light_source("collimated", 60, (0.8, 0.3), center=(0, -0.1, -0.2), angles=(-angle, 0, 0))
+        # The first passage alone: each way out is reached after two faces and the reflections at the walls.
+        found = scene.trace(light, WAVE, split=True, threshold=1e-3)
+        assert abs(balance(found)) < 1e-12
+        passed.append(float(found.absorbed[-1]))
+    assert passed[0] > 0.9
+    assert passed[1] < 0.01
+
+
+def corner(size=10.0):
+    points = tensor([[0.0, 0, 0], [size, 0, 0], [0, size, 0], [0, 0, size]])
+    return triangle_mesh(points, torch.tensor([[0, 1, 2], [0, 2, 3], [0, 3, 1]]), backend="torch")
+
+
+def test_a_corner_cube_returns_rays_the_way_they_came():
+    way = tensor([-0.5, -0.65, -0.6])
+    way = way / way.norm()
+    start = tensor([2.0, 2.0, 2.0]) - 20 * way + 0.3 * torch.rand(50, 3, dtype=torch.float64)
+    light = Light(torch.stack((start, way.expand(50, 3)), 1), torch.ones(50, dtype=torch.float64))
+    found = Scene([Element(corner(), interface=MIRROR)]).trace(light, WAVE, paths=True)
+    last = found.segments[found.segment_rays.argsort(stable=True)].reshape(50, 4, 2, 3)[:, 3]
+    ways = last[:, 1] - last[:, 0]
+    assert (ways / ways.norm(dim=1, keepdim=True) + way).abs().max() < 1e-12
+    assert float(found.escaped) == pytest.approx(50)
+
+
+def test_a_mesh_and_planes_make_the_same_cube_of_glass():
+    corners = tensor([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 6.0)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = torch.tensor([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    mesh = triangle_mesh(corners, faces, backend="torch")
+    light = light_source("lambertian", 50, (0.8, 0.8), half_angle=30, center=(0.02, 0.01, -0.1))
+    both = []
+    for parts in ([Element(mesh, (1.6, 1.0))], guide(1.6, 1.0, 1.0, 6.0)):
+        scene = Scene([*parts, screen(6.2, aperture=1.0)])
+        both.append(scene.trace(light, WAVE, split=True, threshold=1e-2))
+    assert float(both[0].absorbed[-1]) == pytest.approx(float(both[1].absorbed[-1]), abs=1e-10)
+    assert 0.7 < float(both[0].absorbed[-1]) < 1
+    assert all(abs(balance(found)) < 1e-12 for found in both)
+
+
+def test_etendue_is_kept_by_a_lens():
+    # The map of (x, y, p, q), direction cosines times the index, has the determinant 1: Liouville's theorem.
+    lens = [
+        Element(EvenAsphere(0.05, 0.0, (1e-5,)), (1.0, 1.7), aperture=8.0),
+        Element(Conic(-0.02), (1.7, 1.0), center=(0, 0, 4), angles=(3.0, -2.0, 0.0), aperture=8.0),
+    ]
+    scene = Scene([Element(Plane(), interface=Interface(0, 1), center=(0, 0, -4)), *lens, screen(30)])
+
+    def through(state):
+        x, y, p, q = state
+        way = torch.stack((p, q, (1 - p * p - q * q).sqrt()))
+        start = torch.stack((x, y, 0 * x - 5)) - way / way[2]
+        light = Light(torch.stack((start, way))[None], torch.ones(1, dtype=torch.float64))
+        found = scene.trace(light, WAVE, split=True, threshold=0.5).received["screen"]
+        return torch.cat((found.point[0, :2], found.direction[0, :2]))
+
+    matrix = torch.autograd.functional.jacobian(through, tensor([1.5, -2.0, 0.1, 0.05]))
+    assert float(torch.linalg.det(matrix)) == pytest.approx(1, abs=1e-10)
+
+
+def test_gradients_are_those_of_finite_differences():
+    light = light_source("point", 6, half_angle=8, center=(0.2, 0.1, -10.0))
+
+    def measured(index, curvature, place, share):
+        wall = Interface(share, 0.5, scatter=GaussianScatter(0.5, 0.01 * share))
+        parts = [
+            Element(Conic(curvature), (1.0, index), aperture=4.0),
+            Element(Plane(), (index, 1.0), wall, center=place, angles=(2.0, 1.0, 0.0)),
+            screen(15.0),
+        ]
+        found = Scene(parts).trace(light, WAVE, split=True, threshold=1e-3, bounces=4)
+        held = found.received["screen"]
+        return found.absorbed, (held.power * held.point[:, 0] * held.path).sum(), held.irradiance((4.0, 4.0), (3, 3))
+
+    given = [tensor(1.5), tensor(0.05), tensor([0.1, 0.0, 3.0]), tensor(0.3)]
+    assert torch.autograd.gradcheck(measured, [value.requires_grad_() for value in given])
+
+
+def test_drawn_ways_have_the_gradient_of_their_mean():
+    share = tensor(0.3).requires_grad_()
+    mirror = Element(Plane(), interface=Interface(share, 1 - share))
+    light = light_source("collimated", 40_000, center=(0, 0, -1))
+    found = Scene([mirror, screen(5)]).trace(light, WAVE, seed=3)
+    (slope,) = torch.autograd.grad(found.absorbed[1], share)
+    assert float(found.absorbed[1].detach()) == pytest.approx(0.7, abs=0.01)
+    assert float(slope) == pytest.approx(-1, abs=0.01)
+
+
+def scattered(scatter, angle=0.0, count=100_000, interface=None):
+    light = light_source("collimated", count, center=(0, 0, -1), angles=(-angle, 0, 0))
+    wall = Element(Plane(), interface=interface or Interface(1, 0, scatter=scatter))
+    dome = Element(Plane(), interface=BLACK, center=(0, 0, -1e-3), detects=True, name="dome")
+    way = light.rays[:, 1]
+    start = way * (-5e-4)
+    return Scene([wall, dome]).trace(Light(torch.stack((start, way), 1), light.power), WAVE, split=True)
+
+
+def test_lambertian_walls_send_out_the_cosine():
+    held = scattered(LambertianScatter(), 50.0).received["dome"]
+    cosine = held.direction[:, 2].abs()
+    assert float((held.power * cosine).sum()) == pytest.approx(2 / 3, abs=3e-3)
+    found = held.intensity((20, 20))
+    # 1/pi on the axis.
+    assert float(found[9:11, 9:11].mean()) == pytest.approx(1 / math.pi, rel=0.05)
+
+
+def test_gaussian_scattering_has_its_width_and_share():
+    held = scattered(GaussianScatter(0.4, 0.05), 30.0).received["dome"]
+    aside = held.direction[:, :2] - tensor([0.0, 0.5])
+    moved = aside.abs().amax(1) > 1e-9
+    assert float(held.power[moved].sum()) == pytest.approx(0.4, abs=5e-3)
+    assert float(aside[moved].std()) == pytest.approx(0.05, rel=0.02)
+
+
+def test_abg_scattering_sends_its_share_into_a_cone():
+    a, b = 2e-3, 1e-3
+    model = MeasuredScatter.abg(a, b, 2.0)
+    held = scattered(model, 0.0).received["dome"]
+    radius = held.direction[:, :2].norm(dim=1)
+    for inner, outer in ((1e-6, 0.03), (0.03, 0.2), (0.2, 1.0)):
+        expected = math.pi * a * math.log((b + outer**2) / (b + inner**2))
+        chosen = (radius > inner) & (radius <= outer)
+        assert float(held.power[chosen].sum()) == pytest.approx(expected, rel=0.03)
+    # What would fall below the horizon keeps its direction.
+    assert abs(float(held.power.sum()) - 1) < 1e-9
+
+
+def test_harveys_model_is_abg_with_a_square():
+    one, two = MeasuredScatter.harvey(2.0, 0.03, -2.0), MeasuredScatter.abg(2.0 * 0.03**2, 0.03**2, 2.0)
+    assert float(one.share) == pytest.approx(float(two.share), rel=1e-9)
+    assert float(two.share) == pytest.approx(math.pi * 0.0018 * math.log(1 + 4 / 0.0009), rel=1e-5)
+
+
+def test_a_grating_divides_light_among_its_orders():
+    lines, index, angle = 900.0, 1.6, 10.0
+    efficiencies = {0: 0.3, 1: 0.4, -1: lambda way: 0.1 * way[:, 2]}
+    # The first reflected order of 2000 lines does not exist at this angle: its share is absorbed.
+    grating = Interface({0: 0.05}, efficiencies, phase=LinearGrating(0.0, lines))
+    light = light_source("collimated", 3, center=(0, 0, -1), angles=(-angle, 0, 0))
+    found = Scene([Element(Plane(), (1.0, index), grating), screen(3)]).trace(light, WAVE, split=True)
+    held = found.received["screen"]
+    sines = held.direction[:, 1].reshape(3, 3)[:, 0] * index
+    start = math.sin(math.radians(angle))
+    expected = [start, start + WAVE * lines, start - WAVE * lines]
+    assert sines.tolist() == pytest.approx(expected, abs=1e-12)
+    shares = held.power.reshape(3, 3).sum(1).tolist()
+    assert shares == pytest.approx([0.3, 0.4, 0.1 * math.cos(math.radians(angle))], abs=1e-12)
+    assert abs(balance(found)) < 1e-12
+
+
+def test_orders_that_do_not_propagate_are_absorbed():
+    grating = Interface({}, {0: 0.5, 1: 0.5}, phase=LinearGrating(2500.0))
+    light = light_source("collimated", 3, center=(0, 0, -1))
+    found = Scene([Element(Plane(), interface=grating), screen(3)]).trace(light, WAVE)
+    assert float(found.absorbed[0]) == pytest.approx(0.5)
+
+
+def test_a_seed_repeats_a_trace():
+    light = light_source("point", 500, center=(0, 0, 8.0))
+    scene = Scene(sphere(10.0, Interface(0.5, 0.3, scatter=LambertianScatter(0.7))))
+    one, two, other = (scene.trace(light, WAVE, seed=seed) for seed in (1, 1, 2))
+    assert torch.equal(one.absorbed, two.absorbed) and not torch.equal(one.absorbed, other.absorbed)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Interface(0.7, 0.7), "at most 1, got 1.4"),
+        (lambda: Interface(0.7), "both or neither"),
+        (lambda: Interface(0.5, 0.5, coating=Coating()), "coating gives"),
+        (lambda: Element(Plane(), media=(1.0,)), "media must be two"),
+        (lambda: Element(Plane(), media=(1.0, -1.0)), "media must be"),
+        (lambda: Element(corner(), aperture=1.0), "aperture belongs"),
+        (lambda: Scene([]), "one at least"),
+        (lambda: Scene([Element(Plane(), name="a"), Element(Plane(), name="a")]), "different names"),
+        (lambda: light_source("point", 5, size=1.0), "size must be"),
+        (lambda: light_source("lambertian", 5, half_angle=120), "at most 90"),
+        (lambda: MeasuredScatter([0.0, 1.0], [1.0, 1.0]), "at most 1"),
+        (lambda: MeasuredScatter([0.1, 1.0], [0.1, 0.1]), "ascend from 0"),
+        (lambda: GaussianScatter(1.5), "at most 1"),
+    ],
+)
+def test_bad_arguments_are_named(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
