@@ -236,7 +236,7 @@ FillFactor = Annotated[
         help="Fill factor of the square pixels, the emitting share of their area. The holograms are computed for such "
         "pixels and an aperture that passes one diffraction order; images and report are averages over pixel areas. "
         "0: pixels are points, and images are sampled at points.",
-        show_default="0.9 for sgd of one plane, else 0",
+        show_default="0.9; 0 with --tiles and other propagation types",
     ),
 ]
 CalibrationFile = Annotated[

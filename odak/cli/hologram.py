@@ -19,6 +19,7 @@ from odak._validate import UNITS
 from odak.cli import files, report
 from odak.cli.job import (
     COMPUTED_PHASES,
+    EXACT,
     LEARNING_RATE,
     NOISE,
     SOLVERS,
@@ -32,13 +33,11 @@ from odak.learn import wave
 from odak.learn.models.hologram_networks import FARTHEST, RATIOS, SPREADS, hologram_network
 from odak.learn.tools import zero_pad
 from odak.learn.wave import holograms
-from odak.learn.wave.displays import mean_over_areas
+from odak.learn.wave.displays import brightness_of, mean_over_areas, starting_phases
 from odak.wave import sampling_report
 from odak.wave.methods import METHODS, PROPAGATION_TYPES, find_method, method_named
 
 FILTER = 0.5
-# Without wrap-around these are one, the angular spectrum.
-EXACT = ("Angular Spectrum", "Bandlimited Angular Spectrum", "Bandextended Angular Spectrum", "Linear Angular Spectrum")
 # Standard deviation in radians of the noise that distinguishes frames with the same starting phase.
 FRAME_NOISE = 0.5
 UNFIT = tuple(
@@ -249,27 +248,34 @@ def _channel(job: Job, target: Target, channel: int, paths: list[Path], device: 
     phases = torch.stack([files.load_pattern(path, job.bits, response) for path in paths])
     saved = light * wave.generate_complex_field(1.0, phases.to(device) - grating).to(ideal.dtype)
     ideal = light * wave.generate_complex_field(1.0, wave.calculate_phase(ideal)).to(ideal.dtype)
-    unquantised, image = (
-        _intensity_at(job, field, wavelength, job.distance, method).mean(0) for field in (ideal, saved)
+    unquantised, image, other = (
+        _intensity_at(job, field, wavelength, job.distance, method, fill).mean(0)
+        for field, fill in ((ideal, job.fill_factor), (saved, job.fill_factor), (saved, _other_fill(job)))
     )
-    numbers = report.measure(intensity, target.window, image, unquantised)
-    areas = (
-        image
-        if job.fill_factor is not None
-        else _intensity_at(job, saved, wavelength, job.distance, method, 1.0).mean(0)
-    )
-    areas, wanted = areas[target.window], intensity[target.window]
+    numbers, wanted = report.measure(intensity, target.window, image, unquantised), intensity[target.window]
+    shown = [holograms.best_scale(light, wanted) * light for light in (image[target.window], other[target.window])]
     return {
         "wavelength": wavelength,
         "file": paths[0].name,
         **({"files": [path.name for path in paths]} if len(paths) > 1 else {}),
         **numbers,
-        "psnr_area_db": report.psnr(holograms.best_scale(areas, wanted) * areas, wanted),
+        **_areas_and_points(job, *(report.psnr(light, wanted) for light in shown)),
         "seconds_per_iteration": seconds,
         "final_loss": loss,
         "image": (image * numbers["scale"]).cpu(),
         "phases": phases,
     }
+
+
+def _other_fill(job: Job) -> float | None:
+    """Return the fill factor of the figure that stands beside the one that is stated: points, or whole pixels."""
+    return None if job.fill_factor is not None else 1.0
+
+
+def _areas_and_points(job: Job, stated: float | None, other: float | None) -> dict:
+    """Return the quality over areas and at points, of which the job states one."""
+    areas, points = (stated, other) if job.fill_factor is not None else (other, stated)
+    return {"psnr_area_db": areas, "psnr_points_db": points}
 
 
 def _hologram(job: Job, intensity: torch.Tensor, wavelength: float) -> tuple[torch.Tensor, float | None, float | None]:
@@ -304,7 +310,7 @@ def _hologram(job: Job, intensity: torch.Tensor, wavelength: float) -> tuple[tor
 
 
 def _intensity_at(
-    job: Job, fields: torch.Tensor, wavelength: float, distance: float, propagation_type: str, fill: float | None = None
+    job: Job, fields: torch.Tensor, wavelength: float, distance: float, propagation_type: str, fill: float | None
 ) -> torch.Tensor:
     """Return the intensity at a distance over the modulator's window.
 
@@ -319,15 +325,14 @@ def _intensity_at(
     propagation_type : str
         How to propagate.
     fill : float, optional
-        Share of the area of square pixels that emits, that of the job by default. With one the intensity is the mean
-        over the areas of pixels, without it is that at their middles.
+        Share of the area of square pixels that emits. With one the intensity is the mean over the areas of pixels,
+        without it is that at their middles.
 
     Returns
     -------
     torch.Tensor
         Real ``[frames, rows, columns]``.
     """
-    fill = job.fill_factor if fill is None else fill
     if fill is not None:
         # The means over areas need the field around the window too.
         fields = zero_pad(fields)
@@ -401,7 +406,13 @@ def grating_phase(shape: tuple[int, int], device: torch.device) -> torch.Tensor:
 
 def _descend(job: Job, intensity: torch.Tensor, wavelength: float, callback: Callable) -> torch.Tensor:
     if job.fill_factor is not None and method_named(job.propagation_type).name in EXACT:
-        return _descend_over_areas(job, intensity, wavelength, callback)
+        frames = job.frames or 1
+        display = _display(job, [wavelength], [job.distance], torch.ones(frames, 1), intensity.device)
+        start = _phases_of_frames(job, intensity, wavelength).reshape(frames, *job.resolution)
+        mean_error = torch.nn.functional.mse_loss
+        problem = wave.Problem(display, intensity[None, None], mean_error, start, _run(job, callback), job.scale)
+        phases = _descend_over_areas(job, problem)
+        return wave.generate_complex_field(1.0, phases.reshape(*([frames] if frames > 1 else []), *job.resolution))
     hologram, _ = wave.stochastic_gradient_descent(
         intensity,
         wavelength,
@@ -431,21 +442,20 @@ def _modulator(job: Job, like: torch.Tensor) -> Callable | None:
     return lambda phase: wave.generate_complex_field(light, phase)
 
 
-def _descend_over_areas(job: Job, intensity: torch.Tensor, wavelength: float, callback: Callable) -> torch.Tensor:
-    """Return the hologram whose means over the areas of pixels, which are what the report states, are the target."""
-    frames = job.frames or 1
-    display = wave.Display(
-        wave.Modulator(job.resolution, job.pixel_pitch, None, job.fill_factor or 1.0, _modulator(job, intensity)),
-        wavelength,
-        job.distance,
-        frames,
-        torch.ones(frames, 1),
-    ).to(intensity.device)
-    start = _phases_of_frames(job, intensity, wavelength).reshape(frames, *job.resolution)
-    run = wave.Run(False, callback, iterations=job.iterations, seed=job.seed)
-    problem = wave.Problem(display, intensity[None, None], torch.nn.functional.mse_loss, start, run, job.scale)
-    phases: Any = wave.Descent(job.optimizer or SOLVERS[0], job.learning_rate or LEARNING_RATE).solve(problem)
-    return wave.generate_complex_field(1.0, phases.reshape(*([frames] if frames > 1 else []), *job.resolution))
+def _display(job: Job, wavelengths: Sequence[float], distances: Sequence[float], powers, device) -> wave.Display:
+    """Return the display of real pixels that a job describes, with sources of some powers ``[frames, colours]``."""
+    modulator = _modulator(job, torch.zeros(job.resolution, device=device))
+    panel = wave.Modulator(job.resolution, job.pixel_pitch, None, job.fill_factor or 1.0, modulator)
+    return wave.Display(panel, wavelengths, distances, len(powers), powers).to(device)
+
+
+def _descend_over_areas(job: Job, problem: wave.Problem, powers: bool = False) -> Any:
+    """Return what solves a problem of means over the areas of pixels, which are what the report states."""
+    return wave.Descent(job.optimizer or SOLVERS[0], job.learning_rate or LEARNING_RATE, powers).solve(problem)
+
+
+def _run(job: Job, callback: Callable) -> wave.Run:
+    return wave.Run(False, callback, iterations=job.iterations, seed=job.seed)
 
 
 def _phases_of_frames(job: Job, intensity: torch.Tensor, wavelength: float) -> torch.Tensor:
@@ -606,10 +616,11 @@ def _compute_volume(job: Job, target: Target, folder: Path, names: list[str], de
         files.save_pattern(folder / name, files.quantise(modulated, job.bits, response), job.bits)
     stored = torch.stack([files.load_pattern(folder / name, job.bits, response) for name in names])
     saved = Frames(stored.to(device) - grating, ideal.powers)
-    images = _reconstruct_volume(job, target, volume, saved)
-    before = _reconstruct_volume(job, target, volume, ideal)
-    areas = images if job.fill_factor is not None else _reconstruct_volume(job, target, volume, saved, 1.0)
-    channels, scales, brightness = _channels(target, volume, ideal.powers, images, before, areas)
+    images, before, other = (
+        _reconstruct_volume(job, target, volume, frames, fill)
+        for frames, fill in ((saved, job.fill_factor), (ideal, job.fill_factor), (saved, _other_fill(job)))
+    )
+    channels, scales, brightness = _channels(job, target, volume, ideal.powers, images, before, other)
     planes = _planes(target, volume, images * scales)
     if job.planes > 1:
         stack = _focal_stack(job, planes, volume.images.cpu(), (images * scales).cpu())
@@ -639,6 +650,44 @@ def _frame_files(job: Job, target: Target) -> list[str]:
 
 
 def _optimise(job: Job, target: Target, volume: Volume, device) -> tuple[Frames, float | None, float | None]:
+    with _progress(
+        job, f"{job.planes} planes" if job.planes > 1 else f"{len(_frame_files(job, target))} frames"
+    ) as clock:
+        frames = (_frames_over_areas if job.over_areas else _frames_at_points)(job, target, volume, device, clock.tick)
+        _finish(device)
+    return frames, clock.seconds_per_tick(), clock.loss
+
+
+def _frames_over_areas(job: Job, target: Target, volume: Volume, device, callback: Callable) -> Frames:
+    """Return the patterns whose means over the areas of pixels are the images of all planes, and their sources."""
+    count, colours, shared = len(_frame_files(job, target)), len(target.wavelengths), job.method == "multi-color"
+    powers = torch.ones(count, colours) if shared else torch.eye(count)
+    display = _display(job, target.wavelengths, volume.distances, powers, device)
+    start: Any = job.initial_phase
+    if start in COMPUTED_PHASES:
+        start = starting_phases(display, volume.images, COMPUTED_PHASES[start], job.seed)
+    else:
+        start = starting_phase(job, torch.zeros(count, *job.resolution, device=device), target.wavelengths[0])
+    loss = torch.nn.functional.mse_loss if volume.loss is None else volume.loss
+    problem = wave.Problem(display, volume.images, loss, start, _run(job, callback), job.scale)
+    solved = _descend_over_areas(job, problem, shared)
+    phases, powers = solved if shared else (solved, display.powers)
+    powers = powers / powers.sum(0)
+    if job.scale:
+        with torch.no_grad():
+            powers = powers * _brightness(target, volume, display(phases, powers))
+        powers = powers / powers.max()
+    return Frames(phases, powers.sqrt())
+
+
+def _brightness(target: Target, volume: Volume, images: torch.Tensor) -> torch.Tensor:
+    """Return the brightness of each colour at which images ``[planes, colours, …]`` fit the picture best."""
+    sharp, window = (images * volume.masks).sum(0), (..., *target.window)
+    wanted = target.intensity.to(images.device)
+    return brightness_of(sharp[window][None].double(), wanted[window][None].double()).flatten().clamp_min(1e-6)
+
+
+def _frames_at_points(job: Job, target: Target, volume: Volume, device, callback: Callable) -> Frames:
     count, shared = len(_frame_files(job, target)), job.method == "multi-color"
     method = "multi-color" if shared else "conventional"
     display = wave.propagator(
@@ -654,34 +703,32 @@ def _optimise(job: Job, target: Target, volume: Volume, device) -> tuple[Frames,
         pixel_fill=job.fill_factor,
     )
     start, rate = torch.zeros(count, *job.resolution, device=device), job.learning_rate or LEARNING_RATE
-    with _progress(job, f"{job.planes} planes" if job.planes > 1 else f"{count} frames") as clock:
-        optimizer = wave.multi_color_hologram_optimizer(
-            list(target.wavelengths),
-            list(job.resolution),
-            volume.images,
-            display,
-            count,
-            job.planes,
-            learning_rate=rate,
-            min_learning_rate=rate / 2,
-            method=method,
-            loss_function=volume.loss,
-            # All sources at full power where they share the frames.
-            peak_amplitude=float(count) if shared and job.scale else 1.0,
-            optimize_peak_amplitude=job.scale,
-            reduction="mean",
-            initial_phase=starting_phase(job, start, target.wavelengths[0]),
-            progress=False,
-            seed=job.seed,
-            callback=clock.tick,
-        )
-        # The light loss would drive all sources to full power, and with them colours that the picture does not have.
-        _, phases, _, powers, _, _ = optimizer.optimize(job.iterations, {"eyebox": 0.0, "light": 0.0}, bits=None)
-        _finish(device)
+    optimizer = wave.multi_color_hologram_optimizer(
+        list(target.wavelengths),
+        list(job.resolution),
+        volume.images,
+        display,
+        count,
+        job.planes,
+        learning_rate=rate,
+        min_learning_rate=rate / 2,
+        method=method,
+        loss_function=volume.loss,
+        # All sources at full power where they share the frames.
+        peak_amplitude=float(count) if shared and job.scale else 1.0,
+        optimize_peak_amplitude=job.scale,
+        reduction="mean",
+        initial_phase=starting_phase(job, start, target.wavelengths[0]),
+        progress=False,
+        seed=job.seed,
+        callback=callback,
+    )
+    # The light loss would drive all sources to full power, and with them colours that the picture does not have.
+    _, phases, _, powers, _, _ = optimizer.optimize(job.iterations, {"eyebox": 0.0, "light": 0.0}, bits=None)
     if job.scale:
         # The scale is free: the brightest source is at full power.
         powers = powers / powers.amax().clamp_min(1e-6)
-    return Frames(phases, powers), clock.seconds_per_tick(), clock.loss
+    return Frames(phases, powers)
 
 
 def _network_frames(job: Job, target: Target, volume: Volume) -> Frames:
@@ -694,14 +741,11 @@ def _network_frames(job: Job, target: Target, volume: Volume) -> Frames:
         phases = network(intensity, target.wavelengths, job.pixel_pitch, volume.distances, depth)
     count = len(target.wavelengths)
     frames = Frames(phases, torch.eye(count, device=device))
-    sharp, window = (_reconstruct_volume(job, target, volume, frames) * volume.masks).sum(0), (..., *target.window)
-    scales = holograms.best_scale(sharp[window].double(), intensity[window].double()).flatten()
+    scales = _brightness(target, volume, _reconstruct_volume(job, target, volume, frames, job.fill_factor))
     return Frames(phases, frames.powers * (scales / scales.amax()).sqrt().to(frames.powers))
 
 
-def _reconstruct_volume(
-    job: Job, target: Target, volume: Volume, frames: Frames, fill: float | None = None
-) -> torch.Tensor:
+def _reconstruct_volume(job: Job, target: Target, volume: Volume, frames: Frames, fill: float | None) -> torch.Tensor:
     """Return the intensity on each plane over that of each colour's source, ``[planes, channels, rows, columns]``.
 
     Plane by plane with the method that its distance asks for, and not with the display of the optimizer.
@@ -726,17 +770,17 @@ def _reconstruct_volume(
     return torch.stack(images).reshape(volume.images.shape)
 
 
-def _channels(target: Target, volume: Volume, powers, *stacks) -> tuple[list[dict], torch.Tensor, float]:
+def _channels(job: Job, target: Target, volume: Volume, powers, *stacks) -> tuple[list[dict], torch.Tensor, float]:
     """Return the quality of each colour with each pixel from its own plane, their scales, and the common brightness.
 
     Parameters
     ----------
-    target, volume : Target, Volume
-        The picture, whole and by planes.
+    job, target, volume : Job, Target, Volume
+        The run, and the picture, whole and by planes.
     powers : torch.Tensor
         Amplitudes of the sources ``[frames, channels]``.
     *stacks : torch.Tensor
-        Intensities of the saved patterns, of the patterns as computed, and of the saved patterns over areas.
+        Intensities of the saved patterns, of the patterns as computed, and of the saved patterns by the other figure.
     """
     light = powers.double().square().sum(0)[:, None, None]
     wanted = target.intensity.to(light.device).double()
@@ -751,7 +795,10 @@ def _channels(target: Target, volume: Volume, powers, *stacks) -> tuple[list[dic
             **report.measure(
                 wanted[c], target.window, sharp[0][c], sharp[1][c], (float(scales[0][c]), float(scales[1][c]))
             ),
-            "psnr_area_db": report.psnr((scales[2] * sharp[2])[c][target.window], wanted[c][target.window]),
+            **_areas_and_points(
+                job,
+                *(report.psnr((scales[k] * sharp[k])[c][target.window], wanted[c][target.window]) for k in (0, 2)),
+            ),
         }
         for c in range(len(wanted))
     ]

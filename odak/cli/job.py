@@ -18,6 +18,8 @@ METHODS = ("sgd", "gs", "double-phase", "network", *VOLUME_METHODS)
 # Starts of gradient descent that are computed from the picture.
 SOLVERS = ("lbfgs", "adam")
 LEARNING_RATE = 0.2
+# Without wrap-around these are one, the angular spectrum.
+EXACT = ("Angular Spectrum", "Bandlimited Angular Spectrum", "Bandextended Angular Spectrum", "Linear Angular Spectrum")
 # Share of the area of a pixel that emits, of the panels of the presets.
 USUAL_FILL = 0.9
 COMPUTED_PHASES = {"double-phase": "double phase", "gs": "gs"}
@@ -108,7 +110,8 @@ class Job:
     learning_rate : float, optional
         Step size in radians of gradient descent by Adam, 0.2 by default. None with L-BFGS, which has none.
     optimizer : str, optional
-        One of `SOLVERS`, of the method "sgd": "lbfgs" by default, "adam" where a learning rate is given or in tiles.
+        One of `SOLVERS`, of the method "sgd" and where areas are optimised: "lbfgs" by default, "adam" where a learning
+        rate is given or in tiles.
     scale : bool
         Let gradient descent choose the picture's brightness.
     initial_phase : str, optional
@@ -120,9 +123,9 @@ class Job:
     bits : int
         Bits per pixel of the modulator, 1 to 16.
     fill_factor : float, optional
-        Share of the area of a square pixel that emits; the holograms are computed for such pixels, and pictures are
-        means over the areas of pixels. 0.9 by default for gradient descent of one plane. Other methods compute and
-        report the middles of pixels by default, and so does 0.
+        Share of the area of a square pixel that emits, 0.9 by default; the holograms are computed for such pixels, but
+        for those of the network, and pictures are means over the areas of pixels. 0 computes and reports points, as
+        runs in tiles and other propagation types do by default.
     device : str
         "auto", "cpu", "cuda", "cuda:1", …
     quiet : bool
@@ -185,28 +188,31 @@ class Job:
             self._set_volume()
             if self.tiles:
                 self._check_tiles()
+            self._set_fill_factor()
             self._set_initial_phase()
             self._set_optimizer()
         except (TypeError, ValueError) as error:
             raise InputError(str(error)) from None
-        self._set_fill_factor()
-        if self.fill_factor is not None and self.method == "network":
-            raise InputError("--fill-factor cannot be used with --method network, which was trained for points")
         if not 1 <= self.bits <= 16:
             raise InputError(f"--bits must be from 1 to 16, got {self.bits}")
         self._check_wavelengths()
         self._check_response()
 
     def _set_fill_factor(self) -> None:
-        """Set the usual fill factor of panels where gradient descent for one plane can optimise areas."""
+        """Set the usual fill factor of panels, but for what is computed for points alone."""
         given = self.fill_factor
         if given is not None and not 0 <= given <= 1:
             raise InputError(f"--fill-factor must be from 0, which stands for points, to 1, got {given}")
         if given == 0:
             self._set("fill_factor", None)
-        usual = self.method == "sgd" and not self.tiles and self.propagation_type == Job.propagation_type
-        if given is None and usual:
+        if given is None and not self.tiles and self.propagation_type == Job.propagation_type:
             self._set("fill_factor", USUAL_FILL)
+
+    @property
+    def over_areas(self) -> bool:
+        """Whether gradient descent optimises means over the areas of pixels."""
+        descends = self.method in ("sgd", *VOLUME_METHODS)
+        return descends and self.fill_factor is not None and self.propagation_type in EXACT
 
     def _check_response(self) -> None:
         """Check the options that state the modulator's response, which is that at one wavelength."""
@@ -283,13 +289,15 @@ class Job:
                 raise InputError("--initial-phase has no effect with --method network, which makes the phase itself")
             return
         if chosen is None:
-            chosen = DEFAULT_INITIAL_PHASE[str(self.method)]
+            chosen = "gs" if self.over_areas else DEFAULT_INITIAL_PHASE[str(self.method)]
         self._set("initial_phase", _validate.one_of("--initial-phase", chosen, INITIAL_PHASES))
-        if chosen in COMPUTED_PHASES and self.method != "sgd":
-            raise InputError(f"--initial-phase {chosen} needs --method sgd, got {self.method!r}")
+        if chosen in COMPUTED_PHASES and self.method != "sgd" and not self.over_areas:
+            raise InputError(
+                f"--initial-phase {chosen} needs --method sgd, or one for areas of pixels; got {self.method!r}"
+            )
 
     def _set_optimizer(self) -> None:
-        if self.method == "sgd":
+        if self.method == "sgd" or self.over_areas:
             usual = "adam" if self.tiles or self.learning_rate is not None else "lbfgs"
             self._set("optimizer", _validate.one_of("--optimizer", self.optimizer or usual, SOLVERS))
             if self.optimizer == "lbfgs":
@@ -299,7 +307,7 @@ class Job:
                     )
                 return
         elif self.optimizer is not None:
-            raise InputError(f"--optimizer needs --method sgd, got {self.method!r}")
+            raise InputError(f"--optimizer needs --method sgd, or one for areas of pixels; got {self.method!r}")
         if self.learning_rate is None:
             self._set("learning_rate", LEARNING_RATE)
 

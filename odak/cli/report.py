@@ -34,6 +34,7 @@ DEFINITIONS = {
     "With the methods multiplane and multi-color: brightness times the sum of the squares of source_amplitudes.",
     "brightness": "Methods multiplane and multi-color: the one factor of the intensities of all colours, as the "
     "sources give them, at which the picture is closest to T over its window; no colour is rescaled by itself.",
+    "psnr_points_db": "As psnr_db, with I at the middles of pixels that emit as points, which no sensor sees.",
     "psnr_area_db": "As psnr_db, for square pixels of verification.pixel.fill_factor (1 if none is given) behind a "
     "stop that passes |f| < 1/(2*pitch) along each axis, with I averaged over the area of each pixel.",
     "psnr_db": "10*log10(1/mean((s*I - T)^2)) over the picture's window, without the black borders; overall, the mean "

@@ -80,7 +80,7 @@ def test_the_network_makes_the_pattern_in_one_pass(picture, grey_file, tmp_path)
     from odak.learn.models import hologram_network
 
     geometry = ["--resolution", ROWS, COLUMNS, "--distance", "3mm", "--device", "cpu"]
-    run(grey_file, "--output", tmp_path, "--method", "network", *geometry, "--quiet")
+    run(grey_file, "--output", tmp_path, "--method", "network", *geometry, *POINTS, "--quiet")
     report = read_report(tmp_path)
     assert report["parameters"]["initial_phase"] is None and report["seconds_per_iteration"] is None
     with torch.no_grad():
@@ -173,6 +173,22 @@ def test_areas_are_part_of_every_report(grey_file, tmp_path):
     areas = read_report(tmp_path / "areas")
     assert areas["verification"]["pixel"]["fill_factor"] == 0.9
     assert areas["psnr_db"] > points["channels"][0]["psnr_area_db"] + 3
+
+
+@pytest.mark.parametrize("method", ["gs", "double-phase", "network"])
+def test_every_method_states_areas_and_points(method, grey_file, tmp_path):
+    geometry = ["--resolution", ROWS, COLUMNS, "--distance", "3mm", "--device", "cpu", "--method", method, "--quiet"]
+    for folder, options in (("areas", ()), ("points", POINTS)):
+        run(grey_file, "--output", tmp_path / folder, *geometry, *options)
+    (areas,), (points,) = (read_report(tmp_path / folder)["channels"] for folder in ("areas", "points"))
+    for channel, stated in ((areas, "psnr_area_db"), (points, "psnr_points_db")):
+        assert channel["psnr_db"] == pytest.approx(channel[stated])
+    if method == "network":
+        # The pattern is the same: the network was trained for points, and what it shows over areas is stated.
+        assert areas["psnr_points_db"] == pytest.approx(points["psnr_points_db"])
+        assert areas["psnr_area_db"] < points["psnr_points_db"] - 1
+    else:
+        assert areas["psnr_area_db"] > points["psnr_area_db"] - 0.5
 
 
 def test_frames_average(grey_file, picture, tmp_path):
@@ -566,7 +582,6 @@ BAD = {
             ("propagation", ["--propagation-type", "auto"], "--propagation-type has no effect with --method network"),
             ("start", ["--initial-phase", "gs"], "--initial-phase has no effect with --method network"),
             ("seed", ["--seed", "1"], "--seed has no effect with --method network"),
-            ("fill factor", ["--fill-factor", "0.9"], "--fill-factor cannot be used with --method network"),
             (
                 "depth",
                 ["scene", "--planes", "2", "-d", "3mm", "--volume-depth", "4mm"],

@@ -7,6 +7,7 @@ from command import SMALL, angular_spectrum_intensity, pixels, read_report, run
 from PIL import Image
 
 from odak.cli import main
+from odak.learn.wave import Display, Modulator
 
 ROWS, COLUMNS = 48, 72
 VOLUME = ["--resolution", ROWS, COLUMNS, "--distance", "5e-3", "--volume-depth", "2e-3", "--device", "cpu", "--quiet"]
@@ -38,7 +39,7 @@ def test_report_states_what_the_saved_patterns_show(method, options, files, tmp_
     iterations = [] if method == "network" else ["--iterations", 30]
     distance, planes = ("3e-3", [2.5e-3, 3.5e-3]) if method == "network" else ("5e-3", [4e-3, 6e-3])
     volume = ["--distance", distance, "--volume-depth", planes[1] - planes[0]]
-    run(picture, "--planes", 2, "--depth-map", depth, "--method", method, *iterations, *options,
+    run(picture, "--planes", 2, "--depth-map", depth, "--method", method, *iterations, *options, "--fill-factor", 0,
         "--output", tmp_path, *VOLUME, *volume)  # fmt: skip
     report = read_report(tmp_path)
     target = pixels(picture) / 255
@@ -86,12 +87,32 @@ def test_report_states_what_the_saved_patterns_show(method, options, files, tmp_
     assert pixels(tmp_path / "focal_stack.png").shape[1] > 2 * COLUMNS
 
 
+@pytest.mark.parametrize("method", ["multiplane", "multi-color"])
+def test_areas_are_optimised_and_stated_on_all_planes(method, files, tmp_path):
+    picture, depth = files
+    options = ["--planes", 2, "--depth-map", depth, "--method", method, "--iterations", 15, *VOLUME]
+    run(picture, *options, "--output", tmp_path / "areas")
+    run(picture, *options, "--fill-factor", 0, "--output", tmp_path / "points")
+    areas, points = (read_report(tmp_path / name) for name in ("areas", "points"))
+    powers = torch.tensor([frame["source_amplitudes"] for frame in areas["frames"]]).square()
+    phases = [pixels(tmp_path / "areas" / name) * (2 * np.pi / 256) for name in areas["pattern"]["files"]]
+    display = Display(Modulator((ROWS, COLUMNS), 8e-6), WAVELENGTHS, [4e-3, 6e-3], 3, powers)
+    images, _ = display.judge(torch.from_numpy(np.stack(phases)))
+    light = powers.sum(0).numpy()[:, None, None] * np.where(np.arange(COLUMNS) < COLUMNS // 2, *images.numpy())
+    target = pixels(picture).transpose(2, 0, 1) / 255
+    shown = light * (light * target).sum() / (light**2).sum()
+    for c, channel in enumerate(areas["channels"]):
+        assert channel["psnr_area_db"] == pytest.approx(psnr(shown[c], target[c]), abs=0.15)
+    assert areas["psnr_db"] > np.mean([channel["psnr_area_db"] for channel in points["channels"]]) + 1.5
+    assert np.mean([channel["psnr_points_db"] for channel in areas["channels"]]) < areas["psnr_db"] - 1.5
+
+
 def test_planes_choose_the_method_and_the_scene_its_depth(tmp_path):
     run("scene", "--planes", 3, "--iterations", 2, "--output", tmp_path, *VOLUME)
     report = read_report(tmp_path)
     assert report["parameters"]["method"] == "multiplane"
     assert report["parameters"]["depth_map"] == "scene"
-    assert report["parameters"]["initial_phase"] == "slight"
+    assert report["parameters"]["initial_phase"] == "gs" and report["parameters"]["optimizer"] == "lbfgs"
     assert np.linalg.matrix_rank(np.array([frame["source_amplitudes"] for frame in report["frames"]])) == 3
     shares = [plane["share_in_focus"] for plane in report["planes"]]
     assert sum(shares) == pytest.approx(1)

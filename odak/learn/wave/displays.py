@@ -635,7 +635,7 @@ class Problem:
 
     def scaled(self, images: torch.Tensor) -> torch.Tensor:
         """Return images at the brightness of each colour that is closest to the target: sources can be dimmed."""
-        return images * _brightness(images.detach(), self.target) if self.free else images
+        return images * brightness_of(images.detach(), self.target) if self.free else images
 
 
 @dataclass(frozen=True)
@@ -1024,12 +1024,14 @@ def optimise(
         losses.append(value)
         return run.callback is not None and run.callback(iteration, value)
 
-    problem = Problem(display, target, loss, _start(display, target, start, run), replace(run, callback=record))
+    problem = Problem(
+        display, target, loss, starting_phases(display, target, start, run.seed), replace(run, callback=record)
+    )
     solved = solver.solve(problem)
     phases, powers = solved if isinstance(solved, tuple) else (solved, None)
     phases, display = display.modulator.shown(phases), display if powers is None else display.lit_by(powers)
     areas, points = display.judge(phases)
-    brightness = _brightness(areas, target)
+    brightness = brightness_of(areas, target)
     images, lights = areas * brightness, brightness[:, 0, 0]
     if powers is not None:
         shared = powers / powers.sum(0) * lights.clamp_min(1e-6)
@@ -1038,7 +1040,7 @@ def optimise(
     def ratio(shown, wanted=target):
         return -10 * torch.log10((shown - wanted).square().mean((-2, -1)).clamp_min(1e-30))
 
-    at_points = ratio(points * _brightness(points, target))
+    at_points = ratio(points * brightness_of(points, target))
     sharp = None if focal is None else ratio((images * focal.masks).sum(0), (target * focal.masks).sum(0))
     history = tuple(torch.stack(losses).tolist()) if losses else ()
     return DisplayedHologram(display, target, phases, images, lights, ratio(images), at_points, history, sharp)
@@ -1060,7 +1062,7 @@ def _focal_targets(display, target):
     )
 
 
-def _brightness(images, target):
+def brightness_of(images, target):
     """Return the factor of each colour, over all its planes, at which images are closest to a target, ``[C, 1, 1]``."""
     whole = [values.transpose(0, 1).flatten(1)[:, None] for values in (images, target)]
     return best_scale(*whole)
@@ -1084,7 +1086,7 @@ def _checked_target(display, target):
     return target.reshape(display.shape).to(display.powers.device)
 
 
-def _start(display, target, start, run) -> torch.Tensor:
+def starting_phases(display, target, start, seed) -> torch.Tensor:
     """Return the phases to start from: by name those of each frame's brightest colour, for its middle plane."""
     shape = (display.frames, *display.modulator.resolution)
     if not isinstance(start, str):
@@ -1104,7 +1106,7 @@ def _start(display, target, start, run) -> torch.Tensor:
             wavelength,
             distance,
             display.modulator.pitch,
-            seed=run.seed,
+            seed=seed,
             frames=len(frames),
         )
         for frame, phase in zip(frames, started.reshape(len(frames), *shape[1:]), strict=True):
