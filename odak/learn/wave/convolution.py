@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import fft
 
@@ -71,7 +72,7 @@ def _convolve(field, kernel, workspace):
     if kernel.requires_grad or _torch_private.is_wrapped(kernel):
         return convolve_plainly(field, kernel)
     batch = kernel.shape[:-2]
-    batch = field.shape[:-2] if not batch else torch.broadcast_shapes(field.shape[:-2], batch)
+    batch = field.shape[:-2] if not batch else np.broadcast_shapes(field.shape[:-2], batch)
     return _apply(field, kernel, False, batch, workspace)
 
 
@@ -176,7 +177,7 @@ def _convolve_whole(field, kernel, adjoint, batch):
         spectrum = forth(forth(field, n=width), n=height, dim=-2)
     else:
         spectrum = (fft.ifft2 if adjoint else fft.fft2)(field, s=(height, width))
-    # By the leading axes alone: torch.broadcast_shapes takes as long as the product of a small field.
+    # By the leading axes alone: np.broadcast_shapes takes as long as the product of a small field.
     ours, theirs = spectrum.shape[-3::-1], kernel.shape[-3::-1]
     fits = len(theirs) <= len(ours) and all(n in (1, m) for n, m in zip(theirs, ours, strict=False))
     spectrum = spectrum.mul_(kernel) if fits and kernel.dtype == spectrum.dtype else spectrum * kernel
@@ -214,7 +215,7 @@ def _convolve_in_blocks(field, kernel, adjoint, batch, workspace):
     if field.ndim == kernel.ndim == 2:
         _filter_one(field, kernel, result, adjoint)
         return result
-    full = torch.broadcast_shapes(field.shape[:-2], kernel.shape[:-2])
+    full = np.broadcast_shapes(field.shape[:-2], kernel.shape[:-2])
     whole = [array.expand(*full, *array.shape[-2:]) for array in (field, kernel, result)]
     triples = [tuple(array[place] for array in whole) for place in itertools.product(*map(range, full))]
     summed = result.numel() < math.prod(full) * math.prod(field.shape[-2:])

@@ -3,6 +3,7 @@
 import itertools
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
@@ -286,7 +287,7 @@ class _SquaredError(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, image, target, workspace):
-        shape = torch.broadcast_shapes(image.shape, target.shape)
+        shape = np.broadcast_shapes(image.shape, target.shape)
         ctx.error = torch.sub(image, target, out=allocate_like(workspace, "error", shape, image))
         return torch.dot(ctx.error.flatten(), ctx.error.flatten())
 

@@ -840,7 +840,7 @@ def _traced(system, pupil, count: int, places) -> tuple[np.ndarray, list[int]]:
 
     with torch.no_grad():
         rays = launch(system, pupil, count)
-        shape = torch.broadcast_shapes(*(value.shape for value in rays))
+        shape = np.broadcast_shapes(*(value.shape for value in rays))
         x, y, z, u, v, w = (value.expand(shape)[:1] for value in rays)
         back = 0.25 * float(np.ptp(places)) + z if system.at_infinity else torch.zeros_like(z)
         stations = [torch.stack((x - back * u / w, y - back * v / w, z - back), -1)]

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 
 from odak import _show, _validate
@@ -730,7 +731,7 @@ def _placed(old: torch.Tensor, chosen: torch.Tensor, places: list, name: str) ->
 
 def _set(whole: torch.Tensor, place: int, value: torch.Tensor, axis: int) -> torch.Tensor:
     """Return numbers with one of them, along an axis counted from the end, replaced."""
-    shape = torch.broadcast_shapes(whole.select(axis, 0).shape, value.shape)
+    shape = np.broadcast_shapes(whole.select(axis, 0).shape, value.shape)
     whole = whole.expand(*shape[: len(shape) + axis + 1], whole.shape[axis], *shape[len(shape) + axis + 1 :])
     parts = list(whole.unbind(axis))
     parts[place] = value.expand(shape)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import cache, cached_property
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 
 from odak import _validate
@@ -442,7 +443,7 @@ def values_of(operand: Operand, view: View) -> torch.Tensor:
 def merit_residuals(operands: list[Operand], view: View) -> torch.Tensor:
     """Return the residuals of all operands, ``[..., R]``."""
     parts = [item.residuals(values_of(item, view)) for item in operands]
-    lead = torch.broadcast_shapes(*(part.shape[:-1] for part in parts))
+    lead = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
     return torch.cat([part.expand(*lead, part.shape[-1]) for part in parts], -1)
 
 

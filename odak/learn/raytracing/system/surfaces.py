@@ -8,6 +8,7 @@ from itertools import pairwise, zip_longest
 from numbers import Number, Real
 from typing import Any, NamedTuple, SupportsComplex, cast
 
+import numpy as np
 import torch
 
 from odak import _show, _validate
@@ -686,7 +687,7 @@ class Prescription(NamedTuple):
     @property
     def batch(self) -> torch.Size:
         """Leading axes of the batch."""
-        return torch.broadcast_shapes(
+        shapes = (
             self.curvature.shape[:-1],
             self.conic.shape[:-1],
             self.thickness.shape[:-1],
@@ -695,6 +696,7 @@ class Prescription(NamedTuple):
             *(value.shape[:-2] for value in (self.shift, self.tilt) if value is not None),
             *(value.shape[: value.ndim - rank] for value, rank in self.others()),
         )
+        return torch.Size(np.broadcast_shapes(*shapes))
 
     def others(self, image: Any = None) -> list[tuple[torch.Tensor, int]]:
         """Return the parameters of shapes, phases and index gradients, each with its own number of axes.

@@ -4,6 +4,7 @@ import math
 from functools import partial
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 
 from odak import _array, _show, _torch_private, _validate
@@ -346,9 +347,9 @@ def _shape(rays, numbers: Prescription) -> tuple[int, ...]:
         raise ValueError(f"rays must have axes [..., wavelengths, fields, pupil points], got {tuple(rays.x.shape)}")
     systems = (*numbers.batch, numbers.index.shape[-2], 1, 1)
     try:
-        shape = torch.broadcast_shapes(*(value.shape for value in rays))
-        full = torch.broadcast_shapes(shape, systems)
-    except RuntimeError as error:
+        shape = np.broadcast_shapes(*(value.shape for value in rays))
+        full = np.broadcast_shapes(shape, systems)
+    except ValueError as error:
         raise ValueError(f"rays must match the systems and wavelengths {systems[:-2]}: {error}") from None
     if full[:-2] != systems[:-2]:
         raise ValueError(f"rays {tuple(shape)} must match the systems and wavelengths {systems[:-2]}")
