@@ -337,3 +337,12 @@ def cast(value, like, dtype=None):
     if is_torch(value) and is_torch(like):
         return value.to(device=like.device, dtype=dtype)
     return xp.asarray(value, dtype=dtype, device=device_of(like))
+
+
+def convolve_plainly(field, kernel):
+    """Return :func:`odak.wave.transfer_functions.convolve` by the array library's own transforms."""
+    fft, (rows, columns) = namespace(field).fft, field.shape[-2:]
+    # Only rows that are not zero are transformed going in, and only those kept coming out.
+    spectrum = fft.fft(fft.fft(field, n=kernel.shape[-1], axis=-1), n=kernel.shape[-2], axis=-2) * kernel
+    window = fft.ifft(fft.ifft(spectrum, axis=-2)[..., :rows, :], axis=-1)[..., :columns]
+    return namespace(window).astype(window, field.dtype, copy=False)

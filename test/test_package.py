@@ -101,6 +101,18 @@ def test_circles_are_found():
     assert structure.cycles(graph) == [["b", "c"]]
 
 
+def test_imports_by_strings_are_seen(tmp_path):
+    (tmp_path / "box" / "inner").mkdir(parents=True)
+    for name, text in {
+        "__init__": "",
+        "core": 'load("box.inner.face.thing")',
+        "inner/__init__": "",
+        "inner/face": "",
+    }.items():
+        (tmp_path / "box" / f"{name}.py").write_text(text)
+    assert structure.imports(tmp_path / "box")["box.core"] == {"box.inner", "box.inner.face"}
+
+
 def test_the_private_interface_of_torch_is_touched_in_one_module():
     private = re.compile(r"torch(\.\w+)*\._[a-z]\w*|torch\._C\b|\._(version|backward_hooks|current_level)\b")
     found = {name for name, path in MODULES.items() if private.search(path.read_text(encoding="utf-8"))}

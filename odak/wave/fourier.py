@@ -5,7 +5,6 @@ transform (:class:`Line`) use fast transforms where they can; the non-uniform tr
 """
 
 import functools
-import importlib
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -452,7 +451,9 @@ class _SparseMap:
     def __call__(self, flat):
         if _array.is_torch(flat):
             if self._operator is None:
-                self._operator = importlib.import_module("odak.learn.wave.convolution").sparse_operator(self.matrix)
+                from odak.wave.torch_convolution import sparse_operator
+
+                self._operator = sparse_operator(self.matrix)
             return self._operator(flat)
         return np.stack([self._product_of_one(np.ascontiguousarray(one)) for one in flat])
 

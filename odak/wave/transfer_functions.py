@@ -7,7 +7,6 @@ to a tenth of a radian only.
 """
 
 import functools
-import importlib
 import math
 import os
 import threading
@@ -22,13 +21,10 @@ from typing import Any
 import numpy as np
 
 from odak import _array, _validate
-from odak._array import make_complex, numpy_namespace, phasor_of_cycles
+from odak._array import convolve_plainly, make_complex, numpy_namespace, phasor_of_cycles
 from odak.tools.matrix import zero_pad
 
 _SLAB = 1 << 17
-# From this many samples on, a spectrum is computed in blocks. Smaller ones stay in the cache, where one call for all
-# lines of an axis is quicker.
-BLOCKED_FROM = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -770,23 +766,10 @@ def convolve(field, kernel):
         Complex ``[..., m, n]``, in the field's dtype.
     """
     if _array.is_torch(field):
-        return _torch_operator()(field, kernel)
+        from odak.wave import torch_convolution
+
+        return torch_convolution.convolve(field, kernel)
     return (convolve_in_chunks if _array.is_chunked(field) else convolve_plainly)(field, kernel)
-
-
-@functools.cache
-def _torch_operator() -> Callable:
-    """Return the operator for tensors, which has an adjoint of its own; it is loaded with the first tensor."""
-    return importlib.import_module("odak.learn.wave.convolution").convolve
-
-
-def convolve_plainly(field, kernel):
-    """Return :func:`convolve` by the array library's own transforms."""
-    fft, (rows, columns) = _array.namespace(field).fft, field.shape[-2:]
-    # Only rows that are not zero are transformed going in, and only those kept coming out.
-    spectrum = fft.fft(fft.fft(field, n=kernel.shape[-1], axis=-1), n=kernel.shape[-2], axis=-2) * kernel
-    window = fft.ifft(fft.ifft(spectrum, axis=-2)[..., :rows, :], axis=-1)[..., :columns]
-    return _array.namespace(window).astype(window, field.dtype, copy=False)
 
 
 def convolve_in_chunks(field, kernel):

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _show, _validate
+from odak._threads import each
 from odak.learn._tensors import checked_device, reals_of, tensor, trainable
-from odak.learn._threads import each
 from odak.learn.raytracing.boundary import reflect
 from odak.learn.tools.file import save_torch_tensor
 from odak.raytracing import arguments, geometry, intersections

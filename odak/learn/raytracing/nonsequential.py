@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _validate
+from odak._threads import each
 from odak.catalog.materials import MICROMETRES, Material, absorption_coefficient, extinction_of, refractive_index
 from odak.catalog.materials import material as find_material
 from odak.learn._tensors import reals_of, tensor
-from odak.learn._threads import each
 from odak.learn.raytracing.mesh import triangle_mesh
 from odak.learn.raytracing.system.surfaces import Coating
 from odak.raytracing import components as vec

@@ -18,7 +18,6 @@ import torch
 from odak import _array, _show, _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import floating, trainable
-from odak.learn.wave.convolution import convolve
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.holograms import STARTS, best_scale, encode_double_phase, starting_phase
 from odak.learn.wave.loss import FocalTargets, multiplane_loss
@@ -28,6 +27,7 @@ from odak.learn.wave.training import Options, constant, cosine, fingerprint, min
 from odak.wave import phase_retrieval
 from odak.wave.linear_kernels import checked_pixel_fill, linear_kernel
 from odak.wave.sampling import sampling_report
+from odak.wave.torch_convolution import convolve
 from odak.wave.transfer_functions import (
     Request,
     angular_spectrum,

@@ -10,8 +10,8 @@ from torch.autograd.function import once_differentiable
 from odak import _array, _validate
 from odak.learn._face import torch_face
 from odak.learn._tensors import kind_of, tensor, trainable
-from odak.learn.wave.convolution import Workspace, allocate_like
 from odak.wave import fields
+from odak.wave.torch_convolution import Workspace, allocate_like
 
 if TYPE_CHECKING:
     from odak.learn._faces import generate_complex_field as generate_complex_field

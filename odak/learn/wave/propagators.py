@@ -8,11 +8,11 @@ import torch
 
 from odak import _array, _show, _validate
 from odak.learn._tensors import checked_device, floating, kind_of, tensor
-from odak.learn.wave.convolution import Workspace, convolve
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.slm import pixel_fill_of
 from odak.learn.wave.volume import PROPAGATOR_TYPES, checked_slice, display_volume, plane_distances
 from odak.wave.methods import method_named
+from odak.wave.torch_convolution import Workspace, convolve
 
 METHODS = ("conventional", "multi-color", "full complex conventional", "full complex multi-color")
 
@@ -399,7 +399,7 @@ class propagator(display_volume):
             Which of them.
         kernels : torch.Tensor
             Transfer functions of the planes, from :meth:`transfer`.
-        workspace : odak.learn.wave.convolution.Workspace, optional
+        workspace : odak.wave.torch_convolution.Workspace, optional
             Memory to write the fields to.
 
         Returns
@@ -465,7 +465,7 @@ class propagator(display_volume):
             Which planes.
         powers : torch.Tensor, optional
             Amplitudes of the sources ``[F, C]``; :meth:`get_laser_powers` by default.
-        workspace : odak.learn.wave.convolution.Workspace, optional
+        workspace : odak.wave.torch_convolution.Workspace, optional
             Memory to keep the fields, their gradient and the result in. The backward pass can then be run once, before
             the workspace is used again, and not be differentiated.
 

@@ -11,13 +11,13 @@ import torch
 from odak import _array, _show, _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import checked_device, floating, kind_of, tensor
-from odak.learn.wave.convolution import convolve
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.training import fingerprint, generator_from
 from odak.tools.matrix import zero_pad
 from odak.wave.methods import WITH_TRANSFER_FUNCTION, linear_kernel_of, linear_method, method_named, spread
 from odak.wave.propagation import sample_counts
+from odak.wave.torch_convolution import convolve
 from odak.wave.transfer_functions import Request, aperture_points, checked_pitch, divided_pitch, pitches
 
 PROPAGATOR_TYPES = ("forward", "back and forth")

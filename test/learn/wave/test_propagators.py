@@ -10,7 +10,7 @@ import torch
 from odak import AccuracyWarning
 from odak.learn import wave
 from odak.learn.wave import holographic_display, propagator
-from odak.learn.wave.convolution import Workspace
+from odak.wave.torch_convolution import Workspace
 
 PITCH = 8e-6
 COLOURS = [639e-9, 515e-9, 473e-9]

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import torch
 
+from odak._threads import each
 from odak._torch_private import as_constant, outside_functional_transforms
-from odak.learn._threads import each
 from odak.learn.raytracing.system.sequence import (
     HIT,
     Layout,

@@ -10,7 +10,6 @@ import torch
 from odak import _show, _validate
 from odak.learn._tensors import checked_device, checked_generator, floating
 from odak.learn.wave.camera import captured_by, with_model_gradient
-from odak.learn.wave.convolution import Workspace, release_memory
 from odak.learn.wave.fields import squared_error
 from odak.learn.wave.optimizers.terms import (
     WEIGHTS,
@@ -33,6 +32,7 @@ from odak.learn.wave.propagators import power_method
 from odak.learn.wave.propagators import propagator as propagator_type
 from odak.learn.wave.slm import TURN, even_levels
 from odak.learn.wave.training import Options, check_brightness, cosine, fingerprint, generator_from, linear, minimise
+from odak.wave.torch_convolution import Workspace, release_memory
 
 
 class multi_color_hologram_optimizer:

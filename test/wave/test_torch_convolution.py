@@ -9,9 +9,10 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import torch
 
-from odak.learn.wave import convolution, propagate_beam
-from odak.learn.wave.convolution import Workspace
-from odak.wave.transfer_functions import convolve_plainly
+from odak._array import convolve_plainly
+from odak.learn.wave import propagate_beam
+from odak.wave import torch_convolution as convolution
+from odak.wave.torch_convolution import Workspace
 
 
 @pytest.fixture

@@ -17,9 +17,12 @@ import torch
 from torch import fft
 
 from odak import _array, _torch_private
-from odak.learn._threads import each
-from odak.wave.transfer_functions import BLOCKED_FROM, convolve_plainly
+from odak._array import convolve_plainly
+from odak._threads import each
 
+# From this many samples on, a spectrum is computed in blocks. Smaller ones stay in the cache, where one call for all
+# lines of an axis is quicker.
+BLOCKED_FROM = 1 << 20
 # What a thread takes at once: it stays in the cache, and the system's allocator gives its memory out again without
 # returning it first. Columns are copied in pieces of the block's width, which must not be less than some cache lines.
 _BLOCK_BYTES = 3 << 19
