@@ -637,7 +637,7 @@ class Received(NamedTuple):
         """
         rows, columns = _validate.size("pixels", pixels)
         width, height = _validate.pair("size", size, positive=True)
-        return _binned(self.point[:, 0] / width, self.point[:, 1] / height, self.power, rows, columns) / (
+        return binned(self.point[:, 0] / width, self.point[:, 1] / height, self.power, rows, columns) / (
             width * height / (rows * columns)
         )
 
@@ -655,7 +655,7 @@ class Received(NamedTuple):
         reach = _validate.constant("reach", reach, positive=True)
         if reach > 1:
             raise ValueError(f"reach must be at most 1, got {reach:g}")
-        found = _binned(
+        found = binned(
             self.direction[:, 0] / (2 * reach), self.direction[:, 1] / (2 * reach), self.power, rows, columns
         )
         v, u = (((torch.arange(n, device=found.device) + 0.5) / n - 0.5) * 2 * reach for n in (rows, columns))
@@ -663,7 +663,7 @@ class Received(NamedTuple):
         return found * cosine / (4 * reach * reach / (rows * columns))
 
 
-def _binned(x, y, power, rows: int, columns: int) -> torch.Tensor:
+def binned(x, y, power, rows: int, columns: int) -> torch.Tensor:
     """Return the power in pixels of places within ±½, shared out bilinearly."""
     inside = (x.abs() <= 0.5) & (y.abs() <= 0.5)
     total = power.new_zeros(rows * columns)

@@ -83,7 +83,10 @@ from .paraxial import first_order as first_order
 from .paraxial import ghost_system as ghost_system
 from .paraxial import paraxial_rays as paraxial_rays
 from .paraxial import seidel_sums as seidel_sums
+from .polarisation import Ghost as Ghost
+from .polarisation import Ghosts as Ghosts
 from .polarisation import PolarizedRays as PolarizedRays
+from .polarisation import ghosts as ghosts
 from .polarisation import polarized_point_spread_function as polarized_point_spread_function
 from .polarisation import polarized_trace as polarized_trace
 from .pupils import PupilQuadrature as PupilQuadrature

@@ -7,6 +7,8 @@ import torch
 
 from odak import _show, _validate
 from odak.catalog.materials import Material, absorption_coefficient
+from odak.learn.raytracing.nonsequential import binned
+from odak.learn.raytracing.system.paraxial import first_order, ghost_system
 from odak.learn.raytracing.system.pupils import launch
 from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
 from odak.learn.raytracing.system.surfaces import Coating, Prescription, checked_prescription, checked_system, layout_of
@@ -260,6 +262,188 @@ def _rotation_between(k, out, reflects: bool):
     both = k + out
     mirrored = both[..., :, None] * both[..., None, :] / (1 + (k * out).sum(-1))[..., None, None]
     return one - mirrored + 2 * out[..., :, None] * k[..., None, :]
+
+
+class Ghost(NamedTuple):
+    """Light that is reflected at one surface, back at an earlier one, and arrives at the image.
+
+    Attributes
+    ----------
+    first : int
+        Number of the surface at which it is reflected forwards again.
+    second : int
+        Number of the later surface, at which it is reflected backwards before.
+    power : torch.Tensor
+        Fraction of the light through the entrance pupil that arrives in this way, ``[fields]``.
+    focus : torch.Tensor
+        Distance of its paraxial focus behind the image plane, negative in front.
+    radius : torch.Tensor
+        Root mean square distance of its power in the image plane from the centroid, ``[fields]``.
+    x : torch.Tensor
+        Points of its rays in the image plane, ``[fields, rays]``.
+    y : torch.Tensor
+        The same along y.
+    share : torch.Tensor
+        Fraction of the light that each ray brings, ``[fields, rays]``; 0 for rays that are lost.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import ghosts, load_system
+    >>> brightest = ghosts(load_system("singlet"), samples=5).paths[0]
+    >>> brightest.first, brightest.second
+    (0, 1)
+    """
+
+    first: int
+    second: int
+    power: torch.Tensor
+    focus: torch.Tensor
+    radius: torch.Tensor
+    x: torch.Tensor
+    y: torch.Tensor
+    share: torch.Tensor
+
+
+class Ghosts(NamedTuple):
+    """The ghosts of a system.
+
+    Attributes
+    ----------
+    paths : tuple of Ghost
+        The brightest first.
+    direct : torch.Tensor
+        Fraction of the light through the entrance pupil that makes the image, ``[fields]``.
+
+    Examples
+    --------
+    Two uncoated surfaces of reflectance R send R²(1 − R)² of the light to their ghost:
+
+    >>> from odak.learn.raytracing.system import ghosts, optical_system, surface
+    >>> lens = optical_system([surface(60.0, thickness=4.0, material=1.5), surface(-60.0, thickness=58.0)], 1.0)
+    >>> found = ghosts(lens, samples=5)
+    >>> round(float(found.paths[0].power / (0.04**2 * 0.96**2)), 4)
+    1.0
+    """
+
+    paths: tuple[Ghost, ...]
+    direct: torch.Tensor
+
+    @property
+    def ratio(self) -> torch.Tensor:
+        """Power of all ghosts over that of the image, both in the whole image plane, ``[fields]``."""
+        return sum((ghost.power for ghost in self.paths), torch.zeros_like(self.direct)) / self.direct
+
+    def irradiance(self, size: Any, pixels: Any = (64, 64), field: int = 0) -> torch.Tensor:
+        """Return the power of all ghosts on each unit of area of the image, ``[rows, columns]``, y and x ascending.
+
+        Parameters
+        ----------
+        size : float or pair of float
+            Sides along x and y of the map, which is centred on the axis.
+        pixels : pair of int
+            Number of rows and columns.
+        field : int
+            Number of the field point.
+
+        Notes
+        -----
+        The light through the entrance pupil has a power of 1. Take more `samples` than pixels across a ghost.
+        """
+        rows, columns = _validate.size("pixels", pixels)
+        width, height = _validate.pair("size", size, positive=True)
+        field = _validate.place_in("field", field, len(self.direct))
+        total = self.direct.new_zeros(rows, columns)
+        for ghost in self.paths:
+            total = total + binned(ghost.x[field] / width, ghost.y[field] / height, ghost.share[field], rows, columns)
+        return total / (width * height / (rows * columns))
+
+
+def ghosts(
+    system: Any,
+    samples: int = 15,
+    *,
+    fields: Any = None,
+    wavelength: float | None = None,
+    least: float = 1e-9,
+) -> Ghosts:
+    """Return all ghosts of two reflections in a system, with their power and place.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system, of refracting surfaces without coordinate breaks, phases and gradients. Surfaces without a coating
+        are bare. Apertures and semi-diameters that it states block rays; others do not.
+    samples : int, default: 15
+        Rays across the pupil.
+    fields : sequence of pairs or torch.Tensor, optional
+        Field points (x, y), or ``[F, 2]``, in place of the system's.
+    wavelength : float, optional
+        In the system's unit; by default its reference wavelength.
+    least : float, default: 1e-9
+        Ghosts whose ray through the middle of the pupil brings less than this fraction of the light, on the first
+        field, are left out.
+
+    Returns
+    -------
+    Ghosts
+        The brightest first.
+
+    Raises
+    ------
+    ValueError
+        If the system cannot be traced backwards.
+
+    Notes
+    -----
+    Of n surfaces there are n(n − 1)/2 ghosts of two reflections; each is the sequence of :func:`ghost_system`, traced
+    by :func:`polarized_trace`. Ghosts of four reflections are weaker by a reflectance squared. Light that is reflected
+    by the image plane itself, by a sensor, is not among them.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import ghosts, load_system
+    >>> found = ghosts(load_system("cooke_triplet"), samples=5, fields=[0.0])
+    >>> len(found.paths)
+    15
+    """
+    checked_system(system)
+    samples = _validate.integer("samples", samples, minimum=2)
+    least = _validate.constant("least", least, least=0)
+    if wavelength is None:
+        wavelength = system.wavelengths[system.reference]
+    wavelength = _validate.constant("wavelength", wavelength, positive=True)
+    count, device = len(system.surfaces), system.surfaces[0].thickness.device
+    found = []
+    for second in range(1, count):
+        for first in range(second):
+            way = ghost_system(system, first, second).to(device)
+            numbers = way.prescription([wavelength])
+            # One ray tells whether there is anything to see.
+            middle = launch(
+                way, torch.zeros(1, 2, dtype=torch.float64, device=device), fields=fields, prescription=numbers
+            )
+            if float(polarized_trace(way, middle, prescription=numbers).transmittance.flatten()[0]) <= least:
+                continue
+            found.append(_ghost(first, second, way, samples, fields, numbers))
+    numbers = system.prescription([wavelength])
+    rays = launch(system, "grid", samples, fields=fields, prescription=numbers)
+    direct = polarized_trace(system, rays, prescription=numbers).transmittance[0].mean(-1)
+    return Ghosts(tuple(sorted(found, key=lambda ghost: -float(ghost.power.mean()))), direct)
+
+
+def _ghost(first: int, second: int, way, samples: int, fields, numbers) -> Ghost:
+    traced = polarized_trace(
+        way, launch(way, "grid", samples, fields=fields, prescription=numbers), prescription=numbers
+    )
+    share = traced.transmittance[0]
+    arrived = traced.traced.arrived[0]
+    x, y = (torch.where(arrived, value[0], 0.0) for value in (traced.traced.x, traced.traced.y))
+    share = share / share.shape[-1]
+    power = share.sum(-1)
+    weight = share / torch.where(power > 0, power, 1.0)[:, None]
+    squared = sum((weight * (v - (weight * v).sum(-1, keepdim=True)) ** 2).sum(-1) for v in (x, y))
+    focus = first_order(way, prescription=numbers).image_distance - way.surfaces[-1].thickness
+    return Ghost(first, second, power, focus, torch.as_tensor(squared).sqrt(), x, y, share)
 
 
 def _jones_vector(values) -> tuple[complex, complex]:

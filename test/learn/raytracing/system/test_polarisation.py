@@ -3,15 +3,18 @@
 import cmath
 import math
 
+import numpy as np
 import pytest
 import torch
 
 from odak.catalog import internal_transmittance
 from odak.jones import thin_film_stack
+from odak.learn.raytracing import Conic, Element, Interface, Light, Plane, Scene
 from odak.learn.raytracing.system import (
     Rays,
     coordinate_break,
     ghost_system,
+    ghosts,
     launch,
     load_system,
     optical_system,
@@ -204,6 +207,47 @@ def test_ghosts_are_as_bright_as_two_reflections():
     found = polarized_trace(ghost, launch(ghost, "rings", 1))
     r = float(thin_film_stack(WAVELENGTH, (1.0, 1.38, GLASS), [100e-6]).reflectance)
     assert abs(float(found.transmittance[0, 0, 0]) / (r**2 * (1 - r) ** 2) - 1) < 1e-10
+
+
+def test_a_singlet_has_one_ghost_of_known_power_and_focus():
+    """Power R²(1 − R)² on the axis; the focus by matrices of first order (Gerrard and Burch, 1975)."""
+    n, t, r1, r2, back = 1.6, 5.0, 60.0, -90.0, 40.0
+    lens = optical_system([surface(r1, thickness=t, material=n), surface(r2, thickness=back)], 0.02, fields=[0.0, 3.0])
+    (ghost,) = ghosts(lens, samples=5).paths
+    reflectance = ((n - 1) / (n + 1)) ** 2
+    assert float(ghost.power[0]) == pytest.approx(reflectance**2 * (1 - reflectance) ** 2, rel=1e-6)
+    # Heights and angles, unfolded: (y, angle) through refraction, two mirrors within the glass, and refraction.
+    move = np.array([[1, t], [0, 1]])
+    enter = np.array([[1, 0], [(1 - n) / (r1 * n), 1 / n]])
+    far, near = (np.array([[1, 0], [2 / r, 1]]) for r in (r2, -r1))
+    leave = np.array([[1, 0], [(n - 1) / r2, n]])
+    y, angle = leave @ move @ near @ move @ far @ move @ enter @ np.array([1.0, 0.0])
+    assert float(ghost.focus) == pytest.approx(-y / angle - back, rel=1e-9)
+    # A spot of a disc of uniform light, far from focus: RMS radius over the edge's is 1/√2.
+    edge = 0.01 * abs(y + angle * back)
+    assert float(ghost.radius[0]) == pytest.approx(edge / 2**0.5, rel=0.2)
+
+
+def test_ghosts_agree_with_light_that_finds_its_own_way():
+    """The same lens as a scene: what arrives beside the image is the ghost, and of four reflections R² times that."""
+    n = 1.6
+    lens = optical_system([surface(60.0, thickness=5.0, material=n), surface(-90.0, thickness=55.0)], 8.0)
+    found = ghosts(lens, samples=21)
+    rays = launch(lens, "grid", 21).to_tensor().reshape(-1, 2, 3)
+    rays = torch.stack((rays[:, 0] - rays[:, 1], rays[:, 1]), 1)
+    parts = [
+        Element(Conic(1 / 60.0), (1.0, n), aperture=15.0),
+        Element(Conic(-1 / 90.0), (n, 1.0), center=(0, 0, 5), aperture=15.0),
+        Element(Plane(), interface=Interface(0, 0), center=(0, 0, 60), detects=True, name="image"),
+    ]
+    light = Light(rays, torch.full((len(rays),), 1 / len(rays), dtype=torch.float64))
+    held = Scene(parts).trace(light, lens.wavelengths[0], split=True, threshold=1e-9).received["image"]
+    order = (held.power * len(rays)).log10()
+    assert float(held.power[order > -1].sum()) == pytest.approx(float(found.direct[0]), rel=1e-6)
+    weak = (order < -1) & (order > -4)
+    assert float(held.power[weak].sum()) == pytest.approx(float(found.paths[0].power[0]), rel=1e-4)
+    scene_map = held._replace(power=torch.where(weak, held.power, 0.0)).irradiance((30.0, 30.0), (9, 9))
+    assert torch.allclose(scene_map, found.irradiance((30.0, 30.0), (9, 9)), rtol=1e-3, atol=1e-12)
 
 
 def test_polarised_images_of_points():

@@ -1,0 +1,37 @@
+"""Ghosts of a triplet
+
+Fifteen pairs of uncoated surfaces reflect light twice on its way to the image. The maps show where the light of a lamp
+goes besides its image, on the axis and off it; the bright spot is a ghost that is nearly in focus.
+"""
+
+import matplotlib.pyplot as plt
+
+from odak.learn.raytracing.system import ghosts, load_system
+
+lens = load_system("cooke_triplet")
+angles = (0.0, 7.0, 14.0)
+found = ghosts(lens, 81, fields=[(0.0, angle) for angle in angles])
+brightest = found.paths[0]
+print(
+    f"{len(found.paths)} ghosts bring {100 * float(found.ratio[0]):.1f} % "
+    f"of the light of the image; the brightest one, between surfaces "
+    f"{brightest.first} and {brightest.second}, {1e6 * float(brightest.power[0]):.0f} ppm"
+)
+
+# %%
+figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained", sharey=True)
+for place, (axis, angle) in enumerate(zip(axes, angles)):
+    seen = 1e6 * found.irradiance((60.0, 60.0), (54, 54), place)
+    shown = axis.imshow(
+        seen.numpy(),
+        extent=(-30, 30, -30, 30),
+        origin="lower",
+        cmap="magma",
+        vmin=0,
+        vmax=20,
+    )
+    axis.set(title=f"{angle:g}°", xlabel="x (mm)")
+axes[0].set_ylabel("y (mm)")
+figure.colorbar(shown, label="ppm of the light on each mm²")
+# Picture: Irradiance of the ghosts in the image plane of a triplet for three directions of light
+plt.show()
