@@ -15,7 +15,8 @@ brightest = found.paths[0]
 print(
     f"{len(found.paths)} ghosts bring {100 * float(found.ratio[0]):.1f} % "
     f"of the light of the image; the brightest one, between surfaces "
-    f"{brightest.first} and {brightest.second}, {1e6 * float(brightest.power[0]):.0f} ppm"
+    f"{brightest.first} and {brightest.second}, "
+    f"{1e6 * float(brightest.power[0]):.0f} ppm"
 )
 
 # %%

@@ -269,8 +269,8 @@ class Interface:
     ----------
     reflectance : float, torch.Tensor or mapping, optional
         Fraction of the power that is reflected, together with `transmittance`; the rest is absorbed. With a `phase`, a
-        mapping from the diffraction order to its efficiency: a number, or a function of the directions ``[m, 3]`` in
-        the element's frame that returns ``[m]``. The share of an order that does not propagate is absorbed.
+        mapping from the diffraction order to its efficiency: a number, or a function of the points and the directions of
+        the incident light, ``[m, 3]`` each in the element's frame, that returns ``[m]``. The share of an order that does not propagate is absorbed.
     transmittance : float, torch.Tensor or mapping, optional
         Fraction that is transmitted. (1, 0) is a mirror, (0, 0) a black surface. Where light is totally reflected, this
         share is reflected too.
@@ -1034,7 +1034,7 @@ class _Walk:
                     phase = replace(interface.phase, order=order)  # type: ignore[call-arg]
                     wave = self.wavelength.to(cosine)
                     out, through, _ = phase.deflect(place, way, normal, n1, behind, wave, reflects)
-                    value = share(torch.stack(way, -1)) if callable(share) else share
+                    value = share(torch.stack(place, -1), torch.stack(way, -1)) if callable(share) else share
                     out = tuple(torch.where(through, o, v) for o, v in zip(out, way, strict=True))
                     found.append((out, torch.where(through, value * power, 0.0)))
             return found

@@ -22,7 +22,7 @@ from odak.learn.raytracing import (
 )
 from odak.learn.raytracing.system import Coating
 from odak.raytracing.apertures import CircularAperture, RectangularAperture
-from odak.raytracing.interfaces import LinearGrating, fresnel, fresnel_shares
+from odak.raytracing.interfaces import HologramPhase, LinearGrating, fresnel, fresnel_shares
 
 WAVE = 550e-6
 BLACK, MIRROR = Interface(0, 0), Interface(1, 0)
@@ -289,7 +289,7 @@ def test_harveys_model_is_abg_with_a_square():
 
 def test_a_grating_divides_light_among_its_orders():
     lines, index, angle = 900.0, 1.6, 10.0
-    efficiencies = {0: 0.3, 1: 0.4, -1: lambda way: 0.1 * way[:, 2]}
+    efficiencies = {0: 0.3, 1: 0.4, -1: lambda place, way: 0.1 * way[:, 2] + place[:, 2]}
     # The first reflected order of 2000 lines does not exist at this angle: its share is absorbed.
     grating = Interface({0: 0.05}, efficiencies, phase=LinearGrating(0.0, lines))
     light = light_source("collimated", 3, center=(0, 0, -1), angles=(-angle, 0, 0))
@@ -302,6 +302,76 @@ def test_a_grating_divides_light_among_its_orders():
     shares = held.power.reshape(3, 3).sum(1).tolist()
     assert shares == pytest.approx([0.3, 0.4, 0.1 * math.cos(math.radians(angle))], abs=1e-12)
     assert abs(balance(found)) < 1e-12
+
+
+LINES, INDEX, THICKNESS = 1 / 400e-6, 1.8, 0.8
+
+
+def expander(coupling, length=30.0):
+    """A plate with an in-coupler at y = 0 and an out-coupler of the same lines behind it, and the eye's plane."""
+    lines = LinearGrating(0.0, LINES)
+    inner = RectangularAperture(half_width=1.0, half_height=0.5)
+    outer = RectangularAperture(center=(0.0, 0.5 + length / 2), half_width=9.0, half_height=length / 2)
+    back = lambda place, way: 1 - coupling(place)  # noqa: E731
+    out = lambda place, way: coupling(place)  # noqa: E731
+    edge = RectangularAperture(half_width=9.0, half_height=THICKNESS)
+    end = {"center": (0, 0.5 + length, THICKNESS / 2), "angles": (-90, 0, 0), "aperture": edge}
+    return Scene(
+        [
+            Element(Plane(), interface=BLACK, name="end", **end),
+            Element(Plane(), (1.0, INDEX), Interface({}, {1: 1.0}, phase=lines), aperture=inner, name="in"),
+            Element(Plane(), (1.0, INDEX), Interface({0: back}, {-1: out}, phase=lines), aperture=outer, name="out"),
+            Element(Plane(), (INDEX, 1.0), center=(0, 0, THICKNESS), name="rear"),
+            screen(-5.0),
+        ]
+    )
+
+
+def test_an_expander_sends_light_out_as_it_came_in():
+    steep = 0.0
+    for angle in (-6.0, 0.0, 4.0):
+        light = light_source("collimated", 20, (0.4, 0.4), center=(0, 0, -1e-3), angles=(-angle, 5.0, 0.0))
+        found = expander(lambda place: 0.1 + 0 * place[:, 0]).trace(light, WAVE, split=True, threshold=1e-4, paths=True)
+        held = found.received["screen"]
+        assert len(held.power) > 100
+        way = light.rays[0, 1] * tensor([1.0, 1.0, -1.0])
+        assert (held.direction - way).abs().max() < 1e-12
+        # Places of exit are apart by twice the thickness times the tangent of the guided angle.
+        inside = (light.rays[0, 1, :2] + tensor([0.0, WAVE * LINES])) / INDEX
+        hop = 2 * THICKNESS * inside / (1 - inside.square().sum()).sqrt()
+        one = held.point[held.ray == 3]
+        steps = one[one[:, 1].argsort()].diff(dim=0)
+        assert (steps[:, :2] - hop).abs().max() < 1e-9
+        # Total reflections at the rear face of a ray that stays to the end: in the middle of each hop.
+        rear = (found.segments[found.segment_rays == 3][:, 1, 2] - THICKNESS).abs() < 1e-9
+        start = light.rays[3, 0, 1]
+        assert int(rear.sum()) == math.floor((30.5 - float(start)) / float(hop[1]) + 0.5)
+        assert abs(balance(found)) < 1e-12 and hop[1] > steep
+        steep = hop[1]
+
+
+def test_a_graded_out_coupler_fills_the_eye_evenly():
+    sine = WAVE * LINES / INDEX
+    hop = 2 * THICKNESS * sine / math.sqrt(1 - sine**2)
+    count = 8
+    light = light_source("collimated", 50, (0.2, 0.2), center=(0, 0, -1))
+    graded = lambda place: 1 / (count + 1 - (place[:, 1] / hop).round()).clamp(min=1.0)  # noqa: E731
+    held = expander(graded, 8 * hop).trace(light, WAVE, split=True).received["screen"]
+    shares = torch.zeros(count, dtype=torch.float64)
+    shares = shares.index_add(0, (held.point[:, 1] / hop).round().long() - 1, held.power)
+    assert shares.tolist() == pytest.approx([1 / count] * count, abs=1e-9)
+
+
+def test_a_hologram_couples_light_as_its_lines_do():
+    n, pitch = 64, 2e-3
+    ramp = 2 * math.pi * 100.0 * pitch * (torch.arange(n, dtype=torch.float64) - n // 2)
+    shares = {1: 0.8}
+    light = light_source("collimated", 20, 0.02, center=(0, 0, -1))
+    ways = []
+    for phase in (HologramPhase(ramp.expand(n, n), pitch), LinearGrating(100.0)):
+        parts = [Element(Plane(), interface=Interface({}, shares, phase=phase)), screen(2)]
+        ways.append(Scene(parts).trace(light, WAVE, split=True).received["screen"].direction)
+    assert (ways[0] - ways[1]).abs().max() < 1e-9
 
 
 def test_orders_that_do_not_propagate_are_absorbed():
