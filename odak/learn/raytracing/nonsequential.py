@@ -269,8 +269,9 @@ class Interface:
     ----------
     reflectance : float, torch.Tensor or mapping, optional
         Fraction of the power that is reflected, together with `transmittance`; the rest is absorbed. With a `phase`, a
-        mapping from the diffraction order to its efficiency: a number, or a function of the points and the directions of
-        the incident light, ``[m, 3]`` each in the element's frame, that returns ``[m]``. The share of an order that does not propagate is absorbed.
+        mapping from the diffraction order to its efficiency: a number, or a function of the points and the directions
+        of the incident light, ``[m, 3]`` each in the element's frame, that returns ``[m]``. The share of an order that
+        does not propagate is absorbed.
     transmittance : float, torch.Tensor or mapping, optional
         Fraction that is transmitted. (1, 0) is a mirror, (0, 0) a black surface. Where light is totally reflected, this
         share is reflected too.
