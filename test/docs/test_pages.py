@@ -30,6 +30,7 @@ SLOW = {
     "guides/propagate_light.md",
     "guides/real_displays.md",
     "guides/see_results.md",
+    "guides/stray_light.md",
     "guides/the_eye.md",
     "guides/toolkit.md",
     "guides/windows_and_partial_coherence.md",
