@@ -248,10 +248,11 @@ def _channel(job: Job, target: Target, channel: int, paths: list[Path], device: 
     phases = torch.stack([files.load_pattern(path, job.bits, response) for path in paths])
     saved = light * wave.generate_complex_field(1.0, phases.to(device) - grating).to(ideal.dtype)
     ideal = light * wave.generate_complex_field(1.0, wave.calculate_phase(ideal)).to(ideal.dtype)
-    unquantised, image, other = (
-        _intensity_at(job, field, wavelength, job.distance, method, fill).mean(0)
-        for field, fill in ((ideal, job.fill_factor), (saved, job.fill_factor), (saved, _other_fill(job)))
-    )
+    # As computed and as saved, frame beside frame.
+    both = torch.stack([ideal, saved], 1).flatten(0, 1)
+    lights = _intensity_at(job, both, wavelength, job.distance, method, job.fill_factor)
+    unquantised, image = lights[::2].mean(0), lights[1::2].mean(0)
+    other = _intensity_at(job, saved, wavelength, job.distance, method, _other_fill(job)).mean(0)
     numbers, wanted = report.measure(intensity, target.window, image, unquantised), intensity[target.window]
     shown = [holograms.best_scale(light, wanted) * light for light in (image[target.window], other[target.window])]
     return {
@@ -338,10 +339,10 @@ def _intensity_at(
         fields = zero_pad(fields)
     aperture = half_band(fields.shape, fields.device) if job.method == "double-phase" else 1.0
     lights = []
-    # Frame by frame, for the memory that a full-size field takes.
-    for field in fields:
+    # Two at a time: what they share, the transfer function, takes as long as both, and more would take more memory.
+    for pair in fields.split(2):
         shown = wave.propagate_beam(
-            field,
+            pair,
             None,
             distance,
             job.pixel_pitch,
@@ -350,7 +351,9 @@ def _intensity_at(
             zero_padding=[True, False, True],
             aperture=aperture,
         )
-        lights.append(wave.intensity(shown) if fill is None else _mean_over_areas(shown, job.resolution, fill))
+        lights += [
+            wave.intensity(field) if fill is None else _mean_over_areas(field, job.resolution, fill) for field in shown
+        ]
     return torch.stack(lights)
 
 
