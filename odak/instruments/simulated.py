@@ -1,5 +1,7 @@
 """Simulated optical table whose faults are drawn by a seed: modulator, camera, laser and stage with the protocols."""
 
+import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,15 +14,18 @@ from odak import _show, _validate
 from odak.instruments.drivers import checked_levels
 from odak.instruments.mapping import plane_points
 from odak.tools.zernike import zernike_polynomial
-from odak.wave import propagate_beam
+from odak.wave.linear_kernels import orders_reaching, pixels_spectrum, taper
 
 __all__ = ["SimulatedTable", "Truth"]
 
 # Zernike polynomials (n, m) of the hidden aberration, without piston, tilt and defocus.
 ABERRATIONS = ((2, -2), (2, 2), (3, -3), (3, -1), (3, 1), (3, 3), (4, 0))
 FULL_WELL = 20_000.0
-# Samples of the simulated intensity along a pixel of the modulator, where its field has one.
+# Samples of the simulated intensity along a pixel of the modulator, at least, and parts of a pixel along each side
+# where fringing fields vary its phase.
 FINER = 3
+# Diffraction orders along each axis that are simulated, at most.
+ORDERS = 3
 # Periods of the flicker per second.
 FLICKER_RATE = 360.0
 # Typical errors of a laboratory table, for SimulatedTable.realistic.
@@ -29,7 +34,6 @@ REALISTIC: dict[str, Any] = {
     "flicker": 0.01,
     "fringing": 0.3,
     "fill_factor": 0.92,
-    "samples_per_pixel": 2,
     "iris": 1.0,
     "dust": 3,
 }
@@ -133,8 +137,10 @@ class SimulatedTable:
         Standard deviation in pixels of the Gaussian by which fringing fields smooth the phase.
     fill_factor : float
         Share of the area of a pixel that modulates; the gaps reflect with phase 0.
-    samples_per_pixel : int
-        Samples of the field along each side of a pixel; with more than one, gaps and higher orders are simulated.
+    samples_per_pixel : int, optional
+        None, the default, for pixels that are squares: their light falls off with the angle as that of a square, gaps
+        send light of their own, and up to three orders of diffraction along each axis reach the camera. A number makes
+        each pixel a set of points, that many along each side, as earlier versions did by default with one.
     iris : float, optional
         Radius of a round iris in the Fourier plane of a relay, in units of 1/(2·pitch); none by default.
     dust : int
@@ -193,7 +199,7 @@ class SimulatedTable:
         flicker: float = 0.0,
         fringing: float = 0.0,
         fill_factor: float = 1.0,
-        samples_per_pixel: int = 1,
+        samples_per_pixel: int | None = None,
         iris: float | None = None,
         dust: int = 0,
         time_constant: float = 0.0,
@@ -264,8 +270,12 @@ class SimulatedTable:
         )
         if self.truth.fill_factor > 1:
             raise ValueError(f"fill_factor must be at most 1, got {fill_factor!r}")
-        self._samples = _validate.integer("samples_per_pixel", samples_per_pixel, minimum=1)
+        self._samples = None
+        if samples_per_pixel is not None:
+            self._samples = _validate.integer("samples_per_pixel", samples_per_pixel, minimum=1)
         self._iris = None if iris is None else float(_validate.number("iris", iris, positive=True))
+        # Transfer function of the last distance and wavelength.
+        self._transfer: tuple[Any, np.ndarray] = (None, np.zeros(0))
         self.clock = 0.0
         self._levels = np.zeros((rows, columns), dtype=np.uint8)
         self._before, self._shown = np.zeros((rows, columns)), -np.inf
@@ -320,64 +330,83 @@ class SimulatedTable:
         tuple of numpy.ndarray and float
             Intensity ``[rows, columns]``, the sample at index n // 2 on the axis, and pitch in metres.
         """
-        truth, s = self.truth, self._samples
+        truth = self.truth
+        s = self._samples or (FINER if truth.fringing else 1)
         scale = self.wavelength / self.laser.wavelength
         finely = np.ones((s, s))
-        amplitude, wavefront = np.kron(truth.amplitude, finely), np.kron(truth.wavefront, finely)
         phase = np.kron(self.phase(after) * (1 + flicker), finely)
         if truth.fringing:
             phase = gaussian_filter(phase, truth.fringing * s, mode="nearest")
-        field = np.exp(1j * scale * phase)
-        if truth.fill_factor < 1:
-            edges = np.clip(np.arange(s + 1) - s / 2, *(np.array([-0.5, 0.5]) * s * np.sqrt(truth.fill_factor)))
-            line = np.tile(np.diff(edges), field.shape[0] // s)
-            active = line[:, None] * np.tile(np.diff(edges), field.shape[1] // s)
-            field = active * field + (1 - active)
+        # Light that is not modulated, of the gaps and the cover glass, and what the phase adds to it.
+        incident = truth.amplitude * np.exp(1j * scale * truth.wavefront)
+        still = incident + truth.amplitude * truth.reflection
+        modulated = np.kron(incident, finely) * (np.exp(1j * scale * phase) - 1)
         axis = np.radians(self.polariser.angle - truth.polarisation)
-        light, pitch = self._travelled(amplitude * (np.exp(1j * scale * wavefront) * field + truth.reflection))
+        light, pitch = self._travelled(modulated, still)
         if truth.polarisation or self.polariser.angle:
-            still, _ = self._travelled(amplitude * (np.exp(1j * scale * wavefront) + truth.reflection))
-            light = np.cos(axis) ** 2 * light + np.sin(axis) ** 2 * still
+            light = np.cos(axis) ** 2 * light + np.sin(axis) ** 2 * self._travelled(0 * modulated, still)[0]
         return self.laser.power * light, pitch
 
-    def _travelled(self, field: np.ndarray) -> tuple[np.ndarray, float]:
-        """Return the intensity of a field of the modulator in the plane of the camera, and the pitch of its samples."""
-        s, pitch = self._samples, self._pitch / self._samples
-        rows, columns = field.shape
+    def _travelled(self, modulated: np.ndarray, still: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the intensity in the plane of the camera, and the pitch of its samples.
+
+        The field of the modulator is that of the light that is not modulated, and that of modulated parts of pixels.
+        """
+        s, fill = self._samples or 1, self.truth.fill_factor
+        pitch, shape = self._pitch / s, [n * s for n in still.shape]
         distance, wavelength = self.truth.distance + self.stage.position, self.laser.wavelength
-        # Light that leaves the grid wraps around to the opposite side, but does not reach the field of the camera.
-        sine = min(s, self._iris or s) * wavelength / (2 * self._pitch)
-        spread = abs(distance) * np.tan(np.arcsin(min(sine, 0.9)))
         corners = np.array([[u, v] for u in (0, self.camera.shape[1]) for v in (0, self.camera.shape[0])], float)
         seen = np.abs(self.truth.plane_points(corners, self.camera.shape)).max(0)[::-1]
-        width = [
-            max(n * pitch / 2 + spread + far, 2 * spread) / pitch for n, far in zip(field.shape, seen, strict=True)
-        ]
-        wide = [2 * fft.next_fast_len(int(max(w, n) / 2) + 8 * s) for w, n in zip(width, field.shape, strict=True)]
-        padded = np.zeros(wide, dtype=complex)
-        # The axis passes through the middle of pixel n // 2, which lies between two samples where s is even.
-        first = [n // 2 - (m // s // 2) * s - s // 2 for n, m in zip(wide, (rows, columns), strict=True)]
-        padded[first[0] : first[0] + rows, first[1] : first[1] + columns] = field
-        there = propagate_beam(
-            *(padded, None, distance, pitch, wavelength, "Angular Spectrum"), zero_padding=[False] * 3
-        )
-        # An intensity has twice the bandwidth of its field, and splines need some more samples.
-        finer = FINER if s == 1 else 2
-        spectrum = fft.fftshift(fft.fft2(fft.ifftshift(there).astype(np.complex64)))
-        fy, fx = (fft.fftshift(fft.fftfreq(n, pitch)) for n in wide)
-        if s % 2 == 0:
-            spectrum = spectrum * np.exp(-1j * np.pi * pitch * (fy[:, None] + fx))
-        if self._iris is not None:
-            spectrum = spectrum * (np.hypot(fy[:, None], fx) <= self._iris / (2 * self._pitch))
+        band = (1.0 * s, 1.0 * s)
+        if self._samples is None:
+            farthest = max(n * pitch / 2 + far for n, far in zip(shape, seen, strict=True))
+            band = orders_reaching(farthest, distance, pitch, wavelength, min(self._iris or ORDERS, ORDERS))
+        orders = 1 if self._samples else math.ceil(band[1])
+        # Light that leaves the grid wraps around to the opposite side, but does not reach the field of the camera.
+        sine = min(band[1], self._iris or math.inf) * wavelength / (2 * self._pitch)
+        spread = abs(distance) * np.tan(np.arcsin(min(sine, 0.9)))
+        width = [max(n * pitch / 2 + spread + far, 2 * spread) / pitch for n, far in zip(shape, seen, strict=True)]
+        wide = [2 * fft.next_fast_len(int(max(w, n) / 2) + 8 * s) for w, n in zip(width, shape, strict=True)]
+        if self._samples is None:
+            spectrum = pixels_spectrum(still.astype(np.complex64), wide, orders)
+            cells = modulated.shape[0] // still.shape[0]
+            spectrum += pixels_spectrum(modulated.astype(np.complex64), wide, orders, fill, cells)
+        else:
+            edges = np.clip(np.arange(s + 1) - s / 2, *(np.array([-0.5, 0.5]) * s * np.sqrt(fill)))
+            down, across = (np.tile(np.diff(edges), n) for n in still.shape)
+            field = np.kron(still, np.ones((s, s))) + np.outer(down, across) * modulated
+            spectrum = fft.fft2(field.astype(np.complex64), wide)
+        # The axis passes through the middle of pixel n // 2, and is brought to the middle of the grid.
+        middle = [n // 2 * s + (s - 1) / 2 - m // 2 for n, m in zip(still.shape, wide, strict=True)]
+        spectrum *= self._transferred(spectrum.shape, pitch, orders, band, distance, middle)
+        # An intensity has twice the bandwidth of its field, and splines need some more samples; of several orders, the
+        # highest frequencies are weak.
+        finer = max(FINER, math.ceil(1.5 * band[1])) if s == 1 else 2
         wider = np.zeros([finer * n for n in wide], dtype=np.complex64)
-        first = [(finer * n - n) // 2 for n in wide]
-        wider[first[0] : first[0] + wide[0], first[1] : first[1] + wide[1]] = spectrum
-        field = finer**2 * fft.fftshift(fft.ifft2(fft.ifftshift(wider)))
-        light, pitch = field.real**2 + field.imag**2, pitch / finer
+        halves = [(slice(0, n // 2), slice(-(n // 2), None)) for n in spectrum.shape]
+        for part in itertools.product(*halves):
+            wider[part] = spectrum[part]
+        field = fft.ifft2(wider, overwrite_x=True)
+        light, pitch = (field.real**2 + field.imag**2) * finer**4, pitch / finer
         # A pixel of the camera averages over its area.
         frequencies = fft.fftfreq(light.shape[0], pitch)[:, None], fft.rfftfreq(light.shape[1], pitch)[None]
         response = np.prod(np.broadcast_arrays(*(np.sinc(f * self.camera.pitch) for f in frequencies)), axis=0)
         return fft.irfft2(fft.rfft2(light) * response.astype(np.float32), s=light.shape), pitch
+
+    def _transferred(self, shape, pitch, orders, band, distance, middle) -> np.ndarray:
+        """Return the transfer function to the camera of a band of orders, which brings a place in samples to 0."""
+        key = (shape, orders, distance, self.laser.wavelength)
+        if self._transfer[0] != key:
+            fy, fx = (fft.fftfreq(n, pitch / orders) for n in shape)
+            axial = 1 / self.laser.wavelength**2 - fy[:, None] ** 2 - fx**2
+            cycles = distance * (np.sqrt(np.clip(axial, 0, None)) - 1 / self.laser.wavelength)
+            cycles += pitch * (fy[:, None] * middle[0] + fx * middle[1])
+            down, across = (taper(2 * self._pitch * abs(f), band) for f in (fy, fx))
+            passes = (axial > 0) * down[:, None] * across
+            if self._iris is not None:
+                passes *= np.hypot(fy[:, None], fx) <= self._iris / (2 * self._pitch)
+            self._transfer = key, (passes * np.exp(2j * np.pi * cycles)).astype(np.complex64)
+        return self._transfer[1]
 
 
 class SimulatedModulator:

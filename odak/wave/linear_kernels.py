@@ -21,6 +21,8 @@ from odak.wave.transfer_functions import Grid, alias_free_weight
 TOLERANCE = 1e-4
 # Samples computed at a time, of 4 MB in double precision: larger parts take more memory and no less time.
 _SLAB = 1 << 18
+# Widths of diffraction beside the geometric shadow at which a taper ends.
+_TAPER = 2.0
 
 
 @dataclass(frozen=True)
@@ -160,6 +162,83 @@ def pixel_aperture(field, pixel_fill: float):
         for n in field.shape[-2:]
     )
     return down[:, None] * across[None, :]
+
+
+def orders_reaching(
+    farthest: float, distance: float, pitch: float, wavelength: float, most: float
+) -> tuple[float, float]:
+    """Return how many diffraction orders along an axis send light up to some length aside, and where a taper ends.
+
+    Light of frequency f, in cycles per metre, is deflected by the sine λ·f, and an order is as wide as 1/pitch.
+    Diffraction blurs this by some widths √(λ·distance), over which a spectrum may fall to 0: its light lies elsewhere.
+
+    Parameters
+    ----------
+    farthest : float
+        Largest distance aside between a pixel and a place that is looked at, in metres.
+    distance : float
+        Distance of the plane in metres.
+    pitch : float
+        Distance of the pixels in metres.
+    wavelength : float
+        Wavelength in metres.
+    most : float
+        The largest number that is returned.
+    """
+    blur = math.sqrt(wavelength * abs(distance))
+    start, end = (
+        2 * pitch / wavelength * aside / math.hypot(aside, distance)
+        for aside in (farthest + blur, farthest + _TAPER * blur)
+    )
+    return min(start, most), min(end, most)
+
+
+def taper(orders, band: tuple[float, float]):
+    """Return 1 below the first of two numbers of orders and 0 above the second, with half a cosine between them."""
+    xp, (start, end) = _array.namespace(orders), band
+    if end <= start:
+        return xp.astype(orders <= end, orders.dtype)
+    return 0.5 + 0.5 * xp.cos(xp.pi * xp.clip((orders - start) / (end - start), 0, 1))
+
+
+def pixels_spectrum(field, sizes, orders: int = 1, fill=1.0, cells: int = 1):
+    """Return the spectrum of a field of square pixels with its diffraction orders, the first pixel at the origin.
+
+    By the convolution theorem it is that of samples, which repeats in each order, times that of a square: exact, for
+    any number of orders, without more samples of the field (Goodman, Introduction to Fourier Optics, section 4.4).
+
+    Parameters
+    ----------
+    field : array
+        Complex field ``[..., rows, columns]`` of the inner squares that emit, or ``[..., cells·rows, cells·columns]``
+        of cells × cells equal parts of each.
+    sizes : sequence of int
+        Rows and columns of the grid in pixels, to which the field is continued by zeros.
+    orders : int
+        Number of orders along each axis.
+    fill : float or array
+        Share of the area of a pixel that emits; the field is 0 beside it.
+    cells : int
+        Number of parts along each side of a pixel.
+
+    Returns
+    -------
+    array
+        ``[..., orders·sizes[0], orders·sizes[1]]`` in the order of the transform, in units of that of samples.
+    """
+    xp, dtype, device = _array.namespace(field), _array.real_dtype(field), _array.device_of(field)
+    width = fill**0.5
+    for axis in (-1, -2):
+        cycles = width / cells * xp.fft.fftfreq(orders * sizes[axis], d=1 / orders, dtype=dtype, device=device)
+        envelope, total = _pixel_spectrum(cycles, 1.0) * (width / cells), 0
+        for k in range(cells):
+            part = xp.fft.fft(field[..., k::cells] if axis == -1 else field[..., k::cells, :], n=sizes[axis], axis=axis)
+            # The middle of part k lies k - (cells - 1)/2 parts beside the middle of the pixel.
+            wave = envelope * _array.phasor_of_cycles(cycles * ((cells - 1) / 2 - k))
+            part = xp.concat([part] * orders, axis=axis) if orders > 1 else part
+            total = total + part * (wave if axis == -1 else wave[:, None])
+        field = total
+    return field
 
 
 def checked_pixel_fill(pixel_fill: float) -> float:

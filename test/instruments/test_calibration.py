@@ -478,6 +478,17 @@ def test_focus_outside_of_the_range_warns():
     assert found == pytest.approx(table.truth.distance, rel=3e-3)
 
 
+def test_distance_of_a_simulated_table():
+    """Its pixels are squares, whose envelope shifts the sharpest focus by some hundredths of the depth of focus."""
+    table = instruments.SimulatedTable(
+        4, shape=(96, 96), camera_shape=(120, 120), distance=12e-3, aberration=0.0, reflection=0.0
+    )
+    mapping = instruments.Registration(table.truth.homography, table.truth.distortion, table.camera.shape)
+    there = (*instruments_of(table), 532e-9, 12e-3, table.truth.phases, mapping)
+    found = instruments.measure_distance(*there, samples=9, captures=8)
+    assert found == pytest.approx(table.truth.distance, rel=1e-4)
+
+
 def aligned(laboratory):
     pitch = laboratory.camera.pitch
     return instruments.Registration(np.diag([pitch, pitch, 1.0]), 0.0, laboratory.camera.shape)

@@ -32,6 +32,35 @@ def with_truth(table, **changes):
     return table
 
 
+def deflected(size, along):
+    """Return levels of a ramp of 0.375 cycles per pixel along an axis."""
+    return np.moveaxis(np.broadcast_to(96 * np.arange(size) % 256, (size, size)), -1, along)
+
+
+def shares(image, pitch, distance, along):
+    """Return the light about 0.375 and 0 cycles per pixel along an axis."""
+    middle = [(np.arange(n) - n // 2) * pitch * 8e-6 / (532e-9 * distance) for n in image.shape]
+    line = np.moveaxis(image, along, 0).sum(1)
+    return [line[abs(middle[along] - at) < 0.18].sum() for at in (0.375, 0.0)]
+
+
+@pytest.mark.parametrize("along", [0, 1])
+@pytest.mark.parametrize("fill", [1.0, 0.9])
+def test_deflected_light_has_the_envelope_of_a_square_pixel(fill, along):
+    """Goodman, section 4.4: fill·sinc(√fill·f) of the amplitude, 0.615 of the power at 0.375 cycles per pixel."""
+    table = table_of(shape=(64, 64), distance=20e-3, camera_shape=(180, 180), camera_pitch=8e-6, fill_factor=fill)
+    y, x = (np.arange(64) - 32.0 for _ in range(2))
+    table = with_truth(table, amplitude=np.exp(-(x**2 + y[:, None] ** 2) / 200))
+    found = []
+    for levels in (np.zeros((64, 64), int), deflected(64, along)):
+        table.modulator.show(levels)
+        found.append(shares(*table.intensity(), 20e-3, along))
+    wanted = fill**2 * np.sinc(np.sqrt(fill) * 0.375) ** 2
+    assert found[1][0] / found[0][1] == pytest.approx(wanted, abs=1e-3)
+    # Gaps reflect the rest straight on.
+    assert found[1][1] / found[0][1] == pytest.approx((1 - fill) ** 2, abs=1e-3)
+
+
 @pytest.mark.parametrize("samples", [1, 2, 3])
 def test_light_of_gaps_and_orders_is_that_of_a_sum_over_rays(samples):
     """Rayleigh-Sommerfeld's sum over the samples of the panel gives the intensity on the axis of the camera."""
@@ -67,7 +96,7 @@ def test_light_of_gaps_and_orders_is_that_of_a_sum_over_rays(samples):
 
 
 def test_fill_factor_of_one_sample_is_a_mixture():
-    full, part = table_of(camera_pitch=1e-9), table_of(camera_pitch=1e-9, fill_factor=0.5)
+    full, part = (table_of(camera_pitch=1e-9, fill_factor=fill, samples_per_pixel=1) for fill in (1.0, 0.5))
     for table in (full, part):
         table.modulator.show(np.full((32, 32), 128))
     # Half of the light with phase pi, half with 0: nothing is left.

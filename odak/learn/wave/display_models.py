@@ -20,6 +20,7 @@ from odak.instruments.protocols import checked_camera
 from odak.learn._tensors import tensor, trainable
 from odak.learn.wave.slm import smooth
 from odak.wave.elements import zernike_modes
+from odak.wave.linear_kernels import orders_reaching, pixels_spectrum, taper
 
 __all__ = ["DisplayFit", "display_camera", "display_hologram", "display_model", "fit_display"]
 
@@ -34,14 +35,18 @@ PRIORS = {
     "distance": 30.0,
     "fringing": 0.3,
     "fill": 0.1,
+    "gap": 0.3,
     "reflection": 0.1,
     "iris": 0.1,
     "alignment": 30.0,
     "aperture": 0.1,
     "offset": 20.0,
 }
-# Samples of the intensity along a pixel of the modulator, at least.
+# Samples of the intensity along a pixel of the modulator, at least, and parts of a pixel along each side in which
+# fringing fields vary its phase.
 FINER = 3
+# Diffraction orders along each axis that are computed, at most.
+ORDERS = 3
 
 
 class display_model(torch.nn.Module):
@@ -49,9 +54,10 @@ class display_model(torch.nn.Module):
 
     The phase of a level is that of a look-up table, times a factor that varies over the panel. Fringing fields smooth
     it, gaps between the pixels and a reflection add light, and the amplitude and the aberration of the source multiply
-    it. The light passes an iris and propagates to the camera by the angular spectrum method. Each pixel of the camera
-    averages over its area at a place that a homography and a radial distortion give. What is left may be learned by
-    maps of amplitude and phase of free form, and by a small network that adds to the image.
+    it. Pixels are squares, whose light falls off with the angle, in the orders of diffraction that reach the camera, up
+    to three along each axis. The light passes an iris and propagates to the camera by the angular spectrum method. Each
+    pixel of the camera averages over its area at a place that a homography and a radial distortion give. What is left
+    may be learned by maps of amplitude and phase of free form, and by a small network that adds to the image.
 
     All parameters are deviations from what the model starts with; :func:`fit_display` fits them to captures.
 
@@ -77,8 +83,10 @@ class display_model(torch.nn.Module):
         Aberration at the modulator in radians, ``[rows, columns]``; none by default.
     registration : odak.instruments.Registration, optional
         Mapping of the camera; by default the camera is aligned with the modulator.
-    samples_per_pixel : int
-        Samples of the field along each side of a pixel. Gaps are drawn with two or more.
+    samples_per_pixel : int, optional
+        None, the default, for pixels that are squares, with gaps that send light of their own. A number makes each
+        pixel a set of points, that many along each side, as earlier versions did by default with one; gaps are drawn
+        with two or more.
     iris : float, optional
         Radius of a round iris in the Fourier plane of a relay, in units of 1/(2·pitch), the larger pitch where they
         differ; none by default.
@@ -121,6 +129,7 @@ class display_model(torch.nn.Module):
     distance: torch.nn.Parameter
     fringing: torch.nn.Parameter
     fill: torch.nn.Parameter
+    gap: torch.nn.Parameter
     reflection: torch.nn.Parameter
     iris: torch.nn.Parameter
     alignment: torch.nn.Parameter
@@ -159,7 +168,7 @@ class display_model(torch.nn.Module):
         amplitude: Any = None,
         wavefront: Any = None,
         registration: Registration | None = None,
-        samples_per_pixel: int = 1,
+        samples_per_pixel: int | None = None,
         iris: float | None = None,
         zernike_order: int = 4,
         source_order: int = 4,
@@ -179,7 +188,11 @@ class display_model(torch.nn.Module):
         )
         self.wavelength = _validate.constant("wavelength", wavelength, positive=True)
         self.nominal_distance = _validate.constant("distance", distance, positive=True)
-        self.samples_per_pixel = s = _validate.integer("samples_per_pixel", samples_per_pixel, minimum=1)
+        self.samples_per_pixel, s = samples_per_pixel, 1
+        if samples_per_pixel is not None:
+            self.samples_per_pixel = s = _validate.integer("samples_per_pixel", samples_per_pixel, minimum=1)
+        # Points or parts of a pixel along each side.
+        self._parts = FINER if samples_per_pixel is None else s
         self._dtype = dtype
         # Unit of the distance: the depth of focus of the whole panel.
         longest = max(n * pitch for n, pitch in zip(self.shape, self._pitches, strict=True))
@@ -207,12 +220,15 @@ class display_model(torch.nn.Module):
             "aperture": 1,
             "offset": 1,
         }
-        sizes |= {"fill": 1} if s > 1 else {}
+        sizes |= {"fill": 1} if self._parts > 1 else {}
+        sizes |= {"gap": 2} if samples_per_pixel is None else {}
         sizes |= {"iris": 1} if iris is not None else {}
         self.physical = [name for name in PRIORS if name in sizes]
-        starts = {"fringing": 0.4, "fill": 0.95, "iris": iris, "aperture": 1.0}
+        # Gaps reflect with phase 0.
+        fill = 1.0 if samples_per_pixel is None else 0.95
+        starts = {"fringing": 0.4, "fill": fill, "iris": iris, "aperture": 1.0, "gap": (1.0, 0.0)}
         for name in self.physical:
-            value = torch.full((sizes[name],), starts.get(name) or 0.0, dtype=dtype)
+            value = torch.zeros(sizes[name], dtype=dtype) + torch.tensor(starts.get(name) or 0.0, dtype=dtype)
             self.register_parameter(name, torch.nn.Parameter(value))
         count = _validate.integer("free_form", free_form)
         self.free_maps = torch.nn.Parameter(torch.zeros(3, count, count, dtype=dtype)) if count else None
@@ -335,17 +351,18 @@ class display_model(torch.nn.Module):
         Returns
         -------
         torch.Tensor
-            Complex ``[..., rows·s, columns·s]`` with s samples per pixel.
+            Complex ``[..., rows·s, columns·s]`` with s samples per pixel; of the three parts along each side of the
+            inner squares that modulate, without the gaps, where pixels are squares.
         """
-        s = self.samples_per_pixel
+        s = self._parts
         phase = _finely(self._checked(phase), s)
         at = torch.arange(-2 * s, 2 * s + 1, dtype=phase.dtype, device=phase.device) / s
         # A fringing field has the same width along both axes, in units of the smaller pitch.
-        widths = (self.fringing.clamp_min(0.05) * min(self._pitches) / pitch for pitch in self._pitches)
+        widths = (self.fringing.abs().clamp_min(0.05) * min(self._pitches) / pitch for pitch in self._pitches)
         down, across = (torch.exp(-0.5 * (at / width) ** 2) for width in widths)
         phase = smooth(phase, down if self._pitches[0] == self._pitches[1] else torch.outer(down, across))
         light = torch.complex(torch.cos(phase), torch.sin(phase))
-        if s > 1:
+        if s > 1 and self.samples_per_pixel is not None:
             side = self.fill.clamp(1e-3, 1).sqrt() * s / 2
             edges = torch.arange(s + 1, dtype=phase.dtype, device=phase.device) - s / 2
             line = torch.minimum(torch.maximum(edges, -side), side).diff()
@@ -372,6 +389,14 @@ class display_model(torch.nn.Module):
             Intensity, averaged over the area of a pixel, ``[..., rows, columns]``; differentiable.
         """
         s, (rows, columns) = self.samples_per_pixel, self.shape
+        if s is None:
+            # The mean over the area of a pixel is a product of spectra.
+            light, wide = self._finely_there(self.field(phase), position), [self._finer * n for n in self._sizes]
+            over_rows = torch.sinc(self._finer * torch.fft.fftfreq(wide[0], dtype=light.dtype, device=light.device))
+            over_columns = torch.sinc(self._finer * torch.fft.rfftfreq(wide[1], dtype=light.dtype, device=light.device))
+            light = torch.fft.irfft2(torch.fft.rfft2(light) * (over_rows[:, None] * over_columns), s=wide)
+            light = torch.roll(light[..., :: self._finer, :: self._finer], (rows // 2, columns // 2), (-2, -1))
+            return light[..., :rows, :columns]
         light = torch.fft.ifft2(self._spectrum(self.field(phase), position))
         light = light.real**2 + light.imag**2
         reach = s // 2
@@ -480,21 +505,39 @@ class display_model(torch.nn.Module):
 
     def _grid(self, registration: Registration, iris: float | None) -> None:
         """Choose the grid of the spectrum, such that no light wraps around into the field of the camera."""
-        s = self.samples_per_pixel
+        s = self.samples_per_pixel or 1
         rows, columns = self.camera_shape
         corners = np.array([[0, 0], [columns, 0], [0, rows], [columns, rows]], float)
         seen = np.abs(registration.plane_points(corners)).max(0)[::-1]
-        unit, sizes = 1 / (2 * max(self._pitches)), []
-        for n, pitch, far in zip(self.shape, self._pitches, seen, strict=True):
-            sine = min(s / (2 * pitch), (iris or math.inf) * unit) * self.wavelength
+        unit, sizes, bands = 1 / (2 * max(self._pitches)), [], [(1.0 * s, 1.0 * s)] * 2
+        if self.samples_per_pixel is None:
+            bands = [
+                orders_reaching(
+                    n * pitch / 2 + far, self.nominal_distance, pitch, self.wavelength, min(iris or ORDERS, ORDERS)
+                )
+                for n, pitch, far in zip(self.shape, self._pitches, seen, strict=True)
+            ]
+        self._orders = 1 if self.samples_per_pixel else math.ceil(max(band[1] for band in bands))
+        for n, pitch, far, band in zip(self.shape, self._pitches, seen, bands, strict=True):
+            sine = min(band[1] / (2 * pitch), (iris or math.inf) * unit) * self.wavelength
             spread = 1.2 * self.nominal_distance * math.tan(math.asin(min(sine, 0.9)))
             width = max(n * pitch / 2 + spread + far, 2 * spread)
             sizes.append(_fast(s * (max(math.ceil(width / pitch), n) + 16)))
-        self._sizes, self._finer = sizes, max(1, -(-FINER // s))
-        steps = [pitch / s for pitch in self._pitches]
-        fy, fx = (torch.fft.fftfreq(n, step, dtype=torch.float64) for n, step in zip(sizes, steps, strict=True))
+        # An intensity has twice the frequencies of its field, of which those of three orders are weak.
+        self._sizes, self._finer = sizes, -(-FINER // s)
+        if self.samples_per_pixel is None:
+            self._finer = max(FINER, math.ceil(1.5 * max(band[1] for band in bands)))
+        steps, orders = [pitch / s for pitch in self._pitches], self._orders
+        fy, fx = (
+            torch.fft.fftfreq(orders * n, step / orders, dtype=torch.float64)
+            for n, step in zip(sizes, steps, strict=True)
+        )
         squared = fy[:, None] ** 2 + fx**2
         axial = torch.sqrt((1 / self.wavelength**2 - squared).clamp_min(0))
+        # What is deflected farther does not reach the camera, but would wrap around.
+        self._passes = torch.outer(
+            *(taper(2 * p * f.abs(), band) for f, band, p in zip((fy, fx), bands, self._pitches, strict=True))
+        )
         # The axis passes through the middle of pixel n // 2; the panel starts at the first sample of the grid.
         centre = [(n // 2) * s + (s - 1) / 2 for n in self.shape]
         shift = fy[:, None] * steps[0] * centre[0] + fx * steps[1] * centre[1]
@@ -529,7 +572,7 @@ class display_model(torch.nn.Module):
             cycles = (self.nominal_distance + position) * (self._axial - 1 / self.wavelength) + self._shift
             phase = 2 * math.pi * torch.remainder(cycles, 1)
             kind = torch.complex64 if self._dtype is torch.float32 else torch.complex128
-            self._kernels[position] = torch.polar(torch.ones_like(phase), phase).to(kind).to(self._slope.device)
+            self._kernels[position] = torch.polar(self._passes.to(phase), phase).to(kind).to(self._slope.device)
         return self._kernels[position]
 
     def _apply(self, fn, recurse=True):
@@ -542,25 +585,41 @@ class display_model(torch.nn.Module):
     def _spectrum(self, light: torch.Tensor, position: float) -> torch.Tensor:
         """Return the spectrum of the light in the plane of the camera, the axis at its first sample."""
         turn = self._depth * self.distance * self._slope
-        spectrum = torch.fft.fft2(light, s=self._sizes) * self._kernel(position)
+        points = self.samples_per_pixel is not None
+        spectrum = torch.fft.fft2(light, s=self._sizes) if points else self._of_squares(light)
+        spectrum = spectrum * self._kernel(position)
         spectrum = spectrum * torch.complex(torch.cos(turn), torch.sin(turn))
         if "iris" in self.physical:
             spectrum = spectrum * torch.sigmoid((self.iris - self._radius) / (0.5 * self._soft))
         return spectrum
 
+    def _of_squares(self, light: torch.Tensor) -> torch.Tensor:
+        """Return the spectrum of the field of the squares that modulate, and of the gaps around them."""
+        aberration = self.wavefront()
+        gaps = torch.complex(*self.gap) * torch.complex(torch.cos(aberration), torch.sin(aberration))
+        gaps = self.source_amplitude() * (gaps + torch.complex(*self.reflection))
+        # A fit may step beyond 1.
+        fill = self.fill.clamp_min(1e-3)
+        modulated = pixels_spectrum(light - _finely(gaps, self._parts), self._sizes, self._orders, fill, self._parts)
+        return modulated + pixels_spectrum(gaps, self._sizes, self._orders)
+
+    def _finely_there(self, light: torch.Tensor, position: float) -> torch.Tensor:
+        """Return the intensity in the plane of the camera on the finer grid, the axis at its first sample."""
+        spectrum = self._spectrum(light, position)
+        fine = [self._finer * n for n in self._sizes]
+        there = self._finer**2 * torch.fft.ifft2(_widened(spectrum, fine))
+        return there.real**2 + there.imag**2
+
     def _seen(self, light: torch.Tensor, position: float, pixels: torch.Tensor | None) -> torch.Tensor:
         """Return the intensity on pixels of the camera ``[..., pixels]``."""
-        spectrum = self._spectrum(light, position)
-        (rows, columns), q = self._sizes, self._finer
-        fine = [q * rows, q * columns]
-        there = q**2 * torch.fft.ifft2(_widened(spectrum, fine))
-        intensity = there.real**2 + there.imag**2
+        intensity, q = self._finely_there(light, position), self._finer
+        fine = list(intensity.shape[-2:])
         blur = torch.sinc(self.aperture * self._fine_y)[:, None] * torch.sinc(self.aperture * self._fine_x)
         coefficients = torch.fft.irfft2(torch.fft.rfft2(intensity) * (blur * self._prefilter), s=fine)
         homography, distortion = self._mapping()
         places = self._pixels if pixels is None else self._pixels[pixels]
         points = plane_points(places, self.camera_shape, homography, distortion)
-        dy, dx = (pitch / self.samples_per_pixel / q for pitch in self._pitches)
+        dy, dx = (pitch / (self.samples_per_pixel or 1) / q for pitch in self._pitches)
         return _spline_values(coefficients, points[:, 1] / dy, points[:, 0] / dx)
 
     def _mapping(self) -> tuple[torch.Tensor, torch.Tensor]:

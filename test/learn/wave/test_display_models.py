@@ -74,14 +74,14 @@ def known(table, **options):
     with torch.no_grad():
         model.reflection.copy_(torch.tensor([truth.reflection.real, truth.reflection.imag]))
         model.fringing.fill_(truth.fringing)
-        if options.get("samples_per_pixel", 1) > 1:
+        if "fill" in model.physical:
             model.fill.fill_(truth.fill_factor)
     return model
 
 
-@pytest.mark.parametrize("samples", [1, 3])
-def test_a_model_with_the_true_parameters_predicts_captures(samples):
-    faults = {"fringing": 0.5, "fill_factor": 0.9 if samples > 1 else 1.0, "samples_per_pixel": samples}
+@pytest.mark.parametrize(("samples", "bound"), [(None, 0.01), (1, 0.025), (3, 0.025)])
+def test_a_model_with_the_true_parameters_predicts_captures(samples, bound):
+    faults = {"fringing": 0.5, "fill_factor": 1.0 if samples == 1 else 0.9, "samples_per_pixel": samples}
     table = SimulatedTable(3, shape=(24, 28), distance=2e-3, camera_shape=(30, 34), **faults)
     model = known(table, samples_per_pixel=samples, dtype=torch.float64)
     levels = np.random.default_rng(0).integers(256, size=(24, 28))
@@ -91,13 +91,13 @@ def test_a_model_with_the_true_parameters_predicts_captures(samples):
     expected = table.camera._sampled(points, *table.intensity())
     with torch.no_grad():
         seen = model(torch.as_tensor(levels)).numpy()
-    assert np.sqrt(((seen - expected) ** 2).mean()) < 0.025 * expected.mean()
+    assert np.sqrt(((seen - expected) ** 2).mean()) < bound * expected.mean()
     part = torch.tensor([3, 500, 1019])
     assert torch.allclose(model(torch.as_tensor(levels), pixels=part), model(torch.as_tensor(levels)).flatten()[part])
 
 
 def test_a_tuned_laser_is_a_model_of_scaled_phases():
-    table = SimulatedTable(3, shape=(24, 24), distance=2e-3, camera_shape=(30, 30), fringing=0.5)
+    table = SimulatedTable(3, shape=(24, 24), distance=2e-3, camera_shape=(30, 30), camera_pitch=8e-6, fringing=0.5)
     table.laser.wavelength = 639e-9
     scale = 532 / 639
     table.truth = dataclasses.replace(table.truth)
@@ -110,8 +110,25 @@ def test_a_tuned_laser_is_a_model_of_scaled_phases():
     at = [n // 2 + np.rint((np.arange(24) - 12) * 8e-6 / pitch).astype(int) for n in light.shape]
     with torch.no_grad():
         seen = model.image(model.table()[torch.as_tensor(levels)]).numpy()
-    # The camera of the table blurs by half a pixel of the modulator.
+    # Both are means over pixels of 8 µm, whose middles lie up to a fifth of a pixel apart.
     assert np.corrcoef(seen.ravel(), light[np.ix_(*at)].ravel())[0, 1] > 0.98
+
+
+@pytest.mark.parametrize(("fill", "along"), [(1.0, 1), (0.9, 0), (0.9, 1)])
+def test_deflected_light_has_the_envelope_of_a_square_pixel(fill, along):
+    """Goodman, section 4.4: fill·sinc(√fill·f) of the amplitude, 0.615 of the power at 0.375 cycles per pixel."""
+    y, x = (np.arange(64) - 32.0 for _ in range(2))
+    beam = np.exp(-(x**2 + y[:, None] ** 2) / 200)
+    model = display_model([64, 64], 8e-6, 532e-9, 20e-3, [180, 180], 8e-6, amplitude=beam, dtype=torch.float64)
+    with torch.no_grad():
+        model.fill.fill_(fill)
+        model.fringing.fill_(0.05)
+        # 0.375 cycles per pixel, which lie 62 pixels beside the axis.
+        ramp = np.moveaxis(np.broadcast_to(96 * np.arange(64) % 256, (64, 64)), -1, along)
+        flat, turned = (model(torch.as_tensor(levels.copy())).sum(1 - along) for levels in (0 * ramp, ramp))
+    wanted = fill**2 * np.sinc(np.sqrt(fill) * 0.375) ** 2
+    assert float(turned[123:].sum() / flat.sum()) == pytest.approx(wanted, abs=1e-3)
+    assert float(turned[57:123].sum() / flat.sum()) == pytest.approx((1 - fill) ** 2, abs=1e-3)
 
 
 def rms(values):
@@ -128,7 +145,8 @@ def test_rows_and_columns_have_pitches_of_their_own():
         (22, 18),
         (5e-6, 7e-6),
     )
-    model = display_model(shape, pitch, wavelength, distance, camera, camera_pitch, dtype=torch.float64)
+    there = (shape, pitch, wavelength, distance, camera, camera_pitch)
+    model = display_model(*there, samples_per_pixel=1, dtype=torch.float64)
     with torch.no_grad():
         model.fringing.fill_(0.05)
     phase = torch.as_tensor(np.random.default_rng(0).uniform(0, 2 * np.pi, shape))
@@ -217,11 +235,11 @@ def test_levels_are_nearest_where_the_response_varies():
 
 
 def test_a_small_fit_finds_alignment_and_distance():
-    table = SimulatedTable(
-        12, shape=(16, 16), distance=1.5e-3, camera_shape=(24, 24), nonlinearity=False, aberration=0.0
-    )
+    # Points instead of square pixels: fewer frequencies.
+    ideal = {"nonlinearity": False, "aberration": 0.0, "samples_per_pixel": 1}
+    table = SimulatedTable(12, shape=(16, 16), distance=1.5e-3, camera_shape=(24, 24), **ideal)
     captures = captures_of(table, 3, 4)
-    model = started(table, 1.5e-3, zernike_order=2, source_order=2, nodes=4)
+    model = started(table, 1.5e-3, zernike_order=2, source_order=2, nodes=4, samples_per_pixel=1)
     fit = fit_display(model, captures, iterations=9)
     assert fit.history[-1] < 0.05 * fit.history[0]
     assert float(model.propagation_distance().detach()) == pytest.approx(table.truth.distance, rel=2e-3)
@@ -236,9 +254,9 @@ def test_a_small_fit_finds_alignment_and_distance():
 def fitted():
     seed = int(np.random.default_rng(8).integers(1000))
     faults = {"aberration": 0.15, "fringing": 0.4, "dust": 0, "camera_shape": (48, 48)}
-    table = SimulatedTable(seed, shape=(24, 24), distance=2.3e-3, **faults)
+    table = SimulatedTable(seed, shape=(24, 24), distance=6e-3, **faults)
     captures = captures_of(table, 7, 2)
-    model = started(table, 2.3e-3, nodes=9)
+    model = started(table, 6e-3, nodes=9)
     return table, captures, model, fit_display(model, captures[:5], iterations=18)
 
 
@@ -269,10 +287,12 @@ def test_parameters_come_out_where_they_were_hidden(fitted):
 @pytest.mark.slow
 def test_uncertainties_are_those_of_repeated_captures():
     """Fits to captures with other noise scatter by the uncertainty that each of them reports."""
-    table = SimulatedTable(9, shape=(16, 16), distance=1.2e-3, camera_shape=(24, 24), aberration=0.1)
+    table = SimulatedTable(
+        9, shape=(16, 16), distance=1.2e-3, camera_shape=(24, 24), aberration=0.1, samples_per_pixel=1
+    )
     levels = patterns(3, 16)
     expose(table, levels[1])
-    options = {"zernike_order": 3, "source_order": 2, "nodes": 4}
+    options = {"zernike_order": 3, "source_order": 2, "nodes": 4, "samples_per_pixel": 1}
     model = started(table, 1.2e-3, **options)
     with torch.no_grad():
         model.brightness += 6.0
@@ -333,14 +353,15 @@ def quality(table, levels, target, positions=(0.0,)):
 def test_holograms_through_the_model_are_better_on_the_table(fitted):
     table, _, model, _ = fitted
     target = picture(24)
-    ideal = display_model([24, 24], 8e-6, 532e-9, 2.3e-3, [48, 48], 4e-6)
+    ideal = display_model([24, 24], 8e-6, 532e-9, 6e-3, [48, 48], 4e-6)
     found = {}
     for name, display in (("ideal", ideal), ("fitted", model)):
         levels = display_hologram(display, target, iterations=80)
         assert levels.dtype == torch.uint8 and levels.shape == (24, 24)
         expose(table, levels.numpy())
         found[name] = quality(table, levels, target)
-    assert found["fitted"] > found["ideal"] + 1.6
+    # So few pixels at 6 mm form 14 dB of the picture.
+    assert found["fitted"] > found["ideal"] + 0.8
 
 
 @pytest.mark.slow
@@ -392,7 +413,7 @@ def test_a_realistic_table_is_predicted_to_its_noise_and_shows_better_holograms(
     faults = {"aberration": 0.2, "fringing": 0.4, "samples_per_pixel": 1, "fill_factor": 1.0, "iris": None, "dust": 2}
     table = SimulatedTable.realistic(21, shape=(n, n), distance=distance, camera_shape=(64, 64), **faults)
     captures = captures_of(table, 33, 2)
-    model = started(table, distance, free_form=n)
+    model = started(table, distance, free_form=n, samples_per_pixel=1)
     fit_display(model, captures[:8], iterations=10)
     fit_display(model, captures[:30], iterations=4, refinements=30, learning_rate=2e-2)
     fit_display(model, captures[:30], iterations=0, refinements=12, learning_rate=3e-3)
@@ -412,13 +433,15 @@ def test_a_realistic_table_is_predicted_to_its_noise_and_shows_better_holograms(
 @pytest.mark.slow
 def test_a_table_of_three_colours_shows_better_holograms():
     n, distance = 24, 2.3e-3
-    table = SimulatedTable(17, shape=(n, n), distance=distance, camera_shape=(48, 48), aberration=0.2, fringing=0.4)
+    table = SimulatedTable(
+        17, shape=(n, n), distance=distance, camera_shape=(48, 48), aberration=0.2, fringing=0.4, samples_per_pixel=1
+    )
     target, gains = picture(n), []
     for wavelength in (639e-9, 532e-9, 473e-9):
         table.laser.wavelength = wavelength
         scale = 532e-9 / wavelength
         nominal = np.arange(256) * (2 * np.pi / 256) * scale
-        model = started(table, distance, phases=nominal)
+        model = started(table, distance, phases=nominal, samples_per_pixel=1)
         ideal = display_model([n, n], 8e-6, wavelength, distance, [48, 48], 4e-6, phases=nominal)
         fit_display(model, captures_of(table, 5, 2), iterations=10)
         found = []
