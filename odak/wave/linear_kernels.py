@@ -230,14 +230,14 @@ def pixels_spectrum(field, sizes, orders: int = 1, fill=1.0, cells: int = 1):
     width = fill**0.5
     for axis in (-1, -2):
         cycles = width / cells * xp.fft.fftfreq(orders * sizes[axis], d=1 / orders, dtype=dtype, device=device)
-        envelope, total = _pixel_spectrum(cycles, 1.0) * (width / cells), 0
+        envelope, parts = _pixel_spectrum(cycles, 1.0) * (width / cells), []
         for k in range(cells):
             part = xp.fft.fft(field[..., k::cells] if axis == -1 else field[..., k::cells, :], n=sizes[axis], axis=axis)
             # The middle of part k lies k - (cells - 1)/2 parts beside the middle of the pixel.
             wave = envelope * _array.phasor_of_cycles(cycles * ((cells - 1) / 2 - k))
             part = xp.concat([part] * orders, axis=axis) if orders > 1 else part
-            total = total + part * (wave if axis == -1 else wave[:, None])
-        field = total
+            parts.append(part * (wave if axis == -1 else wave[:, None]))
+        field = sum(parts[1:], start=parts[0])
     return field
 
 
