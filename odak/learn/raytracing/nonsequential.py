@@ -412,9 +412,9 @@ class Element:
             else self.aperture
         )
 
-    def _enter(self, point: tuple, direction: tuple) -> tuple:
-        """Return points and directions in the element's frame."""
-        if self.center is not None:
+    def _enter(self, point: tuple, direction: tuple, place: bool = True) -> tuple:
+        """Return points and directions in the element's frame; of two directions with `place` False."""
+        if place and self.center is not None:
             point = vec.minus(point, self.center.to(point[0]).unbind())
         if self.rotation is not None:
             columns = [column.unbind() for column in self.rotation.to(point[0]).unbind(1)]
@@ -490,7 +490,7 @@ def _checked_medium(value):
 
 
 class Light(NamedTuple):
-    """Rays with their power.
+    """Rays with their power, and perhaps their polarisation.
 
     Attributes
     ----------
@@ -498,6 +498,9 @@ class Light(NamedTuple):
         ``[m, 2, 3]``, points and unit directions.
     power : torch.Tensor
         ``[m]``.
+    field : torch.Tensor or None
+        Direction and phase of the electric field, complex unit vectors across the rays, ``[m, 3]``. None for light that
+        is taken for unpolarised at every interface.
 
     Examples
     --------
@@ -508,6 +511,47 @@ class Light(NamedTuple):
 
     rays: torch.Tensor
     power: torch.Tensor
+    field: torch.Tensor | None = None
+
+    def polarized(self, jones: Any = None) -> "Light":
+        """Return the light with its polarisation, which interfaces then change and make use of.
+
+        Parameters
+        ----------
+        jones : sequence of two numbers, optional
+            Jones vector along x and y, carried along from the z axis to each ray; complex perhaps. By default the light
+            is unpolarised: each ray becomes two of half the power, polarised across each other, which stays exact
+            behind any number of interfaces, where light that is taken for unpolarised at every interface does not.
+
+        Returns
+        -------
+        Light
+            With twice as many rays for unpolarised light: first all of one polarisation, then all of the other.
+        """
+        rays, power = _checked_light(self)[:2]
+        x, y = (torch.stack(axis, -1) for axis in axes_across(rays[:, 1].unbind(-1)))
+        dtype = torch.complex64 if rays.dtype == torch.float32 else torch.complex128
+        if jones is None:
+            return Light(torch.cat((rays, rays)), torch.cat((power, power)) / 2, torch.cat((x, y)).to(dtype))
+        (jones,) = _validate.constants(jones=jones)
+        state = tensor("jones", jones, torch.complex128).to(rays.device)
+        size = state.abs().square().sum().sqrt()
+        if state.shape != (2,) or not bool((size > 0) & torch.isfinite(size)):
+            raise ValueError(f"jones must be two finite numbers, not both 0, got {jones!r:.80}")
+        state = (state / size).to(dtype)
+        return Light(rays, power, state[0] * x + state[1] * y)
+
+
+def axes_across(vector: tuple) -> tuple[tuple, tuple]:
+    """Return the components of two axes across unit vectors: x and y, carried along from the z axis or from −z.
+
+    Duff et al., J. Comput. Graph. Tech. 6(1), 1 (2017).
+    """
+    u, v, w = vector
+    sign = torch.where(w < 0, -1.0, 1.0).to(w)
+    a = -1 / (sign + w)
+    b = u * v * a
+    return (1 + sign * u * u * a, sign * b, -sign * u), (b, sign + v * v * a, -v)
 
 
 def light_source(
@@ -604,6 +648,8 @@ class Received(NamedTuple):
         Optical path from the source, ``[k]``.
     ray : torch.Tensor
         Which of the emitted rays it comes from, int64 ``[k]``.
+    field : torch.Tensor or None
+        Direction and phase of the electric field, complex unit vectors ``[k, 3]``, of polarised light.
 
     Examples
     --------
@@ -620,6 +666,7 @@ class Received(NamedTuple):
     power: torch.Tensor
     path: torch.Tensor
     ray: torch.Tensor
+    field: torch.Tensor | None = None
 
     def irradiance(self, size: Any, pixels: Any = (64, 64)) -> torch.Tensor:
         """Return the power on each unit of area, ``[rows, columns]``: rows along y, columns along x, both ascending.
@@ -726,10 +773,11 @@ class SceneLight(NamedTuple):
 
 
 class _State(NamedTuple):
-    """Rays on their way: points, directions, power, optical path, number, element and triangle that they leave."""
+    """Rays on their way: points, directions, fields, power, optical path, number, element and triangle they leave."""
 
     point: tuple
     direction: tuple
+    field: tuple
     power: torch.Tensor
     path: torch.Tensor
     ray: torch.Tensor
@@ -737,16 +785,17 @@ class _State(NamedTuple):
     face: torch.Tensor
 
     def take(self, index) -> "_State":
-        point, direction = (tuple(v.index_select(0, index) for v in part) for part in (self.point, self.direction))
-        power, path, ray, left, face = (v.index_select(0, index) for v in self[2:])  # type: ignore[union-attr]
-        return _State(point, direction, power, path, ray, left, face)
+        vectors: Any = self[:3]
+        others: Any = self[3:]
+        found = [tuple(v.index_select(0, index) for v in part) for part in vectors]
+        return _State._make([*found, *(v.index_select(0, index) for v in others)])
 
 
 def _joined(states: list[_State]) -> _State:
     if len(states) == 1:
         return states[0]
-    found: list[Any] = [tuple(torch.cat(part) for part in zip(*(s[i] for s in states), strict=True)) for i in (0, 1)]
-    rest: list[Any] = list(zip(*(s[2:] for s in states), strict=True))
+    found: list[Any] = [tuple(torch.cat(part) for part in zip(*(s[i] for s in states), strict=True)) for i in range(3)]
+    rest: list[Any] = list(zip(*(s[3:] for s in states), strict=True))
     return _State(*found, *map(torch.cat, rest))
 
 
@@ -768,7 +817,9 @@ class Scene:
     Notes
     -----
     The media at an intersection are those of the element that is met, on the side from which the ray comes, so that
-    adjoining elements must agree on the medium between them. Light is unpolarised at each interface.
+    adjoining elements must agree on the medium between them. Light is taken for unpolarised at each interface, unless
+    it is that of :meth:`Light.polarized`: then interfaces act on its two polarisations, scattering leaves none (each
+    ray is scattered with a linear polarisation that is drawn), and gratings turn the field with the ray.
 
     Examples
     --------
@@ -847,7 +898,7 @@ class Scene:
         split, paths = _validate.flag("split", split), _validate.flag("paths", paths)
         threshold = _validate.constant("threshold", threshold, least=0)
         bounces = _validate.integer("bounces", bounces, minimum=1)
-        rays, power = light
+        rays, power, field = light
         wave = _validate.number("wavelength", tensor("wavelength", wavelength, _precision(wavelength)), positive=True)
         wave = wave.to(rays)
         seeds = torch.Generator().manual_seed(_validate.integer("seed", seed))
@@ -855,14 +906,15 @@ class Scene:
         plan = _Walk(self, wave, split, size, paths, threshold * power.detach().sum() / len(power))
         block = len(rays) if rays.is_cuda else BLOCK
         number = torch.arange(len(rays), device=rays.device)
-        parts = zip(rays.split(block), power.split(block), number.split(block), strict=True)
+        fields = [None] * -(-len(rays) // block) if field is None else field.split(block)
+        parts = zip(rays.split(block), power.split(block), number.split(block), fields, strict=True)
         # Each block draws its own random numbers: what comes out does not depend on the number of threads.
         blocks = [(*part, int(torch.randint(2**62, (), generator=seeds))) for part in parts]
 
         def follow(*part):
             return plan.begin(*part, bounces)
 
-        if torch.is_grad_enabled() and self._may_need_gradient(rays, power, wave):
+        if torch.is_grad_enabled() and self._may_need_gradient(rays, power, wave, field):
             walks = [follow(*part) for part in blocks]
         else:
             walks = list(each(follow, blocks, not rays.is_cuda))
@@ -889,7 +941,21 @@ def _checked_light(light) -> Light:
     rays, power = reals_of(rays=light.rays, power=light.power)
     if rays.ndim != 3 or rays.shape[1:] != (2, 3) or len(rays) == 0 or power.shape != rays.shape[:1]:
         raise ValueError(f"light must be rays [m, 2, 3] with powers [m], got {[*rays.shape]} and {[*power.shape]}")
-    return Light(rays, power)
+    field = light.field
+    if field is not None and (
+        not isinstance(field, torch.Tensor) or not field.is_complex() or field.shape != rays[:, 0].shape
+    ):
+        raise ValueError(f"light must have a complex field [m, 3] or None, got {field!r:.80}")
+    return Light(rays, power, field)
+
+
+def _perpendicular(way: tuple, normal: tuple, otherwise: tuple) -> tuple:
+    """Return unit vectors across the plane of incidence; others at normal incidence, where there is none."""
+    found = vec.cross(way, normal)
+    squared = vec.dot(found, found)
+    oblique = squared > 1e-20
+    size = torch.where(oblique, squared, 1.0).sqrt()
+    return tuple(torch.where(oblique, v / size, o) for v, o in zip(found, otherwise, strict=True))
 
 
 class _Walk:
@@ -909,7 +975,7 @@ class _Walk:
         self.arrived: dict[int, list] = {i: [] for i, item in enumerate(scene.elements) if item.detects}
         self.pieces: list | None = [] if paths else None
 
-    def begin(self, rays, power, number, seed: int, bounces: int) -> "_Walk":
+    def begin(self, rays, power, number, field, seed: int, bounces: int) -> "_Walk":
         """Return a walk of its own that has followed a block of rays to their ends."""
         walk = copy(self)
         walk.absorbed, walk.arrived = list(self.absorbed), {i: [] for i in self.arrived}
@@ -917,7 +983,8 @@ class _Walk:
         walk.random = torch.Generator(rays.device).manual_seed(seed)
         start, way = rays.unbind(1)
         none = torch.full_like(number, -1)
-        state = _State(vec.split(start), vec.split(way), power, torch.zeros_like(power), number, none, none)
+        held = () if field is None else vec.split(field)
+        state = _State(vec.split(start), vec.split(way), held, power, torch.zeros_like(power), number, none, none)
         walk.follow(state, bounces)
         return walk
 
@@ -989,6 +1056,7 @@ class _Walk:
         """Return the rays into which rays split at an element."""
         item, interface = self.scene.elements[i], self.scene.elements[i].interface
         point, way = item._enter(state.point, state.direction)
+        field = item._enter(state.field, state.field, False)[1] if state.field else ()
         left = state.left == i if step else None
         distance, place, normal, face = item._meet(point, way, left, state.face, self.margin)
         cosine = vec.dot(way, normal)
@@ -1003,9 +1071,10 @@ class _Walk:
         end = item._leave(place, True)
         self._keep(state, end)
         if item.detects:
-            self.arrived[i].append((torch.stack(place, -1), torch.stack(way, -1), power, path, state.ray))
-        options = self._options(i, interface, place, way, normal, (n1, n2, cosine), power)
-        kept = sum((share for _, share in options), torch.zeros_like(power))
+            wave = (torch.stack(field, -1),) if field else ()
+            self.arrived[i].append((torch.stack(place, -1), torch.stack(way, -1), power, path, state.ray, *wave))
+        options = self._options(i, interface, (place, way, normal, field), (n1, n2, cosine), power)
+        kept = sum((share for _, share, _ in options), torch.zeros_like(power))
         self.absorbed[i] = self.absorbed[i] + (power - kept).sum()
         if not self.split and len(options) > 1:
             options = [self._drawn(options)]
@@ -1017,14 +1086,40 @@ class _Walk:
             left=torch.full_like(state.left, i),
             face=state.face if face is None else face,
         )
-        return [state._replace(direction=item._leave(out), power=share) for out, share in options]
+        return [
+            state._replace(direction=item._leave(out), power=share, field=item._leave(field) if field else ())
+            for out, share, field in options
+        ]
 
     def _spread(self, i: int, like) -> tuple:
         return tuple(torch.as_tensor(value, dtype=like.dtype, device=like.device) + 0 * like for value in self.index[i])
 
-    def _options(self, i: int, interface: Interface, place, way, normal, numbers, power) -> list[tuple]:
-        """Return directions and powers of the rays into which light is divided, before it is scattered."""
+    def _options(self, i: int, interface: Interface, ray: tuple, numbers, power) -> list[tuple]:
+        """Return directions, powers and fields of the rays into which light is divided, before it is scattered."""
+        place, way, normal, field = ray
         n1, n2, cosine = numbers
+        axes: tuple = ()
+        if field:
+            s = _perpendicular(way, normal, axes_across(way)[0])
+            p = vec.cross(way, s)
+            axes = (s, vec.dot(field, s), vec.dot(field, p))
+
+        def divided(out, exists, share, amplitudes=(1.0, 1.0)):
+            """Return one of the rays; `amplitudes` scale the two polarisations, `share` the power of both."""
+            out = tuple(torch.where(exists, o, v) for o, v in zip(out, way, strict=True))
+            if not field:
+                return out, torch.where(exists, share * power, 0.0), ()
+            s, along_s, along_p = axes
+            if interface.phase is not None:
+                s = _perpendicular(out, normal, s)
+            along_s, along_p = amplitudes[0] * along_s, amplitudes[1] * along_p
+            strength = along_s.abs().square() + along_p.abs().square()
+            seen = exists & (strength > 0)
+            size = torch.where(seen, strength, 1.0).sqrt()
+            turned = vec.along(vec.scaled(s, along_s / size), along_p / size, vec.cross(out, s))
+            turned = tuple(torch.where(seen, t, f) for t, f in zip(turned, field, strict=True))
+            return out, torch.where(exists, share * strength * power, 0.0), turned
+
         if interface.phase is not None:
             found = []
             for reflects, shares in ((True, interface.reflectance), (False, interface.transmittance)):
@@ -1036,74 +1131,79 @@ class _Walk:
                     wave = self.wavelength.to(cosine)
                     out, through, _ = phase.deflect(place, way, normal, n1, behind, wave, reflects)
                     value = share(torch.stack(place, -1), torch.stack(way, -1)) if callable(share) else share
-                    out = tuple(torch.where(through, o, v) for o, v in zip(out, way, strict=True))
-                    found.append((out, torch.where(through, value * power, 0.0)))
+                    found.append(divided(out, through, value))
             return found
-        back, behind = self._shares(i, interface, numbers)
+        if field and interface.reflectance is None:
+            back, behind = self._amplitudes(i, interface, numbers)
+            given = [(back and 1.0, back), (behind and 1.0, behind)]
+        else:
+            back, behind = self._shares(i, interface, numbers)
+            given = [(back, (-1.0, 1.0)), (behind, (1.0, 1.0))]
         found = []
-        if back is not None:
-            out = reflected(way, normal)
-            found.append((out, back * power))
-        if behind is not None:
-            out, through, _ = refracted(way, normal, n1, n2)
-            out = tuple(torch.where(through, o, v) for o, v in zip(out, way, strict=True))
-            found.append((out, torch.where(through, behind * power, 0.0)))
+        if given[0][0] is not None:
+            found.append(divided(reflected(way, normal), torch.ones_like(cosine, dtype=torch.bool), *given[0]))
+        if given[1][0] is not None:
+            bent, through, _ = refracted(way, normal, n1, n2)
+            found.append(divided(bent, through, *given[1]))
         return found
 
     def _shares(self, i: int, interface: Interface, numbers) -> tuple:
         """Return the fractions of the power that are reflected and transmitted; None for one that is always 0."""
         n1, n2, cosine = numbers
         incidence = cosine.abs().clamp(max=1.0)
-        if interface.reflectance is None and interface.coating is None:
+        if interface.coating is not None:
+            shares = [p and sum(v.abs().square() for v in p) / 2 for p in self._amplitudes(i, interface, numbers)]
+            return tuple(shares)
+        if interface.reflectance is None:
             back = fresnel_shares(incidence, n1, n2)
             return back, 1 - back
+        back, behind = interface.reflectance, interface.transmittance
+        if not isinstance(behind, torch.Tensor) and behind == 0:
+            black = not isinstance(back, torch.Tensor) and back == 0
+            return (None if black else back), None
+        through = 1 - (n1 / n2) ** 2 * (1 - incidence * incidence) > 0
+        return torch.where(through, back + 0 * incidence, back + behind), torch.where(through, behind, 0 * cosine)
+
+    def _amplitudes(self, i: int, interface: Interface, numbers) -> tuple:
+        """Return the amplitudes of both polarisations, reflected and transmitted, of bare interfaces and films."""
+        n1, n2, cosine = numbers
+        incidence = cosine.abs().clamp(max=1.0)
         squared = 1 - (n1 / n2) ** 2 * (1 - incidence * incidence)
         through = squared > 0
-        if interface.coating is None:
-            back, behind = interface.reflectance, interface.transmittance
-            if not isinstance(behind, torch.Tensor) and behind == 0:
-                black = not isinstance(back, torch.Tensor) and back == 0
-                return (None if black else back), None
-            return torch.where(through, back + 0 * incidence, back + behind), torch.where(through, behind, 0 * cosine)
-        cosine_behind = safe_sqrt(torch.where(through, squared, 1.0))
-        wave = self.wavelength
-        both = [films.amplitudes(n1, n2, incidence, cosine_behind, wave, self.scene.unit) for films in self.films[i]]
-        shares = []
-        for pair in ((0, 1), (2, 3)):
-            values: list[Any] = [sum(found[k].abs().square() for k in pair) / 2 for found in both]
-            shares.append(torch.where(cosine > 0, values[0], values[1]).to(cosine))
-        if interface.coating.substrate is not None:
-            return shares[0], None
-        return shares[0], torch.where(through, shares[1], 0.0)
+        behind = safe_sqrt(torch.where(through, squared, 1.0))
+        sides = self.films[i] or (Coating(), Coating())
+        both = [films.amplitudes(n1, n2, incidence, behind, self.wavelength, self.scene.unit) for films in sides]
+        dtype = torch.complex64 if cosine.dtype == torch.float32 else torch.complex128
+        pairs: list[Any] = list(zip(*both, strict=True))
+        back_s, back_p, on_s, on_p = (torch.where(cosine > 0, a, b).to(dtype) for a, b in pairs)
+        if interface.coating is not None and interface.coating.substrate is not None:
+            return (back_s, back_p), None
+        return (back_s, back_p), tuple(torch.where(through, value, 0.0) for value in (on_s, on_p))
 
     def _uniform(self, like) -> torch.Tensor:
         return torch.rand(len(like), generator=self.random, dtype=like.dtype, device=like.device)
 
     def _drawn(self, options: list[tuple]) -> tuple:
         """Return one of several rays, drawn by its share of the power, with the power of all."""
-        shares = [share.detach() for _, share in options]
+        shares = [share.detach() for _, share, _ in options]
         total = sum(shares)
-        pick, reached = self._uniform(total) * total, total
-        out, power = options[0]
+        pick = self._uniform(total) * total
+        out, power, field = options[0]
         reached = shares[0]
-        for other, share in options[1:]:
+        for other, share, wave in options[1:]:
             beyond = (pick >= reached) & (share.detach() > 0)
             out = tuple(torch.where(beyond, a, b) for a, b in zip(other, out, strict=True))
+            field = tuple(torch.where(beyond, a, b) for a, b in zip(wave, field, strict=True))
             power = torch.where(beyond, share, power)
             reached = reached + share.detach()
         held = power.detach()
         if needs_gradient(power):
-            return out, power * torch.where(held > 0, total / torch.where(held > 0, held, 1.0), 0.0)
-        return out, torch.where(held > 0, total, 0.0)
+            return out, power * torch.where(held > 0, total / torch.where(held > 0, held, 1.0), 0.0), field
+        return out, torch.where(held > 0, total, 0.0), field
 
-    def _scattered(self, scatter: Scatter, normal, out, power) -> list[tuple]:
+    def _scattered(self, scatter: Scatter, normal, out, power, field) -> list[tuple]:
         """Return what is scattered of light that leaves a surface, and what is not."""
-        # Any two axes across the normal: Duff et al., J. Comput. Graph. Tech. 6(1), 1 (2017).
-        nx, ny, nz = normal
-        sign = torch.where(nz < 0, -1.0, 1.0).to(nz)
-        a = -1 / (sign + nz)
-        b = nx * ny * a
-        first, second = (1 + sign * nx * nx * a, sign * b, -sign * nx), (b, sign + ny * ny * a, -ny)
+        first, second = axes_across(normal)
         along, across = scatter._draw(
             vec.dot(out, first), vec.dot(out, second), self._uniform(power), self._uniform(power)
         )
@@ -1112,11 +1212,17 @@ class _Walk:
         height = torch.copysign(safe_sqrt(torch.where(leaves, squared, 1.0)), vec.dot(out, normal))
         turned = vec.along(vec.along(vec.scaled(first, along), across, second), height, normal)
         turned = tuple(torch.where(leaves, t, o) for t, o in zip(turned, out, strict=True))
+        wave = ()
+        if field:
+            angle = 2 * math.pi * self._uniform(power)
+            x, y = axes_across(turned)
+            drawn = vec.along(vec.scaled(x, angle.cos()), angle.sin(), y)
+            wave = tuple(torch.where(leaves, d.to(f.dtype), f) for d, f in zip(drawn, field, strict=True))
         share = scatter.share
         if not isinstance(share, torch.Tensor) and share == 1:
-            return [(turned, power)]
+            return [(turned, power, wave)]
         weak = torch.where(leaves, share * power, 0.0)
-        options = [(out, power - weak), (turned, weak)]
+        options = [(out, power - weak, field), (turned, weak, wave)]
         return options if self.split else [self._drawn(options)]
 
     def result(self, emitted, walks: list["_Walk"]) -> SceneLight:

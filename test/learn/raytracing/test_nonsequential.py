@@ -92,6 +92,58 @@ def test_glass_absorbs_along_the_way():
     assert abs(balance(found)) < 1e-12
 
 
+def test_polarised_light_through_a_tilted_plate():
+    """The incoherent sum holds for each polarisation; the mean of both reflectances at each face is not the same."""
+    angle, index = 60.0, 1.5
+    found = fresnel(tensor([0.0, math.sin(math.pi / 3), 0.5]), tensor([0.0, 0.0, 1.0]), 1.0, index)
+    shares = [(1 - r) / (1 + r) for r in (float(found.reflectance_s), float(found.reflectance_p))]
+    light = light_source("collimated", 3, center=(0, 0, -1), angles=(-angle, 0, 0))
+    scene = Scene([*plate(index), screen(9)])
+    states = {None: sum(shares) / 2, (1, 0): shares[0], (0, 1): shares[1], (1, 1j): sum(shares) / 2}
+    for jones, expected in states.items():
+        held = scene.trace(light.polarized(jones), WAVE, split=True, threshold=1e-13)
+        assert float(held.absorbed[2]) == pytest.approx(expected, abs=1e-10)
+        assert abs(balance(held)) < 1e-12
+    drawn = scene.trace(light_source("collimated", 5_000, center=(0, 0, -1), angles=(-60, 0, 0)).polarized(), WAVE)
+    assert float(drawn.absorbed[2]) == pytest.approx(sum(shares) / 2, abs=0.02)
+
+
+def test_a_fresnel_rhomb_makes_circular_light():
+    """Two total reflections; tan(δ/2) = cos θ·√(sin²θ − 1/n²)/sin²θ, Born and Wolf (1999), section 1.5.4."""
+    index, angle = 1.51, math.radians(54.6167)
+    faces = [Element(Plane(), pair, center=(0, 0, z)) for z, pair in ((5, (index, 1.0)), (0, (1.0, index)))]
+    way = tensor([0.0, math.sin(angle), math.cos(angle)])
+    start = tensor([0.0, 0.0, 2.0])
+    end = Element(Plane(), interface=BLACK, center=(0, 12, 2), angles=(90, 0, 0), detects=True, name="end")
+    light = Light(torch.stack((start, way))[None], torch.ones(1, dtype=torch.float64)).polarized((1, 1))
+    held = Scene([*faces, end]).trace(light, WAVE, split=True).received["end"]
+    sine = math.sin(angle) ** 2
+    delta = 2 * math.atan(math.cos(angle) * math.sqrt(sine - 1 / index**2) / sine)
+    # Of equal parts s and p with a phase of 2δ between them, |E·E| is |cos 2δ|.
+    assert float(held.field.square().sum().abs()) == pytest.approx(abs(math.cos(2 * delta)), abs=1e-12)
+    assert float(held.field.square().sum().abs()) < 1e-3
+    assert float(held.field.abs().square().sum()) == pytest.approx(1, abs=1e-12)
+    assert float((held.field * held.direction).sum().abs()) < 1e-12
+
+
+def test_polarised_light_has_its_gradients():
+    light = light_source("point", 1, half_angle=25, center=(0.1, 0.2, -4.0)).polarized((1, 0.5j))
+    films = Coating((1.38,), [100e-6])
+
+    def measured(index, place):
+        scatter = Interface(0.3, 0.6, scatter=GaussianScatter(0.5, 0.01))
+        parts = [
+            Element(Plane(), (1.0, index), Interface(coating=films), angles=(20.0, 10.0, 0.0)),
+            Element(Conic(-0.02), (index, 1.0), scatter, center=place),
+            screen(9.0),
+        ]
+        found = Scene(parts).trace(light, WAVE, split=True, threshold=1e-2, bounces=3)
+        return found.absorbed, found.received["screen"].field.abs()
+
+    given = [tensor(1.5), tensor([0.1, 0.0, 3.0])]
+    assert torch.autograd.gradcheck(measured, [value.requires_grad_() for value in given], fast_mode=True)
+
+
 def sphere(radius, interface, port=None):
     hole = None if port is None else CircularAperture(obscures=True, radius=port)
     return [
@@ -109,18 +161,18 @@ def test_an_integrating_sphere_multiplies_the_irradiance():
     )
     wall = Interface(white, 0.0, scatter=LambertianScatter())
     scene = Scene([*sphere(radius, wall, port), exit_plane])
-    light = light_source("point", 4_000, half_angle=20, center=(0, 0, 6.0), angles=(90, 0, 0))
+    light = light_source("point", 2_000, half_angle=20, center=(0, 0, 6.0), angles=(90, 0, 0))
     found = scene.trace(light, WAVE, threshold=1e-9)
     share = height / (2 * radius)
     expected = white * share / (1 - white * (1 - share))
-    assert float(found.absorbed[2]) == pytest.approx(expected, rel=0.06)
+    assert float(found.absorbed[2]) == pytest.approx(expected, rel=0.08)
     assert abs(balance(found)) < 1e-9
     assert float(found.escaped) < 1e-12
 
 
 def test_a_lambertian_disc_illuminates_its_axis():
     # E = power/area * sin^2 of the half angle that the disc subtends.
-    light = light_source("lambertian", 400_000, size=5.0)
+    light = light_source("lambertian", 200_000, size=5.0)
     target = screen(5.0, aperture=0.5)
     found = Scene([target]).trace(light, WAVE)
     expected = 1 / (math.pi * 25) * 0.5 * math.pi * 0.25
@@ -229,7 +281,7 @@ def test_gradients_are_those_of_finite_differences():
         return found.absorbed, (held.power * held.point[:, 0] * held.path).sum(), held.irradiance((4.0, 4.0), (3, 3))
 
     given = [tensor(1.5), tensor(0.05), tensor([0.1, 0.0, 3.0]), tensor(0.3)]
-    assert torch.autograd.gradcheck(measured, [value.requires_grad_() for value in given])
+    assert torch.autograd.gradcheck(measured, [value.requires_grad_() for value in given], fast_mode=True)
 
 
 def test_drawn_ways_have_the_gradient_of_their_mean():
@@ -398,6 +450,7 @@ def test_a_seed_repeats_a_trace():
         (lambda: Element(Plane(), media=(1.0, -1.0)), "media must be"),
         (lambda: Element(corner(), aperture=1.0), "aperture belongs"),
         (lambda: Scene([]), "one at least"),
+        (lambda: light_source("point", 5).polarized((0, 0)), "jones must be"),
         (lambda: Scene([Element(Plane(), name="a"), Element(Plane(), name="a")]), "different names"),
         (lambda: light_source("point", 5, size=1.0), "size must be"),
         (lambda: light_source("lambertian", 5, half_angle=120), "at most 90"),

@@ -7,7 +7,7 @@ import torch
 
 from odak import _show, _validate
 from odak.catalog.materials import Material, absorption_coefficient
-from odak.learn.raytracing.nonsequential import binned
+from odak.learn.raytracing.nonsequential import axes_across, binned
 from odak.learn.raytracing.system.paraxial import first_order, ghost_system
 from odak.learn.raytracing.system.pupils import launch
 from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
@@ -111,11 +111,7 @@ def transverse_axes(direction: torch.Tensor) -> torch.Tensor:
     direction : torch.Tensor
         ``[..., 3]``, of positive component along z.
     """
-    u, v, w = direction.unbind(-1)
-    scale = 1 / (1 + w)
-    x = torch.stack([1 - u * u * scale, -u * v * scale, -u], -1)
-    y = torch.stack([-u * v * scale, 1 - v * v * scale, -v], -1)
-    return torch.stack([x, y], -1)
+    return torch.stack([torch.stack(axis, -1) for axis in axes_across(direction.unbind(-1))], -1)
 
 
 def polarized_trace(
