@@ -157,10 +157,8 @@ def descended(checkpoint=None, pause=0.0, solver="adam", iterations=30, **option
         loss.backward()
         return loss.detach()
 
-    options = training.Options(progress=False, checkpoint=checkpoint, checkpoint_every=1, **options)
-    training.minimise(
-        {"x": place}, gradient, iterations, training.constant(0.1), options, solver=solver, generators=[draw]
-    )
+    options = training.Run(progress=False, checkpoint=checkpoint, checkpoint_every=1, iterations=iterations, **options)
+    training.minimise({"x": place}, gradient, 0.1, options, solver=solver, generators=[draw])
     return [place.detach()]
 
 

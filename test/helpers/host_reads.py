@@ -51,17 +51,14 @@ REASONS = {
         raytracing/nonsequential: __post_init__ _plain _reach trace
         tools/matrix: quantize slice_rgbd_targets
         tools/transformation: quaternion_to_rotation_matrix
-        wave/displays: __init__ _checked_target _frames_alone _shares _start judge optimise
+        wave/displays: __init__ _checked_target _frames_alone _shares judge optimise
         wave/eyebox: _of_each eyebox_hologram
         wave/gaussians/scene: chosen
         wave/gaussians/sets: prune
-        wave/holograms: _checked_target _starting_phase
         wave/loss: _checked_geometry _checked_picture
-        wave/optimizers/multi_color: _start_from
-        wave/optimizers/multiplane: _values
-        wave/optimizers/terms: checked_targets eyebox_mask
+        wave/optimizers/terms: eyebox_mask
         wave/propagators: checked_powers is_diagonal
-        wave/training: check_brightness
+        wave/training: check_brightness checked_intensities started
     """,
     "the size of the result, or the memory that it takes, depends on the numbers": """
         models/gaussians: _compact_runs initialize_from_image

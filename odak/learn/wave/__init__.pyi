@@ -78,7 +78,6 @@ from .displays import Iris as Iris
 from .displays import Modulator as Modulator
 from .displays import Network as Network
 from .displays import Problem as Problem
-from .displays import Run as Run
 from .displays import optimise as optimise
 from .elements import airy_beam as airy_beam
 from .elements import aspheric_lens_phase as aspheric_lens_phase
@@ -169,4 +168,5 @@ from .propagators import propagator as propagator
 from .slm import spatial_light_modulator as spatial_light_modulator
 from .slm import temporal_average as temporal_average
 from .slm import temporal_modulator as temporal_modulator
+from .training import Run as Run
 from .volume import holographic_display as holographic_display

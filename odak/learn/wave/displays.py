@@ -5,7 +5,6 @@ computes the patterns that show a target on it, by one of several solvers, and r
 quality that another computation has judged.
 """
 
-import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -17,13 +16,21 @@ import torch
 
 from odak import _array, _show, _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.learn._tensors import floating, trainable
+from odak.learn._tensors import floating
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.holograms import STARTS, best_scale, encode_double_phase, starting_phase
 from odak.learn.wave.loss import FocalTargets, multiplane_loss
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.slm import TURN, even_levels
-from odak.learn.wave.training import Options, constant, cosine, fingerprint, minimise, random_numbers_for
+from odak.learn.wave.training import (
+    Run,
+    checked_intensities,
+    cosine,
+    fingerprint,
+    minimise,
+    seeded_loss,
+    started,
+)
 from odak.wave import phase_retrieval
 from odak.wave.linear_kernels import checked_pixel_fill, linear_kernel
 from odak.wave.sampling import sampling_report
@@ -561,41 +568,6 @@ def _half_steps(n: int, orders: int, like: torch.Tensor) -> list[list[torch.Tens
 
 
 @dataclass(frozen=True)
-class Run(Options):
-    """How a computation runs: how long, what it shows, and where its state is kept.
-
-    Parameters
-    ----------
-    progress : bool
-        Show a progress bar.
-    callback : callable, optional
-        ``callback(iteration, loss)`` after each iteration, the loss being a tensor; returning True stops.
-    checkpoint : path, optional
-        File to keep the state in (``.pt``). If it is there, the run goes on from it, to the same result bit for bit.
-    checkpoint_every : int
-        Iterations between two writings of that file.
-    iterations : int
-        Number of iterations.
-    seed : int
-        Makes what is drawn at random reproducible.
-
-    Examples
-    --------
-    >>> from odak.learn.wave import Run
-    >>> Run(iterations=20, progress=False).iterations
-    20
-    """
-
-    iterations: int = 60
-    seed: int = 0
-
-    def __post_init__(self):
-        super().__post_init__()
-        _validate.integer("iterations", self.iterations, minimum=1)
-        _validate.integer("seed", self.seed)
-
-
-@dataclass(frozen=True)
 class Problem:
     """What a solver is given: a display, the images to show, how they are compared, and the phases to begin with.
 
@@ -687,25 +659,23 @@ class Descent:
         unit = math.sqrt(powers.numel() / phases.numel()) if self.method == "lbfgs" else 1.0
         if self.powers:
             learned["amplitude"] = (powers.sqrt() / unit).to(phases.dtype).requires_grad_()
-        keywords, drawn_from = random_numbers_for(problem.loss, run.seed, phases.device)
-        problem = replace(problem, loss=functools.partial(problem.loss, **keywords))
+        loss, drawn_from = seeded_loss(problem.loss, run.seed, phases.device)
+        problem = replace(problem, loss=loss)
 
         def found():
             return (unit * learned["amplitude"]).square() if self.powers else None
 
-        def gradient(iteration):
-            loss = problem.loss_of(phases, found())
-            loss.backward()
-            return loss.detach()
-
-        about: dict[str, Any] = {"solver": repr(self), "display": repr(problem.display)}
-        if run.checkpoint is not None:
-            about["target"] = fingerprint(problem.target, problem.start)
         rate = cosine(self.learning_rate, self.learning_rate / 2, run.iterations)
-        rate = constant(self.learning_rate) if self.method == "lbfgs" else rate
+        display, given = problem.display, (problem.target, problem.start)
         minimise(
-            learned, gradient, run.iterations, rate, run, solver=self.method, about=about, generators=drawn_from
-        )  # fmt: skip
+            learned,
+            lambda iteration: problem.loss_of(phases, found()),
+            rate,
+            run,
+            solver=self.method,
+            about=lambda: {"solver": repr(self), "display": repr(display), "target": fingerprint(*given)},
+            generators=drawn_from,
+        )
         return (phases.detach(), found().detach()) if self.powers else phases.detach()
 
     def __post_init__(self):
@@ -1081,8 +1051,7 @@ def brightness_of(images, target):
 
 
 def _checked_target(display, target):
-    target = trainable(floating("target", target).detach())
-    target = target if target.dtype == torch.float64 else target.float()
+    target = checked_intensities("target", floating("target", target))
     planes, colours, rows, columns = display.shape
     accepted = {(planes, colours, rows, columns)}
     accepted |= {(colours, rows, columns)} if planes == 1 else set()
@@ -1091,8 +1060,6 @@ def _checked_target(display, target):
         raise ValueError(
             f"target must be [planes, colours, rows, columns] = {list(display.shape)}, got {list(target.shape)}"
         )
-    if not bool(target.isfinite().all()) or bool((target < 0).any()):
-        raise ValueError("target must be finite intensities of at least 0, got NaN, infinite or negative values")
     if float(target.max()) > 2:
         raise ValueError(f"target must be intensities of 0 … 1, got up to {float(target.max()):.4g}: divide by 255?")
     return target.reshape(display.shape).to(display.powers.device)
@@ -1102,17 +1069,15 @@ def starting_phases(display, target, start, seed) -> torch.Tensor:
     """Return the phases to start from: by name those of each frame's brightest colour, for its middle plane."""
     shape = (display.frames, *display.modulator.resolution)
     if not isinstance(start, str):
-        phases = trainable(floating("start", start).detach().to(target))
-        if tuple(phases.shape) != shape and not (display.frames == 1 and tuple(phases.shape) == shape[1:]):
-            raise ValueError(f"start must be {list(shape)} or one of {', '.join(STARTS)}, got {list(phases.shape)}")
-        return phases.reshape(shape)
+        shapes = (shape, shape[1:]) if display.frames == 1 else (shape,)
+        return started("start", start, shapes, target, torch.zeros, STARTS).reshape(shape)
     name = _validate.one_of("start", start, STARTS)
     plane, phases = display.shape[0] // 2, torch.zeros(shape, dtype=target.dtype, device=target.device)
     brightest = display.powers.argmax(1).tolist()
     for colour in sorted(set(brightest)):
         frames = [frame for frame, lit in enumerate(brightest) if lit == colour]
         wavelength, distance = display.wavelengths[colour] / display.medium, display.distances[plane]
-        started = starting_phase(
+        found = starting_phase(
             name,
             target[plane, colour],
             wavelength,
@@ -1121,6 +1086,6 @@ def starting_phases(display, target, start, seed) -> torch.Tensor:
             seed=seed,
             frames=len(frames),
         )
-        for frame, phase in zip(frames, started.reshape(len(frames), *shape[1:]), strict=True):
+        for frame, phase in zip(frames, found.reshape(len(frames), *shape[1:]), strict=True):
             phases[frame] = phase
     return phases

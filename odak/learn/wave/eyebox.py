@@ -8,17 +8,17 @@ from typing import Any
 import torch
 
 from odak import _validate
-from odak._array import cast
-from odak.learn._tensors import floating, kind_of, takes_constants, tensor
+from odak.learn._tensors import takes_constants, tensor
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.training import (
     SOLVERS,
-    Options,
-    constant,
+    Run,
+    checked_intensities,
     fingerprint,
     generator_from,
     minimise,
-    random_numbers_for,
+    seeded_loss,
+    started,
 )
 from odak.wave.transfer_functions import pitches
 from odak.wave.viewing import eye_transfer, seen_through
@@ -139,18 +139,13 @@ def eyebox_hologram(
     places = tensor("pupil_positions", pupil_positions, torch.float64)
     if places.ndim != 2 or places.shape[1] != 2 or not len(places):
         raise ValueError(f"pupil_positions must be [K, 2] with K at least 1, got {list(places.shape)}")
-    if not isinstance(targets, torch.Tensor) or targets.is_complex():
-        raise TypeError(f"targets must be a real tensor, got {kind_of(targets)}")
+    targets = checked_intensities("targets", targets)
     _validate.image("targets", targets)
     if targets.ndim > 3 or (targets.ndim == 3 and len(targets) not in (1, len(places))):
         raise ValueError(
             f"targets must be [rows, columns] or [{len(places)}, rows, columns], one for each of pupil_positions; "
             f"got {list(targets.shape)}"
         )
-    _validate.real("targets", targets)
-    if bool((targets < 0).any()):
-        raise ValueError(f"targets must not be negative, got {targets.min().item()}")
-    targets = targets.detach() if targets.dtype == torch.float64 else targets.detach().float()
     targets = targets.expand(len(places), *targets.shape[-2:])
     for name, length in (("wavelength", wavelength), ("distance", distance), ("learning_rate", learning_rate)):
         _validate.number(name, length, positive=True)
@@ -175,9 +170,15 @@ def eyebox_hologram(
     turned = bool(turns.any())
     turns = turns.detach().expand(len(places), 2)
     modulate = unit_phasor if slm is None else slm
-    keywords, drawn_from = random_numbers_for(loss_function, generator.initial_seed(), device)
-    loss_of = torch.nn.functional.mse_loss if loss_function is None else loss_function
-    phase = _start(initial_phase, (frames, *targets.shape[-2:]), generator, targets).requires_grad_()
+    loss_of, drawn_from = seeded_loss(loss_function, generator.initial_seed(), device)
+    shape = (frames, *targets.shape[-2:])
+
+    def draw(shape, dtype):
+        # Uniform over a cycle.
+        return 2 * math.pi * torch.rand(shape, generator=generator, dtype=dtype)
+
+    phase = started("initial_phase", initial_phase, (shape, shape[1:]), targets, draw)
+    phase = phase.expand(shape).clone().requires_grad_()
 
     with torch.no_grad():
         like = modulate(phase)[0]
@@ -195,26 +196,24 @@ def eyebox_hologram(
         lens = lenses[0] if shared else lenses[chosen]
         return intensity(seen_through(modulate(phase), transfers[chosen], lens)).mean(0)
 
-    def gradient(iteration):
+    def loss(iteration):
         chosen = slice(None)
         if at_once < len(places):
             chosen = torch.randperm(len(places), generator=generator)[:at_once].to(device)
         shown, wanted = images(chosen), targets[chosen]
         with torch.no_grad():
             brightness = (shown * wanted).sum() / shown.square().sum().clamp_min(torch.finfo(shown.dtype).tiny)
-        loss = loss_of(shown * brightness, wanted, **keywords)
-        loss.backward()
-        return loss.detach()
+        return loss_of(shown * brightness, wanted)
 
-    about = {"learning_rate": learning_rate, "optimizer": optimizer, "pupils": at_once}
-    if checkpoint is not None:
-        about["targets and places"] = fingerprint(targets, places, *([turns] if turned else []))
+    def about():
+        given = {"learning_rate": learning_rate, "optimizer": optimizer, "pupils": at_once}
+        return given | {"targets and places": fingerprint(targets, places, *([turns] if turned else []))}
+
     minimise(
         {"phase": phase},
-        gradient,
-        n_iteration,
-        constant(learning_rate),
-        Options(progress, callback, checkpoint, checkpoint_every),
+        loss,
+        learning_rate,
+        Run(progress, callback, checkpoint, checkpoint_every, n_iteration),
         solver=optimizer,
         about=about,
         generators=[generator, *drawn_from],
@@ -237,17 +236,3 @@ def _of_each(name, value, places):
     if lengths.ndim > 1 or (lengths.ndim == 1 and len(lengths) != len(places)):
         raise ValueError(f"{name} must be one number or [{len(places)}], got {list(lengths.shape)}")
     return lengths.expand(len(places))
-
-
-def _start(initial_phase, shape, generator, like):
-    """Return a phase to start from, ``[frames, rows, columns]``."""
-    if initial_phase is None:
-        # On the CPU, so that a seed gives the same start on every device.
-        return 2 * math.pi * torch.rand(shape, generator=generator, dtype=like.dtype).to(like.device)
-    phase = floating("initial_phase", initial_phase).detach()
-    _validate.real("initial_phase", phase)
-    if tuple(phase.shape) not in (shape, shape[1:]):
-        raise ValueError(
-            f"initial_phase must be as the targets {list(shape[1:])}, or {list(shape)}; got {list(phase.shape)}"
-        )
-    return cast(phase, like).expand(shape).clone()

@@ -21,7 +21,6 @@ from odak.learn._tensors import (
     in_own_precision,
     takes_constants,
     tensor,
-    trainable,
 )
 from odak.learn.wave.camera import captured_by, with_model_gradient
 from odak.learn.wave.fields import generate_complex_field, mean_intensity, unit_phasor
@@ -29,13 +28,14 @@ from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.slm import checked_fill, iris_cutoff
 from odak.learn.wave.training import (
     SOLVERS,
-    Options,
+    Run,
     check_brightness,
-    constant,
+    checked_intensities,
     fingerprint,
     generator_from,
     minimise,
-    random_numbers_for,
+    seeded_loss,
+    started,
 )
 from odak.wave import phase_retrieval
 from odak.wave.linear_kernels import checked_pixel_fill, pixel_aperture
@@ -284,7 +284,7 @@ def stochastic_gradient_descent(
         _validate.integer("seed", seed)
     conserved = not scale and loss_function is None and slm is None
     check_brightness("target", target, 1 if conserved else math.inf, "scale=True")
-    options = Options(progress, callback, checkpoint, checkpoint_every)
+    run = Run(progress, callback, checkpoint, checkpoint_every, n_iteration)
     check_has_kernel(propagation_type)
     optimizer = _validate.one_of("optimizer", optimizer, SOLVERS)
     frames = _validate.integer("frames", frames, minimum=1)
@@ -298,35 +298,35 @@ def stochastic_gradient_descent(
     }
     if isinstance(initial_phase, str):
         initial_phase = starting_phase(initial_phase, target, seed=seed, frames=frames, **lengths)
-    phase = _starting_phase(target, shape, initial_phase, seed).requires_grad_()
+    draw = functools.partial(torch.randn, generator=None if seed is None else generator_from(seed))
+    phase = started("initial_phase", initial_phase, [shape], target, draw, STARTS).requires_grad_()
     modulate = unit_phasor if slm is None else slm
     if (samples := getattr(slm, "samples_per_pixel", 1)) != 1:
         raise ValueError(f"slm must have one sample per pixel here, got {samples}; a propagator takes more")
     fill = checked_fill(pixel_fill, slm, cutoff is not None)
     reconstruct = functools.partial(propagate_within_window, cutoff=cutoff, pixel_fill=fill, **lengths)
-    keywords, drawn_from = random_numbers_for(loss_function, seed, target.device)
-    loss_function = torch.nn.functional.mse_loss if loss_function is None else loss_function
+    loss_of, drawn_from = seeded_loss(loss_function, seed, target.device)
 
-    def gradient(iteration):
+    def loss(iteration):
         image = mean_intensity(reconstruct(modulate(phase)), frames)
         if camera is not None:
             image = with_model_gradient(image, captured_by(camera, phase, tuple(image.shape)))
         if scale:
             image = image * best_scale(image.detach(), target)
-        loss = loss_function(image, target, **keywords)
-        loss.backward()
-        return loss.detach()
+        return loss_of(image, target)
 
-    about = {"learning_rate": learning_rate, "optimizer": optimizer, "scale": scale}
-    about |= {} if cutoff is None else {"cutoff": cutoff}
-    if checkpoint is not None:
-        about |= _problem(target, wavelength, distance, pixel_pitch) | {"propagation_type": propagation_type}
+    def about():
+        given = {"learning_rate": learning_rate, "optimizer": optimizer, "scale": scale, "target": fingerprint(target)}
+        given |= {} if cutoff is None else {"cutoff": cutoff}
+        lengths = {"wavelength": wavelength, "distance": distance, "pixel_pitch": pixel_pitch}
+        given |= {name: _validate.numbers(length) for name, length in lengths.items()}
+        return given | {"propagation_type": propagation_type}
+
     minimise(
         {"phase": phase},
-        gradient,
-        n_iteration,
-        constant(learning_rate),
-        options,
+        loss,
+        learning_rate,
+        run,
         solver=optimizer,
         about=about,
         generators=drawn_from,
@@ -345,22 +345,10 @@ def best_scale(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     return (image * target).sum(axes, keepdim=True) / norm
 
 
-def _problem(target, wavelength, distance, pixel_pitch) -> dict:
-    """Return the parameters by which a checkpoint is recognised."""
-    lengths = {"wavelength": wavelength, "distance": distance, "pixel_pitch": pixel_pitch}
-    return {"target": fingerprint(target), **{name: _validate.numbers(length) for name, length in lengths.items()}}
-
-
 def _checked_target(target) -> torch.Tensor:
-    if not isinstance(target, torch.Tensor):
-        raise TypeError(f"target must be a torch.Tensor of intensities, got {type(target).__name__}")
-    _validate.planes("target", target)
-    if target.is_complex():
-        raise TypeError(f"target must be real intensities, got {target.dtype}")
-    target = target.detach() if target.dtype in (torch.float32, torch.float64) else target.detach().float()
-    if not torch.isfinite(target).all() or (target < 0).any():
-        raise ValueError("target must be finite intensities of at least 0, got NaN, infinite or negative values")
-    return trainable(target)
+    if isinstance(target, torch.Tensor):
+        _validate.planes("target", target)
+    return checked_intensities("target", target)
 
 
 def starting_phase(
@@ -431,20 +419,6 @@ def starting_phase(
             )[0]
             phase = hologram.angle()
     return phase if frames == 1 else phase + 0.5 * drawn(torch.randn)
-
-
-def _starting_phase(target, shape, initial_phase, seed) -> torch.Tensor:
-    if initial_phase is not None:
-        _validate.real("initial_phase", floating("initial_phase", initial_phase).detach().cpu())
-        if tuple(initial_phase.shape) != shape:
-            raise ValueError(
-                f"initial_phase must be {shape}, the target's shape (with several frames [frames, …]) or one of "
-                f"{', '.join(map(repr, STARTS))}; got {tuple(initial_phase.shape)}"
-            )
-        return initial_phase.detach().to(target, copy=True)
-    generator = None if seed is None else generator_from(seed)
-    # Drawn on the CPU, so that a seed gives the same start on every device.
-    return torch.randn(shape, generator=generator, dtype=target.dtype).to(target.device)
 
 
 @accepts_descent_form

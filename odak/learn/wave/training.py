@@ -1,5 +1,6 @@
 """The training loop of all hologram optimizers: Adam and L-BFGS, progress, best state, checkpoints."""
 
+import functools
 import hashlib
 import inspect
 import logging
@@ -14,7 +15,7 @@ from tqdm import tqdm
 
 from odak import _validate
 from odak._warnings import ArgumentWarning, ConvergenceWarning, warn
-from odak.learn._tensors import advising_on_memory
+from odak.learn._tensors import advising_on_memory, floating, kind_of, trainable
 from odak.learn.tools.file import read_checkpoint, taking_up, write_checkpoint
 
 _log = logging.getLogger("odak")
@@ -29,10 +30,10 @@ _PARTS = ("done", "parameters", "best", "best_loss", "solver", "randomness")
 
 
 @dataclass(frozen=True)
-class Options:
-    """Options of an optimization.
+class Run:
+    """How an optimization runs: how long, what it shows, and where its state is kept.
 
-    Attributes
+    Parameters
     ----------
     progress : bool
         Show a progress bar.
@@ -42,12 +43,24 @@ class Options:
         File to keep the state in (``.pt``). If it is there, the run goes on from it, to the same result bit for bit.
     checkpoint_every : int
         Iterations between two writings of that file; it is written at the end and on an interruption too.
+    iterations : int
+        Number of iterations.
+    seed : int
+        Makes what is drawn at random reproducible.
+
+    Examples
+    --------
+    >>> from odak.learn.wave import Run
+    >>> Run(iterations=20, progress=False).iterations
+    20
     """
 
     progress: bool = True
     callback: Callable | None = None
     checkpoint: str | os.PathLike | None = None
     checkpoint_every: int = 50
+    iterations: int = 60
+    seed: int = 0
 
     def __post_init__(self):
         _validate.flag("progress", self.progress)
@@ -57,18 +70,19 @@ class Options:
             raise TypeError(f"checkpoint must be a path, got {type(self.checkpoint).__name__}")
         if "\0" in os.fspath(self.checkpoint or ""):
             raise ValueError(f"checkpoint must not hold a null byte, got {self.checkpoint!r}")
+        _validate.integer("iterations", self.iterations, minimum=1)
+        _validate.integer("seed", self.seed)
 
 
 def minimise(
     parameters: dict[str, torch.Tensor],
-    gradient: Callable[[int], torch.Tensor],
-    iterations: int,
-    learning_rate: Callable[[int], float],
-    options: Options,
+    loss: Callable[[int], torch.Tensor],
+    learning_rate: float | Callable[[int], float],
+    run: Run,
     *,
     solver: str = "adam",
     description: str = "hologram",
-    about: dict[str, Any] | None = None,
+    about: Callable[[], dict[str, Any]] = dict,
     generators: Sequence[torch.Generator] = (),
     keep_best: bool = False,
 ) -> bool:
@@ -78,20 +92,19 @@ def minimise(
     ----------
     parameters : dict of torch.Tensor
         Leaf tensors that require grad, by name.
-    gradient : callable
-        ``gradient(iteration)`` fills the parameters' ``grad`` (which is None before) and returns the loss, detached.
-    iterations : int
-        Number of iterations.
-    learning_rate : callable
-        ``learning_rate(iteration)``.
-    options : Options
-        Progress, callback and checkpoint.
+    loss : callable
+        ``loss(iteration)`` returns the loss; one that is detached has filled the parameters' ``grad``, which is None
+        before.
+    learning_rate : float or callable
+        Step, or ``learning_rate(iteration)``.
+    run : Run
+        Iterations, progress, callback and checkpoint.
     solver : str
         "adam" or "lbfgs".
     description : str
         Name of the progress bar.
-    about : dict, optional
-        Numbers and words that a checkpoint must agree with to be taken up.
+    about : callable, optional
+        ``about()`` returns numbers and words that a checkpoint must agree with to be taken up.
     generators : sequence of torch.Generator
         What the loss draws its random numbers from. A checkpoint holds their states, so that a run that is taken up
         draws what an uninterrupted one would have drawn.
@@ -112,20 +125,21 @@ def minimise(
         If the loss is not finite in the end.
     """
     chosen = {"adam": Adam, "lbfgs": LBFGS}[solver](list(parameters.values()))
-    run = _Run(parameters, chosen, iterations, options, about or {}, generators)
-    run.resume()
+    state = _State(parameters, chosen, run, about() if run.checkpoint is not None else {}, generators)
+    state.resume()
     with advising_on_memory(_LESS_MEMORY):
-        return run.go(gradient, learning_rate, description, keep_best)
+        rate = learning_rate if callable(learning_rate) else lambda iteration: learning_rate
+        return state.go(loss, rate, description, keep_best)
 
 
-class _Run:
+class _State:
     """State of an optimization: the parameters, the iteration and the best state so far."""
 
-    def __init__(self, parameters, solver, iterations, options, about, generators):
-        self.parameters, self.solver, self.options = parameters, solver, options
+    def __init__(self, parameters, solver, run, about, generators):
+        self.parameters, self.solver, self.options = parameters, solver, run
         self.generators = list(generators)
-        self.iterations = iterations
-        self.about = {"iterations": iterations, **about}
+        self.iterations = run.iterations
+        self.about = {"iterations": run.iterations, **about}
         self.device = next(iter(parameters.values())).device
         self.done = 0
         self.best = {name: parameter.detach().clone() for name, parameter in parameters.items()}
@@ -180,6 +194,9 @@ class _Run:
                 parameter.grad = None
             with torch.enable_grad():
                 loss = gradient(self.done)
+                if loss.requires_grad:
+                    loss.backward()
+                    loss = loss.detach()
             self._remember(loss)
             self.torn = True
             return loss
@@ -259,32 +276,30 @@ def parameters_of(loss: Callable) -> dict[str, inspect.Parameter]:
         return {}
 
 
-def random_numbers_for(
+def seeded_loss(
     loss: Callable | None, seed: int | None, device: torch.device
-) -> tuple[dict[str, torch.Generator], list[torch.Generator]]:
-    """Return what lets a seed reach the random numbers of a loss.
+) -> tuple[Callable, list[torch.Generator]]:
+    """Return a loss whose random numbers a seed reaches, and the generators whose state belongs to a checkpoint.
 
     Parameters
     ----------
     loss : callable or None
-        The user's loss; one that takes a `generator`, which is not bound to one yet, is given one.
+        The user's loss, by default the mean squared error; one that takes a `generator`, which is not bound to one
+        yet, is given one.
     seed : int or None
         Seed of the run.
     device : torch.device
         Where the loss draws.
-
-    Returns
-    -------
-    tuple
-        Keywords of the loss, and the generators whose state belongs to a checkpoint.
     """
-    given: dict[str, torch.Generator] = {}
-    found = None if loss is None else parameters_of(loss).get("generator")
+    if loss is None:
+        return torch.nn.functional.mse_loss, []
+    own = getattr(loss, "generator", None)
+    kept, found = [own] if isinstance(own, torch.Generator) else [], parameters_of(loss).get("generator")
     if found is not None and (found.default is None or found.default is found.empty):
         # Not the generator of the start, whose numbers the noise would repeat.
-        given["generator"] = generator_from(None if seed is None else (seed + 1) % 2**62, device)
-    own = getattr(loss, "generator", None)
-    return given, [*given.values(), *([own] if isinstance(own, torch.Generator) else [])]
+        kept.insert(0, generator_from(None if seed is None else (seed + 1) % 2**62, device))
+        loss = functools.partial(loss, generator=kept[0])
+    return loss, kept
 
 
 def check_brightness(name: str, targets: torch.Tensor, reachable: float | torch.Tensor, remedy: str = "") -> None:
@@ -317,6 +332,32 @@ def check_brightness(name: str, targets: torch.Tensor, reachable: float | torch.
         _validate.check_values(name, targets, "give intensities of 0 … 1 (8-bit values divided by 255)")
 
 
+def checked_intensities(name: str, values: torch.Tensor) -> torch.Tensor:
+    """Return a target in single or double precision after checking that it is finite and not negative."""
+    if not isinstance(values, torch.Tensor) or values.is_complex():
+        raise TypeError(f"{name} must be a torch.Tensor of real intensities, got {kind_of(values)}")
+    values = values.detach() if values.dtype in (torch.float32, torch.float64) else values.detach().float()
+    if not bool(values.isfinite().all()) or bool((values < 0).any()):
+        raise ValueError(f"{name} must be finite intensities of at least 0, got NaN, infinite or negative values")
+    return trainable(values)
+
+
+def started(name: str, given, shapes: Sequence[tuple], like: torch.Tensor, draw: Callable, names: Sequence[str] = ()):
+    """Return phases to start from: drawn as the first of some shapes, or given in one of them, as a copy.
+
+    `draw(shape, dtype=)` draws them on the CPU, so that a seed gives the same start on every device.
+    """
+    if given is None:
+        return draw(shapes[0], dtype=like.dtype).to(like.device)
+    phase = floating(name, given).detach()
+    _validate.real(name, phase.cpu())
+    if tuple(phase.shape) not in shapes:
+        accepted = " or ".join(str(list(shape)) for shape in dict.fromkeys(shapes))
+        named = f", or one of {', '.join(map(repr, names))}" if names else ""
+        raise ValueError(f"{name} must be {accepted}{named}; got {list(phase.shape)}")
+    return phase.to(like, copy=True)
+
+
 def fingerprint(*tensors: torch.Tensor) -> str:
     """Return a short text that identifies tensors, by which a checkpoint is recognised."""
     digest = hashlib.sha256()
@@ -324,11 +365,6 @@ def fingerprint(*tensors: torch.Tensor) -> str:
         array = tensor.detach().resolve_conj().resolve_neg().cpu().contiguous().numpy()
         digest.update(f"{array.dtype} {array.shape}".encode() + array.tobytes())
     return digest.hexdigest()[:16]
-
-
-def constant(rate: float) -> Callable[[int], float]:
-    """Return a constant learning rate."""
-    return lambda iteration: rate
 
 
 def cosine(rate: float, lowest: float, iterations: int) -> Callable[[int], float]:

@@ -208,7 +208,7 @@ def test_places_drawn_by_step_and_checkpoints(tmp_path):
     ("change", "error", "message"),
     [
         ({"targets": torch.zeros(3, 8, 8)}, ValueError, "targets must be"),
-        ({"targets": -torch.ones(8, 8)}, ValueError, "targets must not be negative"),
+        ({"targets": -torch.ones(8, 8)}, ValueError, "targets must be finite intensities of at least 0"),
         ({"pupil_positions": [0.0, 0.0]}, ValueError, "pupil_positions must be"),
         ({"pupil_diameter": [1e-3] * 3}, ValueError, "pupil_diameter must be one number or"),
         ({"focus": [-1.0, 1.0]}, ValueError, "focus must be positive"),

@@ -154,7 +154,7 @@ def test_multiplane_takes_a_loss_a_start_and_bad_input():
     for change, message in (
         ({"targets": targets[:2]}, "targets must be"),
         ({"targets": targets * torch.nan}, "targets must be finite"),
-        ({"targets": targets - 1}, "targets must not be negative"),
+        ({"targets": targets - 1}, "targets must be finite intensities of at least 0"),
         ({"phase_initial": torch.zeros(4, 4)}, "phase_initial"),
         ({"mask_limits": [0.8, 0.2, 0, 1]}, "mask_limits"),
     ):
@@ -411,7 +411,7 @@ def test_what_does_not_fit_the_propagator_is_named():
         ({"targets": targets[:1]}, "targets must be"),
         ({"targets": targets[:, :2]}, "targets must be"),
         ({"targets": torch.full_like(targets, torch.inf)}, "targets must be finite"),
-        ({"targets": -targets}, "targets must not be negative"),
+        ({"targets": -targets}, "targets must be finite intensities of at least 0"),
     ):
         with pytest.raises(ValueError, match=message):
             multi_color_hologram_optimizer(**(good | change))

@@ -25,15 +25,14 @@ def run(start, iterations=20, solver="adam", noise=0.0, loss_of=None, rate=0.1, 
         loss.backward()
         return loss.detach()
 
-    options = training.Options(**({"progress": False} | options))
+    options = training.Run(**({"progress": False, "iterations": iterations} | options))
     ended = training.minimise(
         {"x": parameter},
         gradient,
-        iterations,
-        training.constant(rate),
+        rate,
         options,
         solver=solver,
-        about={"rate": rate},
+        about=lambda: {"rate": rate},
         generators=[draw],
     )
     return parameter.detach(), ended
@@ -193,7 +192,6 @@ def test_schedules():
     assert rates[8] == pytest.approx(0.1)
     assert rates[2] == pytest.approx(0.1 + 0.15 * (1 + math.cos(math.pi / 4)))
     assert [training.linear(0.4, 0.1, 3)(i) for i in range(4)] == pytest.approx([0.4, 0.3, 0.2, 0.1])
-    assert training.constant(0.3)(17) == 0.3
 
 
 def test_solvers_on_several_parameters():
@@ -370,10 +368,10 @@ def test_a_seed_reaches_the_random_numbers_of_a_loss(optimized, tmp_path):
 def test_losses_that_bring_their_numbers_are_left_alone():
     own = torch.Generator().manual_seed(5)
     bound = functools.partial(noisy_loss, generator=own)
-    assert training.random_numbers_for(bound, 3, torch.device("cpu")) == ({}, [])
-    assert training.random_numbers_for(torch.dist, 3, torch.device("cpu")) == ({}, [])
-    assert training.random_numbers_for(None, 3, torch.device("cpu")) == ({}, [])
+    cpu = torch.device("cpu")
+    assert training.seeded_loss(bound, 3, cpu) == (bound, []) and training.seeded_loss(torch.dist, 3, cpu)[1] == []
+    assert training.seeded_loss(None, 3, cpu) == (torch.nn.functional.mse_loss, [])
     target, before = torch.rand(1, 8, 8), own.get_state()
     module = wave.multiplane_loss(target, torch.zeros(8, 8), blur_ratio=3.0, number_of_planes=2, generator=own)
-    keywords, kept = training.random_numbers_for(module, 3, torch.device("cpu"))
-    assert kept == [keywords["generator"], own] and torch.equal(own.get_state(), before)
+    loss, kept = training.seeded_loss(module, 3, cpu)
+    assert kept == [loss.keywords["generator"], own] and torch.equal(own.get_state(), before)

@@ -3,6 +3,7 @@
 import math
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -31,7 +32,16 @@ from odak.learn.wave.optimizers.terms import (
 from odak.learn.wave.propagators import power_method
 from odak.learn.wave.propagators import propagator as propagator_type
 from odak.learn.wave.slm import TURN, even_levels
-from odak.learn.wave.training import Options, check_brightness, cosine, fingerprint, generator_from, linear, minimise
+from odak.learn.wave.training import (
+    Run,
+    check_brightness,
+    cosine,
+    fingerprint,
+    generator_from,
+    linear,
+    minimise,
+    started,
+)
 from odak.wave.torch_convolution import Workspace, release_memory
 
 
@@ -176,7 +186,7 @@ class multi_color_hologram_optimizer:
         self._peak = peak_amplitude
         self.optimize_peak_amplitude = _validate.flag("optimize_peak_amplitude", optimize_peak_amplitude)
         self.img_loss_thres, self.camera = img_loss_thres, _validate.function_or_none("camera", camera)
-        self.options = Options(progress, callback, checkpoint, checkpoint_every)
+        self.options = Run(progress, callback, checkpoint, checkpoint_every)
         self._generator = generator_from(seed)
         self.init_loss_function(loss_function, reduction)
         self.init_phase_scale()
@@ -191,7 +201,8 @@ class multi_color_hologram_optimizer:
             check_brightness("targets", self.targets, math.inf)
         self.init_phase()
         if initial_phase is not None:
-            self._start_from(initial_phase)
+            shape = (self.number_of_frames, *self.resolution)
+            self.phase = self._leaf(started("initial_phase", initial_phase, [shape], self.targets, torch.zeros))
 
     def _check_display(self):
         display = self.propagator
@@ -229,12 +240,6 @@ class multi_color_hologram_optimizer:
 
     def _leaf(self, values):
         return values.to(self.device).requires_grad_()
-
-    def _start_from(self, phase):
-        _validate.real("initial_phase", floating("initial_phase", phase).detach().cpu())
-        if tuple(phase.shape) != tuple(self.phase.shape):
-            raise ValueError(f"initial_phase must be {tuple(self.phase.shape)}, got {tuple(phase.shape)}")
-        self.phase = self._leaf(phase.detach().to(self.phase.dtype, copy=True))
 
     def init_channel_power(self) -> None:
         """Set the channel powers ``[F, C]``: those of the file, one source per frame, or ones to learn from."""
@@ -303,15 +308,17 @@ class multi_color_hologram_optimizer:
         self._noise = {"inject_noise": inject_noise, "noise_ratio": noise_ratio}
         self.init_optimizer(iterations)
         self._workspace = Workspace()
-        about = {"method": self.method, "learning_rate": self.learning_rate, "weights": self.weights}
-        if self.options.checkpoint is not None:
-            about |= {"targets": fingerprint(self.targets), "display": self.propagator.fingerprint()}
+
+        def about():
+            given = {"method": self.method, "learning_rate": self.learning_rate, "weights": self.weights}
+            return given | {"targets": fingerprint(self.targets), "display": self.propagator.fingerprint()}
+
         self._noise["generator"] = generator_from((self._generator.initial_seed() + 1) % 2**62, self.device)
         drawn_from = [
             self._noise["generator"], getattr(self.loss_function, "generator", None), self.propagator.generator(),
         ]  # fmt: skip
         minimise(
-            self.parameters, self._gradient, iterations, self.learning_rates, self.options,
+            self.parameters, self._gradient, self.learning_rates, replace(self.options, iterations=iterations),
             description=self._title, about=about, generators=[own for own in drawn_from if own is not None],
             keep_best=self.camera is not None,
         )  # fmt: skip

@@ -8,18 +8,17 @@ import torch
 
 from odak import _show, _validate
 from odak._warnings import ArgumentWarning, warn
-from odak.learn._tensors import floating
 from odak.learn.wave.fields import mean_intensity, unit_phasor
 from odak.learn.wave.optimizers.terms import checked_pattern, checked_targets, checkerboard, zero_mean
 from odak.learn.wave.propagators import propagator
 from odak.learn.wave.training import (
-    Options,
+    Run,
     check_brightness,
-    constant,
     fingerprint,
     generator_from,
     minimise,
-    random_numbers_for,
+    seeded_loss,
+    started,
 )
 from odak.wave.transfer_functions import checked_pitch
 
@@ -173,7 +172,8 @@ class multiplane_hologram_optimizer:
                 targets = targets[: self.number_of_planes]
         self.targets = checked_targets(targets, (self.number_of_planes, *self.slm_resolution)).to(self.device)
         self.mask_limits = mask_limits
-        self.options = Options(progress, callback, checkpoint, checkpoint_every)
+        steps = self.number_of_iterations * self.number_of_planes
+        self.options = Run(progress, callback, checkpoint, checkpoint_every, steps)
         self._generator = generator_from(seed)
         self.init_amplitude(amplitude_initial)
         self.init_phase(phase_initial)
@@ -208,11 +208,7 @@ class multiplane_hologram_optimizer:
         return torch.rand(shape, generator=self._generator, dtype=dtype)
 
     def _values(self, name, given, shape, make):
-        values = make(shape, dtype=self.targets.dtype) if given is None else floating(name, given).detach().clone()
-        if tuple(values.shape) != shape:
-            raise ValueError(f"{name} must be {shape}, got {tuple(values.shape)}")
-        _validate.real(name, values.cpu())
-        return values.to(self.device, self.targets.dtype)
+        return started(name, given, [shape], self.targets, make)
 
     def init_optimizer(self) -> None:
         """Collect the parameters."""
@@ -229,8 +225,7 @@ class multiplane_hologram_optimizer:
             Reduction of the squared error, default "mean".
         """
         self.loss_function = _validate.function_or_none("loss_function", loss_function)
-        seed = self._generator.initial_seed()
-        self._loss_keywords, self._drawn_from = random_numbers_for(loss_function, seed, self.device)
+        self._seeded, self._drawn_from = seeded_loss(loss_function, self._generator.initial_seed(), self.device)
         reduction = _validate.one_of("reduction", reduction, ("mean", "sum", "none"))
         self.l2_loss = torch.nn.MSELoss(reduction=reduction)
 
@@ -267,7 +262,7 @@ class multiplane_hologram_optimizer:
         pair = input_image * self.mask, target_image * self.mask
         if self.loss_function is None:
             return self.l2_loss(*pair)
-        return self.loss_function(*pair, plane_id, **self._loss_keywords)
+        return self._seeded(*pair, plane_id)
 
     def double_phase_constrain(self, shifted_phase: torch.Tensor, phase_offset: torch.Tensor) -> torch.Tensor:
         """Return the double-phase pattern of the phase minus its mean, ``[m, n]`` or ``[frames, m, n]``.
@@ -333,15 +328,15 @@ class multiplane_hologram_optimizer:
             latest[plane] = loss.detach()
             return latest.mean()
 
-        about = {"learning_rate": self.learning_rate, "planes": self.number_of_planes}
-        if self.options.checkpoint is not None:
+        def about():
             given = fingerprint(self.targets, self.amplitude, self.mask)
-            about |= {"targets, amplitude or mask": given, "display": self.propagator.fingerprint()}
+            lengths = {"learning_rate": self.learning_rate, "planes": self.number_of_planes}
+            return lengths | {"targets, amplitude or mask": given, "display": self.propagator.fingerprint()}
+
         minimise(
             self.parameters | {"latest losses": latest},
             gradient,
-            self.number_of_iterations * self.number_of_planes,
-            constant(self.learning_rate),
+            self.learning_rate,
             self.options,
             description="multiplane hologram",
             about=about,

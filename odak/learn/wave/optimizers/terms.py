@@ -9,7 +9,7 @@ from odak.learn._tensors import floating, kind_of
 from odak.learn.tools.file import torch_load
 from odak.learn.tools.loss import multi_scale_total_variation_loss
 from odak.learn.wave.fields import unit_phasor
-from odak.learn.wave.training import parameters_of
+from odak.learn.wave.training import checked_intensities, parameters_of
 from odak.learn.wave.volume import disc
 from odak.tools.paths import validate_path
 from odak.wave.fields import decompose_double_phase
@@ -94,15 +94,9 @@ def light_loss(powers: torch.Tensor, targets: torch.Tensor, peak: float, reducti
 
 def checked_targets(targets, shape: tuple[int, ...]) -> torch.Tensor:
     """Return intensities after checking their shape and that they are finite and not negative."""
-    if not isinstance(targets, torch.Tensor) or not targets.is_floating_point():
-        raise TypeError(f"targets must be a real floating tensor, got {kind_of(targets)}")
-    if tuple(targets.shape) != shape:
+    if isinstance(targets, torch.Tensor) and tuple(targets.shape) != shape:
         raise ValueError(f"targets must be {shape}, got {tuple(targets.shape)}")
-    if not bool(targets.isfinite().all()):
-        raise ValueError("targets must be finite, got NaN or infinite values")
-    if bool((targets < 0).any()):
-        raise ValueError(f"targets must not be negative, got {targets.min().item()}")
-    return targets.detach()
+    return checked_intensities("targets", targets)
 
 
 def check_pair(input_image, target_image) -> None:
