@@ -95,7 +95,7 @@ def use(package: Path, folder: Path, borrowed: bool) -> None:
     if not borrowed:
         pip(python, torch_requirement())
     # The wheel's own metadata is read either way; --no-deps only leaves the libraries where they are.
-    pip(python, *(["--no-deps"] if borrowed else []), package)
+    pip(python, *(["--no-deps", package] if borrowed else [f"{package}[figures]"]))
     clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     elsewhere = folder / "elsewhere"
     elsewhere.mkdir()

@@ -5,6 +5,7 @@ by Ctrl-C.
 """
 
 import os
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -100,7 +101,11 @@ PixelPitch = Annotated[
     ),
 ]
 Resolution = Annotated[
-    tuple[int, int], typer.Option(metavar="ROWS COLUMNS", help="Resolution of the modulator in pixels.")
+    tuple[int, int],
+    typer.Option(
+        metavar="ROWS COLUMNS",
+        help="Resolution of the modulator in pixels: rows and columns, or width x height in one word (1920x1080).",
+    ),
 ]
 Distance = Annotated[
     float,
@@ -499,6 +504,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise TypeError(f"arguments must be a sequence of strings, got {arguments!r:.80}")
         arguments = list(arguments)
     command = typer.main.get_command(app)
+    # Only what has a size in one word is rewritten: click itself expands the process's own arguments on Windows.
+    given = sys.argv[1:] if arguments is None else arguments
+    if (sizes := _apart(given)) != given:
+        arguments = sizes
     try:
         code = command.main(args=arguments, prog_name="odak", standalone_mode=False)
     except typer.Abort:
@@ -512,6 +521,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Releases of typer differ: some return this code where others raise Abort.
         return _fail("interrupted", INTERRUPTED)
     return code if isinstance(code, int) else 0
+
+
+def _apart(arguments: list[str]) -> list[str]:
+    """Return arguments with a resolution in one word, width x height, as the rows and columns that its option takes."""
+    found: list[str] = []
+    for argument in arguments:
+        size = re.fullmatch(r"(--resolution=)?(\d+)[x×](\d+)", argument)
+        if size and (size[1] or found[-1:] == ["--resolution"]):
+            found += [*(["--resolution"] if size[1] else []), size[3], size[2]]
+        else:
+            found.append(argument)
+    return found
 
 
 @app.callback(invoke_without_command=True)

@@ -173,7 +173,9 @@ def versions() -> dict[str, str]:
     """Return the versions of Python, odak and the libraries that it uses."""
     from odak import __version__
 
-    packages = {name: metadata.version(name) for name in ("numpy", "scipy", "torch", "pillow", "plotly")}
+    installed = {found.name for found in metadata.distributions()}
+    named = ("numpy", "scipy", "torch", "pillow", "plotly")
+    packages = {name: metadata.version(name) for name in named if name in installed}
     return {"odak": __version__, "python": platform.python_version(), **packages, "torch": torch.__version__}
 
 

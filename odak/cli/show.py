@@ -4,7 +4,7 @@ import base64
 import html
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -104,19 +104,19 @@ def run(path: str, page: Path) -> Path:
         from odak.cli.target import read_picture
 
         picture = read_picture(source, "FILE").double()
-        body = _figures([_field_figure(picture.mean(0).numpy(), source.name)])
+        body = _live(lambda: [_field_figure(picture.mean(0).numpy(), source.name)], alone=True)
     elif source.suffix.lower() in (".npy", ".pt") and source.is_file():
-        body = _figures([_field_figure(_load(source), source.name)])
+        field = _load(source)
+        body = _live(lambda: [_field_figure(field, source.name)], alone=True)
     elif source.suffix.lower() in LENSES or not source.suffix:
         from odak.cli.trace import read_system
         from odak.learn.raytracing.system import sample_systems
-        from odak.visualize.plotly import system_show
 
         if not source.suffix and path not in sample_systems():
             raise InputError(f"FILE not found: {path!r}.{did_you_mean(path, sample_systems())}")
         lens = read_system(path, "FILE")[0]
         title = lens.name or title
-        body = f'<div class="drawn">{lens._repr_html_()}</div>{_figures([(system_show(lens, show=False).fig, "")])}'
+        body = f'<div class="drawn">{lens._repr_html_()}</div>{_live(lambda: [_system_figure(lens)])}'
     elif not source.is_file():
         raise InputError(f"FILE not found: {str(source)!r}")
     else:
@@ -147,10 +147,13 @@ def _folder(folder: Path) -> tuple[str, str]:
     drawn = [_pictured(path, number == 0) for number, path in enumerate(pictures) if path.name not in named]
     kept = [_pictured(path) for path in pictures if path.name in named]
     parts = [*drawn[:1], *parts, *drawn[1:]]
-    figures = _together([(_load(path), path.name) for path in fields], pitch, wavelength)
+    arrays = [(_load(path), path.name) for path in fields]
     phases = [(np.exp(1j * _phase(path)), path.name) for path in patterns]
-    figures += _together(phases, pitch, quantities=["phase"])
-    parts += [_figures(figures), _numbers(report)]
+    live = _live(
+        lambda: _together(arrays, pitch, wavelength) + _together(phases, pitch, quantities=["phase"]),
+        alone=not pictures,
+    )
+    parts += [live, _numbers(report)]
     parts += [f"<details><summary>Patterns</summary>{''.join(kept)}</details>"] if kept else []
     made_of = settings.get("image")
     title = f"{Path(made_of).stem}, {folder.name}" if isinstance(made_of, str) and made_of else folder.name
@@ -347,6 +350,22 @@ def _block_means(values: np.ndarray, step: int) -> np.ndarray:
     rows, columns = (max(1, count // step) for count in values.shape[-2:])
     kept = values[..., : rows * step, : columns * step]
     return kept.reshape(*kept.shape[:-2], rows, -1, columns, kept.shape[-1] // columns).mean((-3, -1))
+
+
+def _system_figure(lens) -> tuple[Any, str]:
+    from odak.visualize.plotly import system_show
+
+    return system_show(lens, show=False).fig, ""
+
+
+def _live(make: Callable[[], list], alone: bool = False) -> str:
+    """Return interactive figures, or without plotly a note, beside other pictures, that they need it."""
+    try:
+        return _figures(make())
+    except ImportError as error:
+        if alone:
+            raise InputError(str(error)) from None
+        return f"<p><small>Without interactive figures: {html.escape(str(error))}</small></p>"
 
 
 def _figures(figures: list[tuple[Any, str]]) -> str:

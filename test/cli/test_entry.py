@@ -2,6 +2,7 @@ import subprocess
 import sys
 
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 import odak
@@ -50,6 +51,30 @@ def test_version_and_bare_call(capsys):
     assert capsys.readouterr().out.strip() == odak.__version__
     assert main([]) == 0
     assert "hologram" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", [["--resolution", "48x32"], ["--resolution=48x32"], ["--resolution", "32", "48"]])
+def test_a_resolution_in_one_word_is_width_by_height(words, tmp_path):
+    given = [
+        "--distance",
+        "2mm",
+        "--iterations",
+        "1",
+        "--device",
+        "cpu",
+        "--quiet",
+        "--grey",
+        "-o",
+        str(tmp_path / "run"),
+    ]
+    assert main(["hologram", "photo", *words, *given]) == 0
+    with Image.open(tmp_path / "run" / "hologram_532nm.png") as pattern:
+        assert pattern.size == (48, 32)
+
+
+def test_a_file_named_like_a_size_stays_a_file(capsys):
+    assert main(["hologram", "48x32"]) == 2
+    assert "48x32" in capsys.readouterr().err
 
 
 def test_unknown_commands_are_code_2(capsys):

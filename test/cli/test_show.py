@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -106,6 +107,19 @@ def test_the_page_of_a_lens_holds_what_a_notebook_shows(tmp_path):
     # Cooke triplets are scaled to 50 mm; the sample's own first order is tested with lenses.
     assert "<td" in page and ">50.001 mm</td>" in page and Parts(page).parts[0] == ("h1", "Cooke triplet f/4")
     assert [kind for kind, _ in Parts(page).parts] == ["h1", "image", "figure"]
+
+
+def test_without_plotly_there_are_pictures_and_a_note(many, tmp_path, monkeypatch, capsys):
+    for name in ("odak.visualize.plotly.figures", "odak.visualize.plotly.field_figures", "odak.visualize.plotly"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.delattr("odak.visualize.plotly", raising=False)
+    monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
+    page = page_of(many, tmp_path)
+    assert "needs the package plotly: pip install plotly" in page
+    assert [kind for kind, _ in Parts(page).parts].count("figure") == 0 and ("image", "a.png") in Parts(page).parts
+    np.save(tmp_path / "field.npy", np.ones((4, 5), complex))
+    assert main(["show", str(tmp_path / "field.npy"), "-o", str(tmp_path / "page.html"), "--no-open"]) == 2
+    assert "pip install plotly" in capsys.readouterr().err
 
 
 @pytest.mark.slow

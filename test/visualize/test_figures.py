@@ -179,3 +179,8 @@ def test_every_public_name_resolves():
     for name in package.__all__:
         assert getattr(package, name) is not None
     assert set(package.__all__) == set(dir(package))
+
+
+def test_a_figure_describes_itself_in_a_line():
+    shown = odak.visualize.plotly.field_show(np.ones((4, 6), complex), show=False)
+    assert repr(shown) == "detectorshow(2 traces: heatmap)"

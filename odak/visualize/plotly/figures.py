@@ -31,7 +31,9 @@ try:
     import plotly.io as page
     from plotly.subplots import make_subplots as make_subplots
 except ImportError as error:
-    raise ImportError("odak.visualize.plotly needs the package plotly: pip install plotly kaleido") from error
+    raise ImportError(
+        "odak.visualize.plotly needs the package plotly: pip install plotly, and kaleido for images"
+    ) from error
 
 START_TIMEOUT = 60.0
 RENDER_TIMEOUT = 120.0
@@ -598,6 +600,10 @@ class Figure:
         self.fig = figure
         self.settings = settings
         self._notes: list[str] = []
+
+    def __repr__(self) -> str:
+        kinds = ", ".join(dict.fromkeys(trace.type for trace in self.fig.data))
+        return f"{type(self).__name__}({len(self.fig.data)} traces{': ' if kinds else ''}{kinds})"
 
     def update_layout(self) -> None:
         """Apply the settings to the figure; done before it is shown or saved."""
