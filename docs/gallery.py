@@ -33,7 +33,7 @@ GROUPS = {
     "blender": "Renders",
 }
 _PICTURE = re.compile(r"^# Picture: (?P<text>.+)$", re.MULTILINE)
-_THUMBNAIL = re.compile(r"^# Thumbnail: ([\d.]+)(?: ([\d.]+))?$", re.MULTILINE)
+_THUMBNAIL = re.compile(r"^# Thumbnail: ([\d.]+)(?: ([\d.]+))?(?: ([\d.]+) ([\d.]+))?$", re.MULTILINE)
 _LIVE = re.compile(r"^```(?P<kind>frames|plotly) (?P<name>\w+)\n(?P<text>.*)\n```$", re.MULTILINE)
 _BLOCK = re.compile(r"^```gallery(?: (?P<group>\w+))?\n```$", re.MULTILINE)
 
@@ -130,14 +130,18 @@ def thumbnail(path: Path) -> None:
     """Store a part of the first figure, 4:3: an image in it without its axes, or all of a figure that holds curves alone.
 
     The line `# Thumbnail: 0.2` asks for the image next to a fifth of the width instead of the largest one. A second
-    number, `# Thumbnail: 0.2 0.33`, asks for a part of the whole height about that place, as wide as it says.
+    number, `# Thumbnail: 0.2 0.33`, asks for a part of the whole height about that place, as wide as it says. Four
+    numbers are the left, upper, right and lower side of the part, as shares of the figure.
     """
     from PIL import Image, ImageOps
 
     figure = Image.open(f"{stored(path)}_1.webp").convert("RGB")
     share = _THUMBNAIL.search(path.read_text(encoding="utf-8"))
     boxes = [] if share and share[2] else _images_in(figure)
-    if boxes and share:
+    chosen = bool(share and share[4])
+    if chosen:
+        box = [round(float(side) * size) for side, size in zip(share.groups(), 2 * figure.size)]
+    elif boxes and share:
         box = min(boxes, key=lambda box: abs((box[0] + box[2]) / 2 - float(share[1]) * figure.width))
     elif boxes:
         box = max(boxes, key=lambda box: (box[2] - box[0]) * (box[3] - box[1]))
@@ -145,6 +149,7 @@ def thumbnail(path: Path) -> None:
         middle, width = (float(part) for part in (share.groups() if share and share[2] else (0.5, 1)))
         box = tuple(round(side * figure.width) for side in (middle - width / 2, 0, middle + width / 2, 0))
         box = (max(box[0], 0), 0, min(box[2], figure.width), figure.height)
+    boxes = boxes or chosen
     fitted = ImageOps.fit if boxes else ImageOps.pad
     canvas = fitted(figure.crop(box), (480, 360), Image.LANCZOS, **({} if boxes else {"color": "white"}))
     canvas.save(f"{stored(path)}.webp", quality=80, method=6)

@@ -42,4 +42,5 @@ axis.set(
     xlabel="z (mm)", ylabel="y (mm)", aspect="equal", xlim=(-9, 9), ylim=(-5.4, 5.4)
 )
 # Picture: Parallel rays through a ball of glass, which touch a caustic behind it
+# Thumbnail: 0.3 0.1 0.88 0.85
 plt.show()

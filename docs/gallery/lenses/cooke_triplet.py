@@ -31,4 +31,5 @@ for index, (axis, field) in enumerate(zip(axes, triplet.fields)):
 axes[0].set_ylabel("y (µm)")
 axes[0].legend(fontsize=8, markerscale=3)
 # Picture: Section through a Cooke triplet with rays of three fields, and its spot diagrams
+# Thumbnail: 0.12 0.08 0.55 0.52
 plt.show()

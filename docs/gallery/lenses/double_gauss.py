@@ -33,4 +33,5 @@ print("tangential focus (mm):", [round(v, 3) for v in tangential[middle].tolist(
 print("sagittal focus (mm):", [round(v, 3) for v in sagittal[middle].tolist()])
 print("distortion:", [f"{v:.2%}" for v in distortion(lens)[middle].tolist()])
 # Picture: Section through a double Gauss, and its ray fans for three fields and three wavelengths
+# Thumbnail: 0.18 0.03 0.6 0.5
 plt.show()

@@ -41,4 +41,5 @@ for name in (
         axis.annotate(name, glasses[name], fontsize=9, **labels)
 axis.set(xlabel="Abbe number", ylabel="refractive index at 587.6 nm", xlim=(100, 15))
 # Picture: Refractive index against Abbe number for the glasses of the catalogue
+# Thumbnail: 0.35 0.05 0.98 0.85
 plt.show()

@@ -66,4 +66,5 @@ for line in curves(box, fan(0 * inside, inside)).numpy():
 axes[1].add_patch(plt.Circle((0, 0), 1.0, fill=False, color="gray"))
 axes[1].set(xlabel="z", ylabel="y", aspect="equal", title="Maxwell's fish-eye")
 # Picture: Rays of two points in a rod of graded index, and of one point in Maxwell's fish-eye
+# Thumbnail: 0.365 0.45 0.72 0.87
 plt.show()

@@ -51,4 +51,4 @@ axes[3].set(xlabel="share of the aperture", ylabel="RMS spot (µm)", ylim=0)
 axes[3].grid(True, alpha=0.3)
 # Picture: Flat plates, an early stage and the triplet that they become, and the spots of each stage
 plt.show()
-# Thumbnail: 0.5 1
+# Thumbnail: 0.18 0.53 0.58 0.7

@@ -65,4 +65,5 @@ for axis, spots in zip(right.subplots(2, 1), (before, after)):
     axis.set(xlabel="x (µm)", ylabel="y (µm)", aspect="equal")
     axis.legend(loc="upper left", bbox_to_anchor=(1, 1), markerscale=2)
 # Picture: A doublet and its axial spot in three wavelengths, before and after optimisation
+# Thumbnail: 0.66 0.5 0.9 0.9
 plt.show()
