@@ -182,5 +182,5 @@ def test_every_public_name_resolves():
 
 
 def test_a_figure_describes_itself_in_a_line():
-    shown = odak.visualize.plotly.field_show(np.ones((4, 6), complex), show=False)
+    shown = field_show(np.ones((4, 6), complex), show=False)
     assert repr(shown) == "detectorshow(2 traces: heatmap)"

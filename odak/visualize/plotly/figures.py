@@ -31,9 +31,7 @@ try:
     import plotly.io as page
     from plotly.subplots import make_subplots as make_subplots
 except ImportError as error:
-    raise ImportError(
-        "odak.visualize.plotly needs the package plotly: pip install plotly, and kaleido for images"
-    ) from error
+    raise ImportError("odak.visualize.plotly needs the package plotly: pip install plotly kaleido") from error
 
 START_TIMEOUT = 60.0
 RENDER_TIMEOUT = 120.0
