@@ -420,7 +420,7 @@ PoolingMode = Annotated[
 ]
 Levels = Annotated[int, typer.Option(metavar="COUNT", help="Number of levels of the pyramid, 2 or more.")]
 Orientations = Annotated[
-    int, typer.Option(metavar="COUNT", help="Number of orientations of the pyramid's bands, 1 or more.")
+    int, typer.Option(metavar="COUNT", help="Number of orientations of the pyramid's bands, 4 or more.")
 ]
 Refinements = Annotated[
     int,
@@ -736,7 +736,7 @@ def metamer(
     alpha: Alpha = 0.2,
     mode: PoolingMode = "quadratic",
     levels: Levels = 5,
-    orientations: Orientations = 2,
+    orientations: Orientations = 4,
     iterations: Refinements = 40,
     joint: Joint = False,
     nominal_width: NominalWidth = False,
@@ -758,6 +758,11 @@ def metamer(
             f"PSNR {psnr}, metameric loss {report['loss']:.3g}, that of white noise of the same PSNR "
             f"{report['noise_loss']:.3g}, largest pooling region {report['largest_pooling']:.3g} px"
         )
+        if report["texture_distance"] is not None:
+            typer.echo(
+                f"distance by statistics of textures {report['texture_distance']:.3g}, that of the noise "
+                f"{report['noise_texture_distance']:.3g}"
+            )
         typer.echo(f"metamer.png, pooling_map.png, comparison.png, report.json in {output}")
 
 

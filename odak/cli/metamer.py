@@ -16,6 +16,8 @@ from odak.cli.report import decibels, find_device, versions
 from odak.cli.target import read_picture
 
 STAGES = 3
+# Side of the patches whose texture is compared, levels of their pyramid, and the least size of pooling within them.
+PATCH, PATCH_LEVELS, PATCH_POOLING = 128, 4, 2.0
 # Metres above which a width or a distance is taken for centimetres without their unit.
 LARGEST_SCREEN = 15.0
 NAMES = ("metamer.png", "pooling_map.png", "comparison.png")
@@ -24,6 +26,9 @@ DEFINITIONS = {
     "metamer differs from the picture where the eye does not see it, so that a low value is no fault.",
     "loss": "Metameric loss of metamer.png: the squared difference of the statistics that the eye perceives.",
     "noise_loss": "The same of the picture with white noise of the same PSNR, for comparison.",
+    "texture_distance": "Mean squared difference of the texture statistics of metamer.png from those of the picture "
+    "(Portilla and Simoncelli, mean of channels), in squares of 128 pixels away from the gaze; null if there are none.",
+    "noise_texture_distance": "The same of the picture with white noise of the same PSNR.",
     "largest_pooling": "Width in pixels of the largest region over which the eye pools.",
     "gaze": "Fixated point, 0 to 1 from the left and from the top.",
     "lengths": "Width of the picture and distance of the eye in metres.",
@@ -72,7 +77,7 @@ class MetamerJob:
     alpha: float = 0.2
     mode: str = "quadratic"
     levels: int = 5
-    orientations: int = 2
+    orientations: int = 4
     iterations: int = 40
     joint: bool = False
     nominal_width: bool = False
@@ -115,7 +120,8 @@ def run(job: MetamerJob, notices: files.Notices = files.SILENT) -> dict:
     -------
     dict
         The report: "psnr_db" of the metamer, "largest_pooling" in pixels, "loss": the metameric loss of the metamer as
-        saved, over the whole picture, and "noise_loss": that of the picture with white noise of the same squared error.
+        saved, over the whole picture, and "noise_loss": that of the picture with white noise of the same squared error;
+        "texture_distance" and "noise_texture_distance": the same by the statistics of textures.
 
     Raises
     ------
@@ -165,16 +171,33 @@ def run(job: MetamerJob, notices: files.Notices = files.SILENT) -> dict:
         noise = torch.randn(picture.shape, generator=torch.Generator().manual_seed(job.seed)).to(picture)
         loss = MetamericLoss(device, **view, **bands, use_l2_foveal_loss=False)
         with torch.no_grad():
-            value, of_noise = (
-                float(loss(shown, picture, job.gaze)) for shown in (metamer, picture + math.sqrt(error) * noise)
-            )
+            spoilt = picture + math.sqrt(error) * noise
+            value, of_noise = (float(loss(shown, picture, job.gaze)) for shown in (metamer, spoilt))
+            textures = [_texture_distance(shown, picture, pooling) for shown in (metamer, spoilt)]
         _write(folder, picture, metamer, pooling, job.width)
         bar.update()
     found = {"psnr_db": decibels(error), "largest_pooling": float(pooling.max()), "loss": value, "noise_loss": of_noise}
+    found |= dict(zip(("texture_distance", "noise_texture_distance"), textures, strict=True))
     given = {"command": "metamer", "picture": str(path), "parameters": parameters}
     return files.write_report(
         folder, {**found, **given, "versions": versions(), "definitions": DEFINITIONS}, mark, NAMES
     )
+
+
+def _texture_distance(shown, picture, pooling):
+    """Return the mean squared difference of the texture of two pictures in squares where no pixel is resolved."""
+    from odak.learn.perception import texture_statistics
+
+    corners = [range(0, side - PATCH + 1, PATCH) for side in picture.shape[-2:]]
+    squares = [(slice(top, top + PATCH), slice(left, left + PATCH)) for top in corners[0] for left in corners[1]]
+    squares = [(..., *square) for square in squares if pooling[square].min() >= PATCH_POOLING]
+    if not squares:
+        return None
+    one, two = (
+        texture_statistics(torch.cat([whole.mean(1, keepdim=True)[square] for square in squares]), PATCH_LEVELS)
+        for whole in (shown.clamp(0, 1), picture)
+    )
+    return sum(float((one[name] - two[name]).square().mean()) for name in one)
 
 
 def _quantised(picture):

@@ -4,10 +4,12 @@ import os
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 from typer.testing import CliRunner
 
 from odak.cli import app, main
+from odak.cli.metamer import _texture_distance
 from odak.learn.perception import make_pooling_size_map_pixels
 
 ROWS, COLUMNS = 60, 72
@@ -59,6 +61,20 @@ def test_three_pictures(file, tmp_path):
         if np.array_equal(sheet[row : row + rows, 16 : 16 + columns], picture)
     )
     assert np.array_equal(sheet[top : top + rows, 332 : 332 + columns], metamer)
+
+
+def test_texture_of_squares_away_from_the_gaze():
+    picture = torch.rand(1, 3, 130, 270, generator=torch.Generator().manual_seed(0))
+    pooling = torch.full((130, 270), 4.0)
+    pooling[50, 50] = 1.0
+    # The first square has a resolved pixel, in the second one the texture is the same at another place.
+    shown = picture.clone()
+    shown[..., :128, :128] = 0.5
+    assert _texture_distance(shown, picture, pooling) == 0
+    shown[..., :128, 128:256] = picture[..., :128, 128:256].flip(-1).flip(-2)
+    flat, turned = (_texture_distance(one, picture, pooling) for one in (torch.zeros_like(picture), shown))
+    assert 0 < turned < 0.01 * flat
+    assert _texture_distance(shown, picture, torch.ones_like(pooling)) is None
 
 
 def test_iterations_lower_the_loss_and_the_seed_reproduces(file, tmp_path):

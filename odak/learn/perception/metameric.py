@@ -10,6 +10,7 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _array, _torch_private, _validate
+from odak._warnings import SamplingWarning, warn
 from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, checked_device, in_float32, kind_of
 from odak.learn.perception.color import rgb_2_ycrcb, ycrcb_2_rgb
 from odak.learn.perception.foveation import (
@@ -36,9 +37,19 @@ RMS_FLOOR, VARIANCE_FLOOR = 1e-6, 1e-7
 METAMER_ITERATIONS = 40
 # Numbers of evaluations relative to those above if statistics of pairs are matched: first without, then with them.
 WITHOUT_PAIRS, WITH_PAIRS = 2, 0.25
-# Displacements by which a metamer starts: their deviation as a fraction of the pooling size, and at most as a fraction
-# of the distance over which they vary; this distance as a fraction of a pixel of the last low-pass.
-DISPLACEMENT, LARGEST_SLOPE, GRAIN = 0.2, 0.5, 0.25
+# Least number of orientations by which a metamer is made: two cannot tell 45° from 135°.
+METAMER_ORIENTATIONS = 4
+# Pooling size in pixels below which a metamer is hardly more than the picture itself.
+FEW_PIXELS = 3.0
+# Displacements by which a metamer starts: their strength as a fraction of the pooling size, and at most as a fraction
+# of the distance over which they vary; this distance in pixels of the last low-pass. Displacements that vary slowly
+# keep lines and grain; those of the loss that compares pixels with a metamer vary as in earlier versions.
+WARP, EARLIER_WARP = (0.6, 0.2, 1.5), (0.2, 0.5, 0.25)
+# Side in pixels of the squares in which a displaced picture must vary to be changed further, and the deviation at which
+# half of a change is made: flat regions stay flat.
+DETAIL_SIDE, DETAIL_FLOOR = 9, 0.005
+# Variance of flat regions that rounding in float32 can cause.
+ROUNDING = 1e-6
 # Number of times that the local statistics of the bands are matched to those of the picture before the descent, and the
 # largest factor by which a deviation is increased at a time.
 RESCALINGS, LARGEST_GAIN = 4, 4.0
@@ -152,7 +163,7 @@ class _StatisticsLoss(nn.Module):
             self.pyramid_maker = maker
         return maker
 
-    def _metamer(self, image, where, levels, seed, iterations, progress):
+    def _metamer(self, image, where, levels, seed, iterations, progress, earlier=False):
         """Return a picture with the pooled statistics of an RGB or grey one: displaced, rescaled, then descent.
 
         `levels` is the MIP level of the pooling region of each pixel; colours stay within the range that the picture
@@ -168,6 +179,12 @@ class _StatisticsLoss(nn.Module):
             maker = self._maker(image.shape[1])
             if iterations:
                 pooling = levels(padded.shape[-2:])
+                if (largest := 2 ** float(pooling.max())) < FEW_PIXELS:
+                    warn(
+                        f"pooling regions are {largest:.2g} pixels wide at most, so that the metamer is nearly the "
+                        "picture: use a picture of more pixels, or one that is shown larger",
+                        SamplingWarning,
+                    )
                 gamut = LocalGamut(padded, pooling, min(0.0, float(image.min())), max(1.0, float(image.max())))
 
                 def distance(picture, pairs):
@@ -176,16 +193,22 @@ class _StatisticsLoss(nn.Module):
                     found = statistics_maps(*self._parts(picture, where, pairs))
                     return mean_distance(found, statistics[: len(found)])
 
-                metamer = displaced(padded, pooling, 1 << (self.n_pyramid_levels - 1), seed)
+                warp = EARLIER_WARP if earlier else WARP
+                start = metamer = displaced(padded, pooling, 1 << (self.n_pyramid_levels - 1), seed, warp)
+                share = 1.0 if earlier else detail_share(start)
+
+                def held(picture):
+                    return gamut.clipped(picture if earlier else start + share * (picture - start))
+
                 for _ in range(RESCALINGS):
-                    metamer = gamut.clipped(metamer)
+                    metamer = held(metamer)
                     groups, *rest = self._parts(metamer, where, pairs=False)
                     metamer = rescaled(groups, statistics_maps(groups, *rest), statistics, maker, LARGEST_GAIN)
                 for pairs, count in metamer_stages(iterations, self.joint):
                     compared = partial(distance, pairs=pairs)
                     # Without weights, the descent of pairs ends at two to three times the distance.
                     steepness = STEEPNESS if self.joint else 0.0
-                    metamer = descended(metamer, gamut.clipped, compared, count, progress, steepness, OUTSIDE_WEIGHT)
+                    metamer = descended(metamer, held, compared, count, progress, steepness, OUTSIDE_WEIGHT)
                 for _ in range(CLIPPINGS):
                     metamer = gamut.clipped(metamer)
             else:
@@ -631,7 +654,7 @@ class MetamericLossUniform(_StatisticsLoss):
         iterations: int = METAMER_ITERATIONS,
         progress: Callable[[], object] | None = None,
     ) -> torch.Tensor:
-        """Return another picture with the pooled statistics of a picture.
+        """Return another picture with the pooled statistics of a picture, in at least four orientations.
 
         Parameters
         ----------
@@ -662,7 +685,7 @@ class MetamericLossUniform(_StatisticsLoss):
 
         >>> import torch
         >>> from odak.learn.perception import MetamericLossUniform
-        >>> loss = MetamericLossUniform(pooling_size=8, n_pyramid_levels=2)
+        >>> loss = MetamericLossUniform(pooling_size=8, n_pyramid_levels=3)
         >>> picture = torch.rand(1, 1, 32, 32, generator=torch.Generator().manual_seed(0))
         >>> metamer = loss.gen_metamer(picture)
         >>> loss(metamer, picture).item() < 1e-3, (metamer - picture).abs().mean().item() > 0.05
@@ -671,7 +694,9 @@ class MetamericLossUniform(_StatisticsLoss):
         checked_pictures("MetamericLossUniform", image, image, self.n_pyramid_levels)
         level = max(0.0, math.log2(self.pooling_size))
         levels = partial(torch.full, fill_value=level, dtype=torch.float64, device=image.device)
-        return self._metamer(image, self.pooling_size, levels, seed, iterations, progress)
+        count, options = max(self.n_orientations, METAMER_ORIENTATIONS), (False, self.nominal_width, self.joint)
+        maker = MetamericLossUniform(self.device, self.pooling_size, self.n_pyramid_levels, count, *options)
+        return maker._metamer(image, self.pooling_size, levels, seed, iterations, progress)
 
     def _parts(self, picture, where, pairs=True):
         groups, low = self._maker(picture.shape[1]).stacked_bands(picture, self.n_pyramid_levels)
@@ -787,8 +812,10 @@ class MetamerMSELoss(nn.Module):
 
     Notes
     -----
-    Equal pictures do not give 0: the target is one of its own metamers, but not the one that was drawn. The metamer is
-    kept as long as a target of the same values comes with the same gaze and parameters.
+    Equal pictures do not give 0: the target is one of its own metamers, but not the one that was drawn. So that values
+    stay those of earlier versions, that one is made by the orientations of the loss and by displacements that vary
+    faster, and keeps oblique lines less than one of :meth:`gen_metamer`. It is kept as long as a target of the same
+    values comes with the same gaze and parameters.
 
     Examples
     --------
@@ -861,6 +888,8 @@ class MetamerMSELoss(nn.Module):
     ) -> torch.Tensor:
         """Return a metamer of a picture for a fixed gaze: a picture with the same pooled statistics.
 
+        It is made by at least four orientations, also where the loss has fewer.
+
         Parameters
         ----------
         image : torch.Tensor
@@ -891,6 +920,7 @@ class MetamerMSELoss(nn.Module):
         -----
         It starts from the picture with its pixels displaced at random (:func:`displaced`), whose bands are then given
         local means and deviations. Bands overlap, so that the sum does not have them; L-BFGS then lowers the distance.
+        Where the displaced picture is flat it stays as it is (:func:`detail_share`).
         From noise, as Walton et al. start, ACM Trans. Graph. 40, 48 (2021), section 4, pictures of hard edges end two
         to five times as far. Without iterations it is such noise.
 
@@ -906,7 +936,14 @@ class MetamerMSELoss(nn.Module):
         >>> difference[..., 30:34, :4].max().item() < 1e-6, difference[..., 32:].mean().item() > 0.05
         (True, True)
         """
-        inner = self.metameric_loss
+        kept = ("device", "alpha", "real_image_width", "real_viewing_distance", "n_pyramid_levels", "mode", "equi")
+        options = {name: getattr(self, name) for name in (*kept, "nominal_width", "joint")}
+        options["n_orientations"] = max(self.n_orientations, METAMER_ORIENTATIONS)
+        inner = MetamericLoss(**options, use_l2_foveal_loss=False)
+        return self._drawn(inner, False, image, gaze, seed, iterations, progress)
+
+    def _drawn(self, inner, earlier, image, gaze, seed=0, iterations=None, progress=None):
+        """Return a metamer by the statistics of a loss."""
         checked_pictures("MetamerMSELoss", image, image, inner.n_pyramid_levels)
         geometry = inner._geometry(gaze)
         kind = {"nominal_width": inner.nominal_width, "dtype": torch.float64, "device": image.device}
@@ -915,7 +952,7 @@ class MetamerMSELoss(nn.Module):
             return level_map(tuple(size), *geometry, **kind)
 
         iterations = self.iterations if iterations is None else iterations
-        return inner._metamer(image, geometry, levels, seed, iterations, progress)
+        return inner._metamer(image, geometry, levels, seed, iterations, progress, earlier)
 
     def forward(self, image: torch.Tensor, target: torch.Tensor, gaze: Sequence[float] = (0.5, 0.5)) -> torch.Tensor:
         """Return the loss.
@@ -949,7 +986,7 @@ class MetamerMSELoss(nn.Module):
         constant = _torch_private.as_constant(target)
         with _torch_private.outside_functional_transforms(constant):
             self.target = constant.detach()
-            return self._kept.get(self.target, key, lambda: self.gen_metamer(self.target, gaze))
+            return self._kept.get(self.target, key, lambda: self._drawn(inner, True, self.target, gaze))
 
     def _apply(self, function, recurse=True):
         self._kept.clear()
@@ -1281,7 +1318,9 @@ def matched_noise(
     return rescaled(groups, found, statistics, maker)
 
 
-def displaced(image: torch.Tensor, levels: torch.Tensor, cell: int, seed: int = 0) -> torch.Tensor:
+def displaced(
+    image: torch.Tensor, levels: torch.Tensor, cell: int, seed: int = 0, warp: tuple[float, float, float] = WARP
+) -> torch.Tensor:
     """Return a picture whose pixels come from random positions nearby, at distances that grow with the pooling regions.
 
     Parameters
@@ -1291,10 +1330,13 @@ def displaced(image: torch.Tensor, levels: torch.Tensor, cell: int, seed: int = 
     levels : torch.Tensor
         MIP level of the pooling region of each pixel ``[H, W]``: its size is 2ˡ. At level 0 pixels stay.
     cell : int
-        Pixels of the picture in one of the last low-pass, which is compared value by value: displacements vary over a
-        quarter of this length, and have a mean of zero over it.
+        Pixels of the picture in one of the last low-pass, which is compared value by value: the means of the
+        displacements over this length are subtracted, interpolated between them.
     seed : int
         Of the displacements, which are one and the same for every picture of a batch.
+    warp : tuple of float
+        Strength of the displacements as a fraction of the pooling size, its largest value as a fraction of the length
+        over which they vary, and this length as a fraction of `cell`.
 
     Returns
     -------
@@ -1304,13 +1346,14 @@ def displaced(image: torch.Tensor, levels: torch.Tensor, cell: int, seed: int = 
     Notes
     -----
     The displacements are normally distributed, with independent components along rows and columns. Their deviation is
-    0.16 times the pooling size less one pixel, and at most 0.4 times the length over which they vary, so that they
-    hardly fold the picture. Displaced edges stay edges: compare Koenderink et al., J. Vis. 17(2):7 (2017),
-    https://doi.org/10.1167/17.2.7.
+    0.16 times the pooling size less one pixel, and at most 0.05 times the length over which they vary, so that they
+    hardly turn lines and never fold the picture. Displaced edges stay edges: compare Koenderink et al., J. Vis. 17(2):7
+    (2017), https://doi.org/10.1167/17.2.7.
     """
     generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
     rows, columns = image.shape[-2:]
-    grain = max(1, round(GRAIN * cell))
+    fraction, largest, length = warp
+    grain = max(1, round(length * cell))
     # Two more samples on each side than the picture needs: bicubic enlargement reads that far.
     coarse = (1, 2, -(-rows // grain) + 4, -(-columns // grain) + 4)
     noise = torch.randn(coarse, dtype=torch.float64, generator=generator).to(image)
@@ -1318,7 +1361,7 @@ def displaced(image: torch.Tensor, levels: torch.Tensor, cell: int, seed: int = 
     smooth = smooth[..., 2 * grain : 2 * grain + rows, 2 * grain : 2 * grain + columns]
     means = functional.avg_pool2d(smooth, cell)
     smooth = smooth - functional.interpolate(means, (rows, columns), mode="bilinear", align_corners=False)
-    strength = (DISPLACEMENT * (2**levels - 1)).clamp(max=LARGEST_SLOPE * grain).to(image)
+    strength = (fraction * (2**levels - 1)).clamp(max=largest * grain).to(image)
     across, down = (strength * smooth)[0].unbind(0)
     places = [
         2 * (torch.arange(side, dtype=image.dtype, device=image.device) + 0.5) / side - 1 for side in (columns, rows)
@@ -1327,6 +1370,26 @@ def displaced(image: torch.Tensor, levels: torch.Tensor, cell: int, seed: int = 
     return functional.grid_sample(
         image, grid.expand(len(image), -1, -1, -1), mode="bicubic", padding_mode="reflection", align_corners=False
     )
+
+
+def detail_share(picture: torch.Tensor) -> torch.Tensor:
+    """Return how much of a change is made to each pixel: none where a picture is flat, all where it has detail.
+
+    Parameters
+    ----------
+    picture : torch.Tensor
+        ``[B, C, H, W]``.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[B, 1, H, W]``, v/(v + 0.005²) of the variance v, less 10⁻⁶, within 9 x 9 pixels, summed over the channels.
+    """
+    values = torch.cat([picture, picture**2], 1)
+    means = functional.avg_pool2d(values, DETAIL_SIDE, 1, DETAIL_SIDE // 2, count_include_pad=False)
+    mean, power = means.chunk(2, 1)
+    variance = (power - mean**2 - ROUNDING).clamp_min(0).sum(1, keepdim=True)
+    return variance / (variance + DETAIL_FLOOR**2)
 
 
 def rescaled(

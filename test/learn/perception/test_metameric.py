@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import odak
+from odak._warnings import SamplingWarning
 from odak.cli.job import image_path
 from odak.learn.perception import (
     MetamericLoss,
@@ -23,6 +24,8 @@ from odak.learn.tools import load_image
 
 VIEW = {"alpha": 0.5, "real_image_width": 0.5, "real_viewing_distance": 0.5}
 SHALLOW = {"n_pyramid_levels": 3, **VIEW}
+# Mean squared difference of `texture` from its metamer in the first release.
+EARLIER = 0.005899596224669825
 
 
 def noise(*shape, seed=0):
@@ -285,7 +288,7 @@ def test_foveated_metamer(texture):
     assert torch.equal(torch.get_rng_state(), before)
     again = [loss.gen_metamer(texture, [0.5, 0.5], iterations=5) for _ in range(2)]
     assert torch.equal(*again)
-    lod = loss.metameric_loss.blurs[0].lod_map
+    lod = make_pooling_size_map_lod([0.5, 0.5], (64, 64), **VIEW, dtype=torch.float64)
     inside = torch.zeros(64, 64, dtype=torch.bool)
     inside[29:35, 29:35] = True
     assert lod[inside].max() == 0
@@ -316,8 +319,10 @@ def test_metamer_loss(texture):
     loss = MetamerMSELoss(n_pyramid_levels=4, iterations=5, **VIEW)
     gaze = [0.3, 0.5]
     value = loss(texture, texture, gaze)
-    metamer = loss.gen_metamer(texture, [0.3, 0.5])
+    # The metamer of the loss is not that of `gen_metamer`, which has more orientations.
+    metamer = loss.target_metamer
     assert float(value) == pytest.approx(float(((texture - metamer) ** 2).mean()))
+    assert float(value) == pytest.approx(EARLIER, rel=1e-5)
     assert float(loss(metamer, texture, gaze)) == pytest.approx(0, abs=1e-20)
     kept = loss.target_metamer
     loss(texture, texture, gaze)
@@ -390,7 +395,7 @@ def test_metamers_are_closer_than_noise_and_keep_to_local_colours(photograph):
     raw = maker.gen_metamer(photograph, gaze)
     metamer = raw.clamp(0, 1)
     error = float(((metamer - photograph) ** 2).mean().sqrt())
-    assert error > 0.02
+    assert error > 0.01
     generator = torch.Generator().manual_seed(1)
     spoilt = photograph + error * torch.randn(photograph.shape, generator=generator)
     loss = MetamericLoss(**view, use_l2_foveal_loss=False)
@@ -436,20 +441,66 @@ def test_metamers_of_hard_edges_are_closer_than_noise():
 
 def test_displacements():
     """Pictures of the pixels' own coordinates show how far each was moved."""
-    columns = torch.arange(192.0, dtype=torch.float64).expand(1, 1, 192, 192)
-    coordinates = torch.cat([columns, columns.mT], 1)
-    for level, cell, deviation in ((0.0, 16, 0.0), (2.0, 16, 0.16 * 3), (3.0, 16, 0.16 * 7), (6.0, 16, 0.4 * 4)):
-        levels = torch.full((192, 192), level, dtype=torch.float64)
-        moved = metameric.displaced(coordinates, levels, cell) - coordinates
+    columns = torch.arange(384.0, dtype=torch.float64).expand(1, 1, 384, 384)
+    coordinates, cell = torch.cat([columns, columns.mT], 1), 16
+    for level, warp, deviation, steepest in (
+        (0.0, metameric.WARP, 0.0, 0.0),
+        (2.0, metameric.WARP, 0.16 * 3, 0.06),
+        (6.0, metameric.WARP, 0.05 * 24, 0.15),
+        (2.0, metameric.EARLIER_WARP, 0.16 * 3, 0.3),
+        (6.0, metameric.EARLIER_WARP, 0.4 * 4, 1.0),
+    ):
+        levels = torch.full((384, 384), level, dtype=torch.float64)
+        moved = metameric.displaced(coordinates, levels, cell, warp=warp) - coordinates
         inside = moved[..., cell:-cell, cell:-cell]
-        torch.testing.assert_close(inside.std((-2, -1))[0], inside.new_full((2,), deviation), rtol=0.1, atol=1e-9)
-        # The last low-pass hardly changes.
-        means = torch.nn.functional.avg_pool2d(inside, cell)
-        assert means.std() <= 0.15 * deviation + 1e-9
+        torch.testing.assert_close(inside.std((-2, -1))[0], inside.new_full((2,), deviation), rtol=0.2, atol=1e-9)
+        # Lines turn by a small angle only.
+        assert inside.diff(dim=-1).std() <= steepest + 1e-9
         assert abs(torch.corrcoef(inside[0].flatten(1))[0, 1]) < 0.1 or level == 0
-    again, other = (metameric.displaced(coordinates, levels, 16, seed) for seed in (0, 1))
+    again, other = (metameric.displaced(coordinates, levels, cell, seed, warp) for seed in (0, 1))
     assert torch.equal(again, moved + coordinates) or torch.allclose(again, moved + coordinates)
     assert not torch.allclose(again, other)
+
+
+def test_metamers_keep_the_grain_of_oblique_lines():
+    """Waves along 45° whose phase and strength vary: two orientations and short displacements curl them."""
+    along, across = (noise(1, 1, 160, 160, seed=2) - 0.5, torch.fft.fftfreq(160, dtype=torch.float64))
+    u, v = (across[:, None] + across) / math.sqrt(2), (across[:, None] - across) / math.sqrt(2)
+    passed = torch.exp(-((u.abs() - 0.12) ** 2) / 0.004 - v**2 / 0.0004)
+    grain = torch.fft.ifft2(torch.fft.fft2(along) * passed).real
+    grain = (0.5 + 0.13 * grain / grain.std()).clamp(0, 1).float()
+    made = MetamericLossUniform(pooling_size=10, n_pyramid_levels=4).gen_metamer(grain, iterations=10)
+    assert float((made - grain).square().mean().sqrt()) > 0.04
+
+    def coherence(picture):
+        down, right = torch.gradient(picture[0, 0, 16:-16, 16:-16])
+        trace = (down**2 + right**2).mean()
+        return float(torch.hypot((down**2 - right**2).mean(), 2 * (down * right).mean()) / trace)
+
+    assert coherence(grain) > 0.95
+    assert coherence(made) > 0.95 * coherence(grain)
+
+
+def test_flat_regions_of_metamers_stay_flat():
+    """Steps of grey 16 pixels wide within pooling regions of 24 pixels."""
+    steps = (0.2 + 0.1 * (torch.arange(96) // 16)).expand(1, 1, 64, 96)
+    made = MetamericLossUniform(pooling_size=24, n_pyramid_levels=4).gen_metamer(steps, iterations=10)
+    moved = (made - steps).abs()
+    assert moved.max() > 0.05
+    middle = torch.arange(96) % 16 // 2 == 4
+    torch.testing.assert_close(made[..., 8:-8, middle], steps[..., 8:-8, middle], rtol=0, atol=0.01)
+    share = metameric.detail_share(steps)
+    variance = torch.nn.functional.unfold(steps.double(), 9).var(1, correction=0).unflatten(-1, (56, 88))
+    expected = (variance / (variance + 0.005**2)).float()
+    torch.testing.assert_close(share[:, 0, 4:-4, 4:-4], expected, rtol=0, atol=2e-3)
+    assert (share[..., middle] < 1e-3).all()
+
+
+def test_a_picture_too_small_for_its_pooling_regions():
+    picture = noise(1, 1, 32, 32)
+    with pytest.warns(SamplingWarning, match=r"pooling regions are 2 pixels wide at most.*nearly the picture"):
+        made = MetamericLossUniform(pooling_size=2, n_pyramid_levels=2).gen_metamer(picture, iterations=1)
+    assert psnr(made, picture) > 20
 
 
 def test_colours_stay_in_the_local_gamut():
