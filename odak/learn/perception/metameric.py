@@ -69,7 +69,40 @@ CLIPPINGS = 5
 FINEST = 1 / 64
 
 
-class _StatisticsLoss(nn.Module):
+class _EachGaze(nn.Module):
+    """Base of losses that take a gaze for each picture of a batch, with a copy of the loss for each."""
+
+    _settings: tuple[str, ...] = ()
+    _copies: tuple[tuple, list] = ((), [])
+    _kept: "TargetCache"
+
+    def _of_each(self, gaze, count):
+        """Return a copy of the loss and the gaze for each of `count` pictures; None for one gaze of all of them.
+
+        Copies stay, so that the maps and the target of a picture are computed again only if its gaze or target changes.
+        """
+        if _array.is_array(gaze):
+            several, shape = gaze.ndim == 2 and len(gaze) > 1, tuple(gaze.shape)
+        else:
+            first = gaze[0] if isinstance(gaze, (list, tuple)) and gaze else None
+            several = isinstance(first, (list, tuple)) or (_array.is_array(first) and first.ndim == 1)
+            shape = (len(gaze), 2) if several else ()
+        if not several:
+            return None
+        if shape != (count, 2):
+            raise ValueError(f"gaze must be (x, y) or [B, 2] for {count} pictures, got shape {shape}")
+        options = tuple((name, getattr(self, name)) for name in self._settings)
+        copies = self._copies[1] if self._copies[0] == options else []
+        copies += [type(self)(**dict(options), trust_target=self._kept.trusting) for _ in range(len(copies), count)]
+        self._copies = options, copies
+        return list(zip(copies, gaze, strict=False))
+
+    def _apply(self, function, recurse=True):
+        self._copies = (), []
+        return super()._apply(function, recurse)
+
+
+class _StatisticsLoss(_EachGaze):
     """Base of the losses that compare the pooled statistics of two pictures' steerable pyramids.
 
     A subclass defines in `_parts(picture, where, pairs)` which bands are pooled, and how; `where` holds its parameters.
@@ -288,6 +321,12 @@ class MetamericLoss(_StatisticsLoss):
     0.0
     """
 
+    _settings = (
+        *("device", "alpha", "real_image_width", "real_viewing_distance", "n_pyramid_levels", "mode"),
+        *("n_orientations", "use_l2_foveal_loss", "fovea_weight", "use_radial_weight", "use_fullres_l0", "equi"),
+        *("nominal_width", "joint"),
+    )
+
     def __init__(
         self,
         device: torch.device | str = "cpu",
@@ -336,7 +375,9 @@ class MetamericLoss(_StatisticsLoss):
         image, target : torch.Tensor
             ``[B, C, H, W]`` of one shape, one or three channels, about 0 … 1.
         gaze : sequence of float
-            (x, y), 0 to 1 from the top-left corner; it may lie outside the picture.
+            (x, y), 0 to 1 from the top-left corner; it may lie outside the picture. Or ``[B, 2]``, one for each picture
+            of the batch, such as frames of a video with the track of an eye; maps and statistics are then kept for each
+            of them.
         image_colorspace : str
             "RGB", or anything else if both pictures are in Y′CrCb already.
         visualise_loss : bool
@@ -353,6 +394,14 @@ class MetamericLoss(_StatisticsLoss):
             If the pictures cannot be compared or are too small for the pyramid.
         """
         checked_pictures("MetamericLoss", image, target, self.n_pyramid_levels)
+        if (each := self._of_each(gaze, len(image))) is not None:
+            values = [
+                one(image[i : i + 1], target[i : i + 1], place, image_colorspace, visualise_loss)
+                for i, (one, place) in enumerate(each)
+            ]
+            if visualise_loss:
+                self.loss_map = torch.cat([one.loss_map for one, _ in each])
+            return torch.stack(values).mean()
         visualise_loss, geometry = _validate.flag("visualise_loss", visualise_loss), self._geometry(gaze)
         key = (geometry, self._options(), image_colorspace)
         reference, self.target_stats, kept = self._kept.get(
@@ -764,7 +813,7 @@ def _of_the_metameric_loss(name: str) -> Any:
     )
 
 
-class MetamerMSELoss(nn.Module):
+class MetamerMSELoss(_EachGaze):
     """Mean squared difference of a picture from one metamer of the target.
 
     Parameters
@@ -827,6 +876,10 @@ class MetamerMSELoss(nn.Module):
     True
     """
 
+    _settings = (
+        *("device", "alpha", "real_image_width", "real_viewing_distance", "mode", "n_pyramid_levels"),
+        *("n_orientations", "equi", "iterations", "nominal_width", "joint"),
+    )
     alpha = _of_the_metameric_loss("alpha")
     mode = _of_the_metameric_loss("mode")
     equi = _of_the_metameric_loss("equi")
@@ -962,7 +1015,9 @@ class MetamerMSELoss(nn.Module):
         image, target : torch.Tensor
             ``[B, C, H, W]`` of one shape, one or three channels, about 0 … 1.
         gaze : sequence of float
-            (x, y), 0 to 1 from the top-left corner; it may lie outside the picture.
+            (x, y), 0 to 1 from the top-left corner; it may lie outside the picture. Or ``[B, 2]``, one for each picture
+            of the batch, such as frames of a video with the track of an eye; maps and statistics are then kept for each
+            of them.
 
         Returns
         -------
@@ -977,7 +1032,15 @@ class MetamerMSELoss(nn.Module):
         inner = self.metameric_loss
         checked_pictures("MetamerMSELoss", image, target, inner.n_pyramid_levels)
         # Not compiled: gradient descent would amplify the rounding differences of a compiled graph.
-        self.target_metamer = _array.outside_graphs(self._metamer_of, target, gaze)
+        if (each := self._of_each(gaze, len(image))) is None:
+            self.target_metamer = _array.outside_graphs(self._metamer_of, target, gaze)
+        else:
+            self.target_metamer = torch.cat(
+                [
+                    _array.outside_graphs(one._metamer_of, target[i : i + 1], place)
+                    for i, (one, place) in enumerate(each)
+                ]
+            )
         return self.loss_func(image, self.target_metamer)
 
     def _metamer_of(self, target, gaze):
