@@ -224,8 +224,8 @@ def coherence(picture):
 
 
 def test_metamers_of_pairs_are_closer_when_single_bands_are_matched_first(monkeypatch):
-    picture = edge_picture()[..., 8:40, 8:40]
-    options = {"n_pyramid_levels": 3, "joint": True}
+    picture = edge_picture()[..., 8:56, 8:56]
+    options = {"n_pyramid_levels": 3, "n_orientations": 4, "joint": True}
     maker = MetamerMSELoss(**VIEW, **options)
     loss = MetamericLoss(**VIEW, **options, use_l2_foveal_loss=False)
     calls = []
