@@ -48,7 +48,7 @@ REASONS = {
         raytracing/system/surfaces: _any _fields _image _optional checked_settings is_off_axis number_or_infinity vary
         raytracing/system/waves: _derivatives _exit_pupil _length _sign exit_field
         raytracing/mesh: _checked_faces _checked_vertices components
-        raytracing/nonsequential: __post_init__ _plain _reach trace
+        raytracing/nonsequential: __post_init__ _plain _reach polarized system_elements trace
         tools/matrix: quantize slice_rgbd_targets
         tools/transformation: quaternion_to_rotation_matrix
         wave/displays: __init__ _checked_target _frames_alone _shares judge optimise

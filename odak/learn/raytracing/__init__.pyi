@@ -29,6 +29,7 @@ from .nonsequential import Received as Received
 from .nonsequential import Scene as Scene
 from .nonsequential import SceneLight as SceneLight
 from .nonsequential import light_source as light_source
+from .nonsequential import system_elements as system_elements
 from .primitives import bring_plane_to_origin as bring_plane_to_origin
 from .primitives import center_of_triangle as center_of_triangle
 from .primitives import cylinder_function as cylinder_function

@@ -20,9 +20,11 @@ from odak.catalog.materials import MICROMETRES, Material, absorption_coefficient
 from odak.catalog.materials import material as find_material
 from odak.learn._tensors import reals_of, tensor
 from odak.learn.raytracing.mesh import triangle_mesh
-from odak.learn.raytracing.system.surfaces import Coating
+from odak.learn.raytracing.system.pupils import launch
+from odak.learn.raytracing.system.surfaces import Coating, checked_system, drawn_radii, is_break, layout_of
+from odak.learn.raytracing.system.tracing import ray_paths
 from odak.raytracing import components as vec
-from odak.raytracing.apertures import Aperture
+from odak.raytracing.apertures import Aperture, CombinedAperture
 from odak.raytracing.batches import needs_gradient
 from odak.raytracing.geometry import safe_sqrt
 from odak.raytracing.interfaces import Phase, fresnel_shares, reflected, refracted
@@ -40,10 +42,12 @@ __all__ = [
     "Scene",
     "SceneLight",
     "light_source",
+    "system_elements",
 ]
 
 # Rays that are traced together on a CPU: what one step needs of them stays in the cache.
 BLOCK = 1 << 15
+LIMITS = (Aperture, CombinedAperture)
 SOURCES = ("collimated", "lambertian", "point")
 # Samples of a radial distribution, between which its sum is inverted linearly in r².
 SAMPLES = 4096
@@ -390,7 +394,7 @@ class Element:
             if tuple(found.shape) not in ((3,), (3, 3)):
                 raise ValueError(f"angles must be three angles or a matrix [3, 3], got {tuple(found.shape)}")
             self.rotation = rotation_matrix(found) if found.ndim == 1 else found
-        if aperture is not None and not isinstance(aperture, Aperture):
+        if aperture is not None and not isinstance(aperture, LIMITS):
             aperture = _validate.constant("aperture", aperture, positive=True)
         if aperture is not None and isinstance(shape, triangle_mesh):
             raise ValueError("aperture belongs to surfaces, not to meshes, which end where their triangles end")
@@ -408,7 +412,7 @@ class Element:
             0.0
             if self.aperture is None
             else self.aperture.reach()
-            if isinstance(self.aperture, Aperture)
+            if isinstance(self.aperture, LIMITS)
             else self.aperture
         )
 
@@ -462,18 +466,73 @@ class Element:
             if left is not None:
                 hit = hit & ~left
             place = vec.along(point, distance, direction)
-            if self.aperture is not None and not isinstance(self.aperture, Aperture):
+            if self.aperture is not None and not isinstance(self.aperture, LIMITS):
                 hit = hit & (place[0] * place[0] + place[1] * place[1] <= self.aperture**2)
             zero = torch.zeros_like(distance)
             place, normal = (place[0], place[1], zero), (zero, zero, zero + 1)
         else:
-            limit = None if isinstance(self.aperture, Aperture) else self.aperture
+            limit = None if isinstance(self.aperture, LIMITS) else self.aperture
             start = vec.along(point, margin, direction)
             found, _ = intersection(start, direction, self.shape, limit, "ahead")
             distance, hit, place, normal = found.distance + margin, found.hit, found.point, found.normal
-        if isinstance(self.aperture, Aperture):
+        if isinstance(self.aperture, LIMITS):
             hit = hit & self.aperture.passes(place[0], place[1])
         return torch.where(hit, distance, torch.inf), place, normal, None
+
+
+def system_elements(system: Any) -> list[Element]:
+    """Return the surfaces of an optical system as elements of a scene, and its image plane as a black detector.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system, without diffractive phases and graded media. Coordinate breaks and mirrors place what follows.
+        Surfaces end at their apertures; those without at 1.05 times the largest distance of the rays of its fields from
+        the vertex, as drawings show them.
+
+    Returns
+    -------
+    list of Element
+        One for each surface, in their order, with media and coatings; the last is named "image". The first vertex is
+        the origin, as of :func:`odak.learn.raytracing.system.launch`, whose rays start in its plane: move them back.
+
+    Raises
+    ------
+    ValueError
+        If a surface has a phase or a graded medium.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing import system_elements
+    >>> from odak.learn.raytracing.system import load_system
+    >>> len(system_elements(load_system("cooke_triplet")))
+    7
+    """
+    surfaces: list[Any] = list(checked_system(system).surfaces)
+    rotations, origins = system.frames()
+    signs = layout_of(system.surfaces, system.prescription(), system.image).signs
+    with torch.no_grad():
+        points = ray_paths(system, launch(system, "rings", 6))[..., 1:, :]
+        reaches = (points - origins).norm(dim=-1).nan_to_num(0.0).flatten(0, -2).amax(0).tolist()
+    radii = drawn_radii(surfaces, reaches[:-1])
+    before, found = system.object_material, []
+    for i, item in enumerate(surfaces):
+        if is_break(item):
+            continue
+        if item.phase is not None or item.gradient is not None:
+            raise ValueError(f"system must be without phases and gradients, got one at surfaces[{i}]")
+        behind = before if item.reflects else (item.index if item.material is None else item.material)
+        media, films = (before, behind), item.coating
+        if signs[i] < 0:
+            media, films = (behind, before), films if films is None or films.substrate is not None else films.reversed()
+        interface = Interface(1.0, 0.0) if item.reflects and films is None else Interface(coating=films)
+        limit = radii[i] if item.limit is None else item.limit
+        found.append(Element(item.shape, media, interface, origins[i], rotations[i], limit))
+        before = behind
+    image = Plane() if system.image is None else system.image.shape
+    black = Interface(0.0, 0.0)
+    found.append(Element(image, (before, before), black, origins[-1], rotations[-1], None, True, "image"))
+    return found
 
 
 def _checked_medium(value):
@@ -1013,7 +1072,7 @@ class _Walk:
             which = self._nearest(state, step)
             alive = state.power.detach() > self.least
             which = torch.where(alive if step < bounces else torch.zeros_like(alive), which, count + 1)
-            order = which.argsort()
+            order = which.argsort(stable=True)
             places = torch.arange(count + 2, device=which.device)
             # The one reading of the device in a step.
             counts = (which == places[:, None]).sum(1).tolist()

@@ -9,7 +9,7 @@ import torch
 
 from odak.catalog import internal_transmittance
 from odak.jones import thin_film_stack
-from odak.learn.raytracing import Conic, Element, Interface, Light, Plane, Scene
+from odak.learn.raytracing import Light, Scene, system_elements
 from odak.learn.raytracing.system import (
     Rays,
     coordinate_break,
@@ -230,24 +230,52 @@ def test_a_singlet_has_one_ghost_of_known_power_and_focus():
 
 def test_ghosts_agree_with_light_that_finds_its_own_way():
     """The same lens as a scene: what arrives beside the image is the ghost, and of four reflections R² times that."""
-    n = 1.6
-    lens = optical_system([surface(60.0, thickness=5.0, material=n), surface(-90.0, thickness=55.0)], 8.0)
+    lens = optical_system([surface(60.0, thickness=5.0, material=1.6), surface(-90.0, thickness=55.0)], 8.0)
     found = ghosts(lens, samples=21)
     rays = launch(lens, "grid", 21).to_tensor().reshape(-1, 2, 3)
     rays = torch.stack((rays[:, 0] - rays[:, 1], rays[:, 1]), 1)
-    parts = [
-        Element(Conic(1 / 60.0), (1.0, n), aperture=15.0),
-        Element(Conic(-1 / 90.0), (n, 1.0), center=(0, 0, 5), aperture=15.0),
-        Element(Plane(), interface=Interface(0, 0), center=(0, 0, 60), detects=True, name="image"),
-    ]
     light = Light(rays, torch.full((len(rays),), 1 / len(rays), dtype=torch.float64))
-    held = Scene(parts).trace(light, lens.wavelengths[0], split=True, threshold=1e-9).received["image"]
+    held = Scene(system_elements(lens)).trace(light, lens.wavelengths[0], split=True, threshold=1e-9).received["image"]
     order = (held.power * len(rays)).log10()
     assert float(held.power[order > -1].sum()) == pytest.approx(float(found.direct[0]), rel=1e-6)
     weak = (order < -1) & (order > -4)
     assert float(held.power[weak].sum()) == pytest.approx(float(found.paths[0].power[0]), rel=1e-4)
     scene_map = held._replace(power=torch.where(weak, held.power, 0.0)).irradiance((30.0, 30.0), (9, 9))
     assert torch.allclose(scene_map, found.irradiance((30.0, 30.0), (9, 9)), rtol=1e-3, atol=1e-12)
+
+
+def test_a_system_and_its_elements_agree():
+    """A coated triplet and a fold with a lens behind its mirror: places, directions, paths and power of rays."""
+    triplet = load_system("cooke_triplet")
+    for i, item in enumerate(triplet.surfaces):
+        item.coating = Coating((1.38,), [100e-6]) if i % 2 == 0 else Coating((1.38,), [100e-6]).reversed()
+    turn = {"tilt": (45.0, 0.0, 0.0)}
+    fold = [
+        surface(80.0, thickness=3.0, material=1.5),
+        surface(thickness=10.0),
+        coordinate_break(**turn),
+        surface(material="mirror", coating=Coating(substrate=0.96 + 6.69j)),
+        coordinate_break(**turn, thickness=-20.0),
+        surface(-70.0, thickness=-4.0, material=1.6, coating=Coating((1.38,), [100e-6]), semi_diameter=9.0),
+        surface(thickness=-30.0),
+    ]
+    for lens in (triplet, optical_system(fold, 6.0, fields=[0.0, 2.0])):
+        wave = lens.wavelengths[lens.reference]
+        rays = launch(lens, "rings", 2, prescription=lens.prescription([wave]))
+        traced = polarized_trace(lens, rays, prescription=lens.prescription([wave]))
+        given = rays.to_tensor().reshape(-1, 2, 3)
+        given = torch.stack((given[:, 0] - 9 * given[:, 1], given[:, 1]), 1)
+        light = Light(given, torch.ones(len(given), dtype=F64)).polarized()
+        held = Scene(system_elements(lens)).trace(light, wave, split=True, threshold=0.2).received["image"]
+        half = held.ray < len(given)
+        assert torch.equal(held.ray[half], torch.arange(len(given)))
+        for axis, place in enumerate((traced.traced.x, traced.traced.y)):
+            assert (held.point[half, axis] - place.flatten()).abs().max() < 1e-10
+        assert (held.path[half] - 9 - traced.traced.path.flatten()).abs().max() < 1e-10
+        power = held.power[half] + held.power[~half]
+        assert (power - traced.transmittance.flatten()).abs().max() < 1e-6
+    with pytest.raises(ValueError, match=r"phases and gradients, got one at surfaces\[0\]"):
+        system_elements(optical_system([surface(phase=LinearGrating(1.0))], 1.0))
 
 
 def test_polarised_images_of_points():
