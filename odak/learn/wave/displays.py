@@ -7,6 +7,7 @@ quality that another computation has judged.
 
 import itertools
 import math
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -16,12 +17,13 @@ import torch
 
 from odak import _array, _show, _validate
 from odak._warnings import AccuracyWarning, warn
+from odak.instruments import Calibration, load_calibration
 from odak.learn._tensors import floating
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.holograms import STARTS, best_scale, encode_double_phase, starting_phase
 from odak.learn.wave.loss import FocalTargets, multiplane_loss
 from odak.learn.wave.propagation import propagate_beam
-from odak.learn.wave.slm import TURN, even_levels
+from odak.learn.wave.slm import TURN, even_levels, spatial_light_modulator
 from odak.learn.wave.training import (
     Run,
     checked_intensities,
@@ -102,7 +104,8 @@ class Modulator:
         Share of the area of a pixel that emits.
     response : callable, optional
         ``response(phase)`` returns the field of a phase pattern, such as
-        :class:`odak.learn.wave.spatial_light_modulator`; an ideal one by default. Its own fill factor must be 1.
+        :class:`odak.learn.wave.spatial_light_modulator`; an ideal one by default. Its own fill factor must be 1. The
+        levels are its own where it has a table of their phases, `lut`.
 
     Examples
     --------
@@ -135,7 +138,15 @@ class Modulator:
         """Return the nearest phases that the levels of the panel can show, 0 … 2π."""
         if self.bits is None:
             return torch.remainder(phases, TURN)
+        if getattr(self.response, "lut", None) is not None:
+            return self.response.lut.to(phases)[self.levels(phases).long()]  # type: ignore[union-attr]
         return even_levels(phases, 2**self.bits) * (TURN / 2**self.bits)
+
+    def levels(self, phases: torch.Tensor) -> torch.Tensor:
+        """Return the levels whose phases are nearest, int32 of the shape of the phases; 256 where there are none."""
+        if self.bits is not None and getattr(self.response, "lut", None) is not None:
+            return self.response.levels(phases)  # type: ignore[union-attr]
+        return even_levels(phases, 256 if self.bits is None else 2**self.bits).to(torch.int32)
 
 
 class Display(torch.nn.Module):
@@ -237,6 +248,58 @@ class Display(torch.nn.Module):
         self.register_buffer("profile", profile)
         self.samples = 2 * self._orders()
         self._kept: dict[Any, torch.Tensor] = {}
+
+    @classmethod
+    def from_calibration(
+        cls, calibration: Calibration | str | os.PathLike, fill: float = 0.9, **options: Any
+    ) -> "Display":
+        """Return the display of a calibrated table: its panel, response, aberration, illumination and distance.
+
+        Use it for holograms on your own table: patterns for it correct the aberration, and
+        :meth:`DisplayedHologram.levels` returns the levels whose measured phases are nearest. Of responses in regions
+        the mean over the panel is taken.
+
+        Parameters
+        ----------
+        calibration : odak.instruments.Calibration, str or os.PathLike
+            From :func:`odak.instruments.calibrate_table`, or the file of one, as `odak calibrate` writes it.
+        fill : float
+            Share of the area of a pixel that emits, which is not measured.
+        **options
+            Parameters of :class:`Display` beside the modulator, the wavelength and the profile; by default `distances`
+            is the distance of the camera.
+
+        Returns
+        -------
+        Display
+            The display, whose images lie on the pixels of the panel.
+
+        Raises
+        ------
+        ValueError
+            If the file cannot be read, or the number of levels is no power of two.
+
+        Examples
+        --------
+        >>> from odak.instruments import Calibration, SimulatedTable
+        >>> from odak.learn.wave import Display
+        >>> table = SimulatedTable(seed=1, shape=(32, 48), camera_shape=(40, 48))
+        >>> found = Calibration.nominal(table.modulator, table.camera, 532e-9, 20e-3)
+        >>> Display.from_calibration(found, iris=None)
+        Display: 32 × 48 pixels of 8 µm (fill 0.9, 8 bits), 532 nm, 1 frame, plane at 20 mm, no iris
+        """
+        if isinstance(calibration, (str, os.PathLike)):
+            calibration = load_calibration(calibration)
+        elif not isinstance(calibration, Calibration):
+            raise TypeError(f"calibration must be a Calibration or a file, got {type(calibration).__name__}")
+        bits = (len(calibration.phases) - 1).bit_length()
+        if len(calibration.phases) != 2**bits:
+            raise ValueError(f"calibration must have 2^bits levels, got {len(calibration.phases)}")
+        phases, wavefront = (torch.as_tensor(part) for part in (calibration.phases, calibration.wavefront))
+        response = spatial_light_modulator(bits=bits, lut=phases, aberration=wavefront)
+        modulator = Modulator(calibration.amplitude.shape, calibration.pitch, bits, fill, response)
+        known: dict[str, Any] = {"distances": calibration.distance, "profile": torch.as_tensor(calibration.amplitude)}
+        return cls(modulator, calibration.wavelength, **(known | options))
 
     def extra_repr(self) -> str:
         """Return the numbers of the display in a line."""
@@ -884,8 +947,7 @@ class DisplayedHologram:
 
     def levels(self) -> torch.Tensor:
         """Return the levels to send to the panel, int32 ``[F, rows, columns]``."""
-        bits = 8 if self.display.modulator.bits is None else self.display.modulator.bits
-        return even_levels(self.phases, 2**bits).to(torch.int32)
+        return self.display.modulator.levels(self.phases)
 
     def table(self) -> list[dict]:
         """Return one row of numbers for each plane and colour: lengths in metres, ratios in decibels."""

@@ -1,11 +1,13 @@
 """Displays of real pixels against plain sums over frequencies, and holograms that are optimised for them."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from odak.instruments import Calibration, SimulatedTable, save_calibration
 from odak.learn.models import hologram_network
 from odak.learn.wave import (
     Descent,
@@ -34,6 +36,32 @@ def phases(random):
 def disc():
     rows, columns = torch.meshgrid(torch.arange(40) - 20, torch.arange(48) - 24, indexing="ij")
     return 0.1 + 0.9 * ((rows**2 + columns**2) < 120).float()
+
+
+def test_a_display_of_a_calibration_shows_what_its_table_shows(tmp_path, random):
+    """The simulated table has the response, aberration, beam and distance of the file; so do the levels."""
+    table = SimulatedTable(
+        2, shape=(24, 20), distance=12e-3, camera_shape=(40, 36), camera_pitch=8e-6, misalignment=False, reflection=0.0
+    )
+    found = Calibration.nominal(table.modulator, table.camera, 532e-9, table.truth.distance)
+    names = ("phases", "wavefront", "amplitude")
+    save_calibration(tmp_path / "table.npz", replace(found, **{name: getattr(table.truth, name) for name in names}))
+    display = Display.from_calibration(tmp_path / "table.npz", 1.0, iris=None)
+    phases = torch.from_numpy(random.uniform(0, 6, (24, 20)))
+    levels = display.modulator.levels(phases)
+    assert torch.equal(levels, display.modulator.levels(display.modulator.shown(phases)))
+    apart = abs(np.angle(np.exp(1j * (table.truth.phases[:, None, None] - phases.numpy()))))
+    # Half the largest step between levels; the response ends beyond 2π.
+    assert np.take_along_axis(apart, levels.numpy()[None], 0).max() <= np.diff(table.truth.phases).max() / 2
+    table.modulator.show(levels.numpy())
+    light, pitch = table.intensity()
+    at = [light.shape[i] // 2 + (np.arange(n) - n // 2) * round(8e-6 / pitch) for i, n in enumerate((24, 20))]
+    seen = display(phases)[0, 0].numpy()
+    # Means at the rim of the image are less exact.
+    inside, expected = np.s_[4:-4, 4:-4], light[np.ix_(*at)]
+    assert np.abs(seen - expected)[inside].max() < 0.01 * expected.max()
+    with pytest.raises(TypeError, match="calibration must be a Calibration or a file, got int"):
+        Display.from_calibration(3)
 
 
 def field_at(phases, distance, shift, fill, orders, cutoff=None, pitch=PITCH, wide=12):
