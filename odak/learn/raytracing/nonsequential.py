@@ -468,8 +468,8 @@ class Element:
             place = vec.along(point, distance, direction)
             if self.aperture is not None and not isinstance(self.aperture, LIMITS):
                 hit = hit & (place[0] * place[0] + place[1] * place[1] <= self.aperture**2)
-            zero = torch.zeros_like(distance)
-            place, normal = (place[0], place[1], zero), (zero, zero, zero + 1)
+            zero, one = (distance.new_full((), value).expand_as(distance) for value in (0.0, 1.0))
+            place, normal = (place[0], place[1], zero), (zero, zero, one)
         else:
             limit = None if isinstance(self.aperture, LIMITS) else self.aperture
             start = vec.along(point, margin, direction)
