@@ -224,9 +224,10 @@ class display_model(torch.nn.Module):
         sizes |= {"gap": 2} if samples_per_pixel is None else {}
         sizes |= {"iris": 1} if iris is not None else {}
         self.physical = [name for name in PRIORS if name in sizes]
-        # Gaps reflect with phase 0.
-        fill = 1.0 if samples_per_pixel is None else 0.95
-        starts = {"fringing": 0.4, "fill": fill, "iris": iris, "aperture": 1.0, "gap": (1.0, 0.0)}
+        # Gaps reflect with phase 0. Fringing fields act within square pixels too: a model that nothing is known of has
+        # next to none.
+        fill, fringing = (1.0, 0.1) if samples_per_pixel is None else (0.95, 0.4)
+        starts = {"fringing": fringing, "fill": fill, "iris": iris, "aperture": 1.0, "gap": (1.0, 0.0)}
         for name in self.physical:
             value = torch.zeros(sizes[name], dtype=dtype) + torch.tensor(starts.get(name) or 0.0, dtype=dtype)
             self.register_parameter(name, torch.nn.Parameter(value))
