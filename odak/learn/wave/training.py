@@ -354,7 +354,7 @@ def started(name: str, given, shapes: Sequence[tuple], like: torch.Tensor, draw:
     if tuple(phase.shape) not in shapes:
         accepted = " or ".join(str(list(shape)) for shape in dict.fromkeys(shapes))
         named = f", or one of {', '.join(map(repr, names))}" if names else ""
-        raise ValueError(f"{name} must be {accepted}{named}; got {list(phase.shape)}")
+        raise ValueError(f"{name} must be {accepted}, which fits the target (targets){named}; got {list(phase.shape)}")
     return phase.to(like, copy=True)
 
 

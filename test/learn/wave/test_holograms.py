@@ -124,7 +124,7 @@ def test_older_call_form_falls_back_to_the_cpu_with_a_warning(target, monkeypatc
         ({"target": torch.zeros(4, 4, dtype=torch.complex64)}, TypeError, "target must be a torch.Tensor of real"),
         ({"target": torch.full((4, 4), torch.nan)}, ValueError, "target must be finite"),
         ({"target": -torch.ones(4, 4)}, ValueError, "target must be finite intensities of at least 0"),
-        ({"initial_phase": torch.zeros(2, 2)}, ValueError, r"initial_phase must be \[4, 4\], or one of"),
+        ({"initial_phase": torch.zeros(2, 2)}, ValueError, r"initial_phase must be \[4, 4\], which fits the target"),
     ],
 )
 def test_bad_arguments_are_named(change, error_type, message):
