@@ -93,6 +93,7 @@ REASONS = {
         wave/propagators: holograms
     """,
     "a search ends when it has converged: one reading for an iteration of many operations": """
+        perception/discrimination: maximum_differentiation twice
         raytracing/nonsequential: follow
         raytracing/surfaces: _search plain
         raytracing/system/automatic: _designed_aspheres _optimised _set_next_stage _with_equal_spots

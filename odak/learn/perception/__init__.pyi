@@ -57,6 +57,9 @@ from .csf import foveated_budget as foveated_budget
 from .csf import highest_frequency as highest_frequency
 from .csf import pupil_diameter as pupil_diameter
 from .csf import unified_pupil_diameter as unified_pupil_diameter
+from .discrimination import eigendistortions as eigendistortions
+from .discrimination import maximum_differentiation as maximum_differentiation
+from .discrimination import metamer as metamer
 from .display_color import MetamericFailure as MetamericFailure
 from .display_color import color_matching_functions as color_matching_functions
 from .display_color import cone_fundamentals as cone_fundamentals

@@ -171,6 +171,14 @@ BY_CALL = {
     f"{HERE}.highest_frequency": {"eccentricity": 3.0},
     f"{HERE}.unified_pupil_diameter": {"area": 400.0, "age": 30.0, "luminance": 100.0},
     f"{HERE}.synthesize_texture": {"size": [32, 32]},
+    f"{HERE}.metamer": {"model": torch.square, "picture": tensor(1, 1, 16, 16)},
+    f"{HERE}.eigendistortions": {"model": torch.square, "picture": tensor(1, 1, 16, 16)},
+    f"{HERE}.maximum_differentiation": {
+        "held": torch.nn.functional.mse_loss,
+        "driven": torch.nn.functional.huber_loss,
+        "picture": tensor(1, 1, 16, 16),
+        "start": tensor(1, 1, 16, 16, seed=5),
+    },
     f"{HERE}.texture_statistics": {"picture": tensor(1, 1, 32, 32)},
     f"{HERE}.RadiallyVaryingBlur.sampler": {
         "alpha": 0.2,
