@@ -113,7 +113,8 @@ def eigendistortions(
     Parameters
     ----------
     model : callable
-        As in :func:`metamer`, differentiable twice. A loss has no slope at its minimum: take its statistics.
+        Any function of a picture that can be differentiated twice and returns a tensor or a list of tensors. A loss has
+        no slope at its minimum: take its statistics.
     picture : torch.Tensor
         Real floats ``[..., H, W]``.
     count : int
@@ -216,8 +217,11 @@ def maximum_differentiation(
 
     Parameters
     ----------
-    held, driven : callable
-        Measures of the difference of two pictures, differentiable in the first: tensors without axes, such as losses.
+    held : callable
+        Measure of the difference of two pictures that stays as it is: a tensor without axes, such as that of a loss,
+        differentiable in the first picture.
+    driven : callable
+        Measure of the same kind that is made large or small.
     picture : torch.Tensor
         The reference ``[..., H, W]``, the second argument of both.
     start : torch.Tensor
