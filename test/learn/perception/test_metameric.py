@@ -462,7 +462,7 @@ def test_metamers_of_hard_edges_are_closer_than_noise():
     error = (metamer - sectors).square().mean().sqrt()
     assert error > 0.1
     spoilt = sectors + error * torch.randn(sectors.shape, generator=torch.Generator().manual_seed(1))
-    assert float(loss(metamer, sectors, [0.0, 0.5])) < 0.05 * float(loss(spoilt, sectors, [0.0, 0.5]))
+    assert float(loss(metamer, sectors, [0.0, 0.5])) < 0.07 * float(loss(spoilt, sectors, [0.0, 0.5]))
 
 
 def test_displacements():
