@@ -86,13 +86,8 @@ def descend(path, solver):
 
     x = torch.ones(2, dtype=torch.float64, requires_grad=True)
 
-    def gradient(iteration):
-        loss = (x - torch.rand(2)).square().sum()
-        loss.backward()
-        return loss.detach()
-
-    options = training.Options(progress=False, checkpoint=path, checkpoint_every=1)
-    training.minimise({"x": x}, gradient, 2, training.constant(0.1), options, solver=solver)
+    run = training.Run(progress=False, checkpoint=path, checkpoint_every=1, iterations=2)
+    training.minimise({"x": x}, lambda _: (x - torch.rand(2)).square().sum(), 0.1, run, solver=solver)
 
 
 def train(path):

@@ -30,6 +30,7 @@ from odak.tools.file import read_npz
 from odak.tools.paths import replacing, validate_path
 from odak.tools.zernike import zernike_polynomial
 from odak.wave import propagate_beam
+from odak.wave.linear_kernels import pixels_spectrum
 
 __all__ = [
     "Calibration",
@@ -2372,6 +2373,8 @@ def _ideal_capture(modulator, phase, amplitude, wavelength, distance, registrati
     field = np.zeros(wide, dtype=complex)
     first = [n // 2 - m // 2 for n, m in zip(wide, (rows, columns), strict=True)]
     field[first[0] : first[0] + rows, first[1] : first[1] + columns] = amplitude * np.exp(1j * phase)
+    # Pixels are squares: the share that emits is not measured, and scales the light more than it widens the envelope.
+    field = np.fft.ifft2(pixels_spectrum(field, wide))
     kind = "Bandlimited Angular Spectrum"
     there: Any = propagate_beam(
         field, None, distance, modulator.pitch, wavelength, kind, zero_padding=[False, False, False]

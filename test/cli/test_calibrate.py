@@ -232,7 +232,7 @@ def test_responses_that_cannot_be_used_are_named(tmp_path, capsys):
 
 
 def test_captures_stand_beside_their_prediction(tmp_path, capsys):
-    """The true values of a table predict its captures to the noise and the light that only the twin has."""
+    """The true values of a table predict its captures to the noise and the light of other orders."""
     options = {"shape": (40, 40), "camera_shape": (80, 80), "distance": 5e-3, "reflection": 0.0}
     table = instruments.SimulatedTable(3, **options)
     pixels = np.random.default_rng(0).uniform(0, 80, (60, 2))
@@ -257,7 +257,8 @@ def test_captures_stand_beside_their_prediction(tmp_path, capsys):
         (result,) = json.loads((tmp_path / "out" / "report.json").read_text())["patterns"]
         correlations.append(result["correlation"])
         assert (tmp_path / "out" / "capture_pattern.png").stat().st_size > 3000
-    assert correlations[0] > 0.98 > 0.9 > correlations[1]
+    # Pixels that emit as points reach 0.966.
+    assert correlations[0] > 0.97 > 0.9 > correlations[1]
     found = instruments.load_captures(tmp_path / "out" / "captures.h5")
     assert np.array_equal(found.levels[0], level) and found.frames.shape == (1, 4, 80, 80)
     assert "correlation with the prediction" in capsys.readouterr().out

@@ -24,7 +24,7 @@ REASONS = {
         tools/file: *
         tools/function: __array__
         tools/models: fit
-        raytracing/system/surfaces: _view
+        raytracing/system/surfaces: _view of
         raytracing/system/waves: _view field_modulation field_quality relative_illumination
         wave/displays: _view
         wave/gaussians/sets: _points save_splats

@@ -485,7 +485,7 @@ def test_distance_of_a_simulated_table():
     )
     mapping = instruments.Registration(table.truth.homography, table.truth.distortion, table.camera.shape)
     there = (*instruments_of(table), 532e-9, 12e-3, table.truth.phases, mapping)
-    found = instruments.measure_distance(*there, samples=9, captures=8)
+    found = instruments.measure_distance(*there, samples=9, captures=32)
     assert found == pytest.approx(table.truth.distance, rel=1e-4)
 
 
