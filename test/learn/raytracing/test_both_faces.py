@@ -15,10 +15,19 @@ CORE_ALONE = {
     "intersection_kernel_for_parametric_surfaces": "a step of the search, which both share",
     "propagate_parametric_intersection_error": "a step of the search, which both share",
 }
-SCENES = (
-    "Element GaussianScatter Interface LambertianScatter Light MeasuredScatter Received Scene SceneLight light_source "
-    "system_elements"
-).split()
+SCENES = [
+    "Element",
+    "GaussianScatter",
+    "Interface",
+    "LambertianScatter",
+    "Light",
+    "MeasuredScatter",
+    "Received",
+    "Scene",
+    "SceneLight",
+    "light_source",
+    "system_elements",
+]
 LEARN_ALONE = dict.fromkeys(SCENES, "scenes have gradients") | {
     "create_ray_from_grid_w_luminous_angle": "torch's random numbers",
     "create_ray_from_point_w_luminous_angle": "torch's random numbers",
