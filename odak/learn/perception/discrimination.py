@@ -9,7 +9,7 @@ from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
 from odak import _validate
 from odak._warnings import ConvergenceWarning, warn
-from odak.learn._tensors import check_values, in_float32, kind_of
+from odak.learn._tensors import check_values, in_float32, kind_of, takes_constants
 from odak.learn.perception.joint_statistics import descended
 
 Model = Callable[[torch.Tensor], Any]
@@ -21,6 +21,7 @@ RETURNS, LEVEL_ERROR = 8, 1e-6
 FIRST_STEP, LONGER, SHORTER = 0.2, 1.5, 0.5
 
 
+@takes_constants("bounds")
 def metamer(
     model: Model,
     picture: torch.Tensor,

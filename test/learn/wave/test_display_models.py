@@ -470,7 +470,8 @@ def test_a_table_of_three_colours_shows_better_holograms():
         scale = 532e-9 / wavelength
         nominal = np.arange(256) * (2 * np.pi / 256) * scale
         model = started(table, distance, phases=nominal, samples_per_pixel=1)
-        ideal = display_model([n, n], 8e-6, wavelength, distance, [48, 48], 4e-6, phases=nominal)
+        there = ([n, n], 8e-6, wavelength, distance, [48, 48], 4e-6)
+        ideal = display_model(*there, phases=nominal, samples_per_pixel=1)
         fit_display(model, captures_of(table, 5, 2), iterations=10)
         found = []
         for display in (ideal, model):
