@@ -981,14 +981,15 @@ def register_camera(
         others outwards, for a first registration before the aberration is known: astigmatism and defocus move spots
         that are formed by different parts by different amounts. The spots are larger, and found less accurately
         (0.1 pixel of 4 µm on simulated tables), and shifted by the tilt of the aberration there; their grid is at most
-        0.6 of what a pixel reaches.
+        0.6 of what a pixel reaches. On simulated tables of square pixels the spots are identified up to an aberration
+        of half a wavelength; at a whole one they are confused on some tables, which a residual of many pixels shows.
     captures : int
         Number of patterns, whose captures are averaged.
 
     Returns
     -------
     Registration
-        The mapping.
+        The mapping. A warning is issued if its residual is large.
 
     Raises
     ------
