@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from matplotlib import colormaps
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw, ImageFont, ImageOps
 
 from odak.learn.perception import MetamerMSELoss
 from odak.learn.tools import load_image
@@ -67,6 +67,17 @@ def _filled(image):
     return image.crop((left, top, left + SIZE[0], top + SIZE[1]))
 
 
+def card(drawn):
+    """Return the pictures two by two, in the size that chats and search engines show."""
+    gap, (width, height) = 12, (1200, 630)
+    size = ((width - gap) // 2, (height - gap) // 2)
+    whole = Image.new("RGB", (width, height), "white")
+    for k, image in enumerate(drawn.values()):
+        place = ((k % 2) * (size[0] + gap), (k // 2) * (size[1] + gap))
+        whole.paste(ImageOps.fit(image, size, Image.LANCZOS), place)
+    return whole
+
+
 def _save(image, path):
     """Save a picture in the best quality that is small enough."""
     for quality in range(85, 40, -4):
@@ -89,6 +100,7 @@ def main() -> None:
         place = (left + SIZE[0] // 2, SIZE[1] + line // 2)
         ImageDraw.Draw(banner).text(place, CAPTIONS[name], "#333333", font, anchor="mm")
     _save(banner.resize((banner.width * 5 // 8, banner.height * 5 // 8), Image.LANCZOS), FRONT / "banner.webp")
+    card(drawn).save(FRONT / "card.jpg", quality=85)
 
 
 if __name__ == "__main__":

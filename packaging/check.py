@@ -2,6 +2,7 @@
 
     python packaging/check.py            # libraries from the environment that runs this: under a minute
     python packaging/check.py --clean    # all of them downloaded into an empty environment for each: minutes
+    python packaging/check.py --output dist   # keeps what was built, once it has passed
 
 Builds the source distribution and from it the wheel, in a copy of the tree; compares their contents with the tree; runs
 twine's check; installs each in an environment of its own and runs packaging/smoke.py there.
@@ -60,7 +61,7 @@ def check_sdist(path: Path, package: set[str]) -> None:
     """Require a source distribution to hold the package and what builds it, and nothing else."""
     with tarfile.open(path) as archive:
         names = {member.name.split("/", 1)[1] for member in archive if member.isfile()}
-    names = {name for name in names if not name.startswith("odak.egg-info/") and name != "setup.cfg"}
+    names = {name for name in names if not name.startswith("odak_optics.egg-info/") and name != "setup.cfg"}
     if wrong := difference(names, package | BESIDE):
         raise SystemExit(f"{path.name} is not what it should be:\n{wrong}")
 
@@ -107,7 +108,9 @@ def main() -> None:
     """Build, look, install, use."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--clean", action="store_true", help="install every library anew")
-    borrowed = not parser.parse_args().clean
+    parser.add_argument("--output", type=Path, help="folder for the distributions that have passed")
+    given = parser.parse_args()
+    borrowed = not given.clean
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         shutil.copytree(ROOT, folder / "source", ignore=LEFT_OUT)
@@ -123,6 +126,8 @@ def main() -> None:
         for path in (wheel, sdist):
             print(f"{path.name}, {path.stat().st_size / 1e6:.1f} MB", flush=True)
             use(path, folder / path.suffix[1:], borrowed)
+        if given.output:
+            shutil.copytree(built, given.output, dirs_exist_ok=True)
 
 
 if __name__ == "__main__":

@@ -59,7 +59,7 @@ def main() -> None:
     """Check the installation that runs this."""
     installed = Path(odak.__file__).parent
     assert installed.is_relative_to(sys.prefix), f"{installed} is not the installed package"
-    assert distribution("odak").version == odak.__version__
+    assert distribution("odak-optics").version == odak.__version__
     assert (installed / "py.typed").is_file()
     modules = import_everything()
     kept = propagate()

@@ -178,7 +178,7 @@ def run(
     earlier, path = path.with_suffix(".npz"), path.with_suffix(".h5") if path.suffix.lower() == ".npz" else path
     if importlib.util.find_spec("h5py") is None:
         # Before anything is measured.
-        raise InputError("results are HDF5 files, which need h5py: pip install odak[instruments]")
+        raise InputError("results are HDF5 files, which need h5py: pip install h5py")
     # Steps add to the results: nobody else may write between reading and writing.
     claim(folder)
     claim(writable_folder(path.parent, "--results"), "--results")

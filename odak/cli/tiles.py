@@ -283,7 +283,7 @@ def load_target(job: Job) -> Target:
     try:
         import dask.array as da
     except ImportError as error:
-        raise InputError(f"--tiles needs Dask and Zarr: pip install 'odak[large]' ({error})") from None
+        raise InputError(f"--tiles needs Dask and Zarr: pip install 'dask[array]' zarr ({error})") from None
     path = image_path(job.image)
     source = open_picture(path)
     grey = job.grey or len(job.wavelengths) == 1 or source.shape[2] < 3
@@ -442,7 +442,7 @@ def _tiff(path: Path) -> _Tiff | None:
     try:
         import tifffile
     except ImportError as error:
-        raise InputError(f"--tiles needs tifffile for a TIFF file: pip install 'odak[large]' ({error})") from None
+        raise InputError(f"--tiles needs tifffile for a TIFF file: pip install tifffile ({error})") from None
     try:
         with tifffile.TiffFile(path) as file:
             page = file.pages.first

@@ -2029,7 +2029,7 @@ def save_calibration(path: str | os.PathLike, calibration: Calibration) -> None:
     Parameters
     ----------
     path : str or os.PathLike
-        ``.npz`` file, or ``.h5`` or ``.hdf5`` file, which needs h5py (``pip install odak[instruments]``).
+        ``.npz`` file, or ``.h5`` or ``.hdf5`` file, which needs h5py (``pip install h5py``).
     calibration : Calibration
         The results.
 

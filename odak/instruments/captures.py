@@ -199,7 +199,7 @@ def save_captures(path: str | os.PathLike, captures: Captures) -> None:
     Parameters
     ----------
     path : str or os.PathLike
-        ``.h5`` or ``.hdf5`` file to write; needs the package h5py (``pip install odak[instruments]``).
+        ``.h5`` or ``.hdf5`` file to write; needs the package h5py (``pip install h5py``).
     captures : Captures
         The captures.
 

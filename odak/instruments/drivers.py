@@ -37,7 +37,7 @@ class ScreenModulator:
 
     Notes
     -----
-    Needs the package pygame-ce (``pip install odak[instruments]``). Screens must not correct colours or scale: switch
+    Needs the package pygame-ce (``pip install pygame-ce``). Screens must not correct colours or scale: switch
     off night modes, and set a scale of 100 %.
 
     Examples
@@ -101,7 +101,7 @@ class VideoCamera:
 
     Notes
     -----
-    Needs the package opencv-python-headless (``pip install odak[instruments]``). Coloured frames are converted to
+    Needs the package opencv-python-headless (``pip install opencv-python-headless``). Coloured frames are converted to
     their green channel, which takes no gamma back: cameras for measurements should send raw frames.
 
     Examples
@@ -357,7 +357,7 @@ def _imported(module: str, package: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError:
-        raise ImportError(f"this driver needs {package}: pip install odak[instruments]") from None
+        raise ImportError(f"this driver needs {package}: pip install {package}") from None
 
 
 def _folder(folder: str | os.PathLike) -> str:

@@ -742,7 +742,7 @@ def load_image(fn: str | os.PathLike, normalizeby: float = 0.0, torch_style: boo
     fn : str or os.PathLike
         A ``.png``, ``.jpg``, ``.jpeg``, ``.bmp``, ``.tiff``, ``.tif``, ``.gif``, ``.webp``, ``.pbm``, ``.pgm``,
         ``.ppm``, ``.sr`` or ``.ras`` file; ``.hdr`` (Radiance), which needs the package opencv-python-headless, and
-        ``.exr``, which needs OpenEXR (``pip install odak[hdr]``).
+        ``.exr``, which needs OpenEXR (``pip install OpenEXR``).
     normalizeby : float
         Divide by this unless it is zero.
     torch_style : bool
@@ -891,7 +891,7 @@ def _read_radiance(path):
     try:
         import cv2
     except ImportError:
-        raise ValueError("pictures of Radiance need OpenCV: pip install odak[hdr]") from None
+        raise ValueError("pictures of Radiance need OpenCV: pip install opencv-python-headless") from None
     try:
         picture = cv2.imread(path, cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
@@ -906,7 +906,7 @@ def _read_exr(path):
     try:
         import OpenEXR
     except ImportError:
-        raise ValueError("pictures of OpenEXR need the package OpenEXR: pip install odak[hdr]") from None
+        raise ValueError("pictures of OpenEXR need the package OpenEXR: pip install OpenEXR") from None
     with OpenEXR.File(path, header_only=True) as file:
         (left, top), (right, bottom) = (map(int, corner) for corner in file.header()["dataWindow"])
     _check_size(path, right - left + 1, bottom - top + 1)

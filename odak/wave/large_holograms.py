@@ -204,7 +204,7 @@ def _require_dask():
         import dask.array as da
         import zarr  # noqa: F401
     except ImportError as error:
-        raise ImportError(f"Holograms in chunks need Dask and Zarr: pip install 'odak[large]' ({error})") from None
+        raise ImportError(f"Holograms in chunks need Dask and Zarr: pip install 'dask[array]' zarr ({error})") from None
     return da
 
 

@@ -459,7 +459,7 @@ def misses(rays: torch.Tensor) -> MeshHit:
     return MeshHit(none[:, 0], none, none, face, none, intersections.status_array(face >= 0))
 
 
-EMBREE_HINT = "backend 'embree' needs the package embreex: pip install odak[mesh]"
+EMBREE_HINT = "backend 'embree' needs the package embreex: pip install embreex"
 
 
 def has_embree() -> bool:
@@ -505,7 +505,7 @@ class triangle_mesh:
         or normals at the vertices, ``[v, 3]``.
     backend : str
         "torch": the search of this library, any device and precision, without gaps. "embree": Embree's, in single
-        precision on the CPU; needs the package embreex (``pip install odak[mesh]``). "auto": Embree for float32 on the
+        precision on the CPU; needs the package embreex (``pip install embreex``). "auto": Embree for float32 on the
         CPU when it is installed, else torch.
     memory_budget : int
         Bytes that the search may hold beside its result, whatever the number of rays.
