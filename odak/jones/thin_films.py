@@ -15,9 +15,9 @@ class StackResponse(NamedTuple):
     Attributes
     ----------
     r : array
-        Complex amplitude coefficient of reflection of the electric field.
+        Complex amplitude coefficient of reflection of the electric field; None for unpolarised light, which has none.
     t : array
-        Complex amplitude coefficient of transmission of the electric field.
+        Complex amplitude coefficient of transmission of the electric field; None for unpolarised light.
     reflectance : array
         Fraction of the incident power that is reflected.
     transmittance : array
@@ -68,7 +68,8 @@ def thin_film_stack(
     angle : float or array
         Angle of incidence in degrees, in the incident medium.
     polarization : str
-        "s" (electric field perpendicular to the plane of incidence) or "p" (in it).
+        "s" (electric field perpendicular to the plane of incidence), "p" (in it) or "unpolarized": the fractions of
+        power are the means of both, and there are no amplitude coefficients.
 
     Returns
     -------
@@ -98,15 +99,21 @@ def thin_film_stack(
     >>> round(float(coated.reflectance), 7)
     0.0126008
     """
-    polarization = _validate.one_of("polarization", polarization, ("s", "p"))
+    polarization = _validate.one_of("polarization", polarization, ("s", "p", "unpolarized"))
     _validate.real("angle", angle)
     xp, (wavelength, angle, *rest) = check_stack(wavelength, angle, indices, thicknesses)
     angle = angle * (_TAU / 360)
     sine, cosine = xp.sin(angle), xp.cos(angle)
     indices, thicknesses = rest[: len(indices)], rest[len(indices) :]
-    found = stack_response(xp, wavelength, indices, thicknesses, indices[0] * sine, cosine, polarization)
-    shape = _validate.fitting(r=found.r, wavelength=wavelength)
-    return StackResponse(*(xp.broadcast_to(value, shape) for value in found))
+    states = ("s", "p") if polarization == "unpolarized" else (polarization,)
+    responses = [
+        stack_response(xp, wavelength, indices, thicknesses, indices[0] * sine, cosine, state) for state in states
+    ]
+    shape = _validate.fitting(r=responses[0].r, wavelength=wavelength)
+    if len(responses) == 2:
+        fractions = [(s + p) / 2 for s, p in zip(*(found[2:] for found in responses), strict=True)]
+        return StackResponse(None, None, *(xp.broadcast_to(value, shape) for value in fractions))
+    return StackResponse(*(xp.broadcast_to(value, shape) for value in responses[0]))
 
 
 def stack_response(xp, wavelength, indices, thicknesses, transverse, cosine, polarization) -> StackResponse:

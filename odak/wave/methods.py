@@ -265,7 +265,8 @@ def _sum_aliases(report: Criteria) -> str | None:
 
 
 def _not_far(report: Criteria) -> str | None:
-    return _too_near(report, report.fraunhofer_distance, "the far field is not reached")
+    why = "the far field is not reached (lens_fourier_transform is for the focal plane of a lens)"
+    return _too_near(report, report.fraunhofer_distance, why)
 
 
 def _too_near(report: Criteria, limit: float, why: str) -> str | None:

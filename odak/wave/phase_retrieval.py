@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -313,6 +313,7 @@ def spot_hologram(
     focal: float | None = None,
     *,
     intensities: Array | None = None,
+    phases: Array | None = None,
     illumination: Array | None = None,
     fixed_phase_after: int | None = None,
     seed: Any = None,
@@ -339,6 +340,10 @@ def spot_hologram(
         Focal length of a lens with the hologram in its front focal plane; by default there is no lens.
     intensities : array, optional
         Share of light wanted in each spot, ``[..., N]``, up to a common factor; equal by default.
+    phases : array, optional
+        Phases in radians that the fields of the spots should have, ``[..., N]``; free by default, which leaves more
+        light in the spots. Phases of regular arrays take more iterations than those of scattered spots: about 0.1 rad
+        is missed after 30, 0.01 after 100.
     illumination : array, optional
         Amplitude of the light on the hologram ``[..., m, n]``; one by default.
     fixed_phase_after : int, optional
@@ -346,13 +351,15 @@ def spot_hologram(
         then settle fast: 100 spots after 30 iterations are even to 0.996 instead of 0.95 (Kim et al., Opt. Lett. 44,
         3178 (2019)).
     seed : int or generator, optional
-        Makes the random start reproducible.
+        Makes the random start reproducible; nothing is random where `phases` are given.
 
     Returns
     -------
     tuple of array
         Hologram, complex of amplitude one ``[..., m, n]``, and fields of the spots ``[..., N]``: |·|² is the share of
-        the light that is in each spot. For spots that do not overlap their sum is the efficiency.
+        the light that is in each spot. For spots that do not overlap their sum is the efficiency. Behind a lens their
+        phases are relative to exp(2ik·focal)/i; in free space, to exp(ikz)·exp(iπ(x² + y²)/(λz))/i, so that spots in
+        one plane have equal phases on a sphere about the middle of the hologram.
 
     Raises
     ------
@@ -388,17 +395,45 @@ def spot_hologram(
     lit = None if illumination is None else _checked_illumination(illumination, wanted, shape)
     total = math.prod(shape) if lit is None else xp.sum(lit**2, axis=(-2, -1), keepdims=True)[..., 0]
     norm = (math.prod(shape) * total) ** 0.5
+
+    def fields_of(hologram):
+        return _spots(hologram if lit is None else hologram * lit, columns, rows) / norm
+
+    if phases is not None:
+        cycles = _array.cast(_validate.real("phases", phases), wanted) / (2 * math.pi)
+        _validate.fitting(points=wanted, phases=cycles)
+        aim = wanted * _array.phasor_of_cycles(cycles, _array.complex_dtype(rows))
+        hologram = _with_phases(aim, fields_of, columns, rows, lit, n_iterations)
+        return hologram, fields_of(hologram)
     weights, direction = wanted, _random_phasor(count, seed, rows)
     hologram, share = _superpose(direction * weights, columns, rows), None
     for turn in range(n_iterations):
-        spots = _spots(hologram if lit is None else hologram * lit, columns, rows) / norm
+        spots = fields_of(hologram)
         ratio = _amplitude_ratio(xp.abs(spots), wanted)
         if turn >= free:
             ratio, share = _damped(ratio, share)
         weights = weights * ratio
         direction = _unit(spots) if turn < free else direction
         hologram = _superpose(direction * weights, columns, rows)
-    return hologram, _spots(hologram if lit is None else hologram * lit, columns, rows) / norm
+    return hologram, fields_of(hologram)
+
+
+def _with_phases(aim, fields_of: Callable, columns, rows, lit, n_iterations: int):
+    """Return the hologram whose spots have the fields `aim`, up to a common factor that is positive.
+
+    What misses in each spot is added to the field of the hologram, whose amplitude is then set to one again. The light
+    that the phases leave over goes where no spot is, so that regular arrays have an answer too; changes of the spots'
+    weights and directions alone end about 1 rad away from the phases of most arrays of 10 x 10.
+    """
+    xp = _array.namespace(columns)
+    step = 2.0 if lit is None else 2 * lit / xp.sqrt(xp.mean(lit**2, axis=(-2, -1), keepdims=True))
+    hologram = _superpose(aim, columns, rows)
+    for _ in range(n_iterations):
+        spots = fields_of(hologram)
+        share = xp.sum(xp.real(spots * xp.conj(aim)), axis=-1, keepdims=True)
+        missing = aim * (share / xp.sum(xp.abs(aim) ** 2, axis=-1, keepdims=True)) - spots
+        hologram = _unit(hologram + step * _sum_of_spots(missing, columns, rows))
+    return hologram
 
 
 def weighted_gerchberg_saxton(
@@ -565,8 +600,13 @@ def _iterations_of_free_phase(fixed_phase_after, n_iterations):
 
 def _superpose(light, columns, rows):
     """Return the phase-only part of the sum of the spots' lenses, each times its light ``[..., N]``."""
+    return _unit(_sum_of_spots(light, columns, rows))
+
+
+def _sum_of_spots(light, columns, rows):
+    """Return the sum of the spots' lenses, each times its light ``[..., N]``."""
     xp = _array.namespace(light)
-    return _unit(xp.matmul(xp.matrix_transpose(columns * light[..., None]), rows))
+    return xp.matmul(xp.matrix_transpose(columns * light[..., None]), rows)
 
 
 def _spots(field, columns, rows):

@@ -116,3 +116,15 @@ def test_indices_that_amplify_or_absorb_before_the_stack_are_refused(absorbing):
 def test_wrong_use_names_the_argument():
     with pytest.raises(ValueError, match="thicknesses must be two fewer than indices"):
         thin_film_stack(WAVELENGTH, [1, 1.38, 1.52], [])
+
+
+def test_unpolarised_light_is_the_mean_of_both_polarisations():
+    angles = np.array([0.0, 30.0, 60.0])
+    stack = (550e-9, (1.0, 1.38 + 0.02j, 1.52), (100e-9,), angles)
+    mixed, s, p = (thin_film_stack(*stack, polarization=state) for state in ("unpolarized", "s", "p"))
+    np.testing.assert_allclose(mixed.reflectance, (s.reflectance + p.reflectance) / 2, rtol=1e-15)
+    np.testing.assert_allclose(mixed.reflectance + mixed.transmittance + mixed.absorptance, 1.0, rtol=1e-14)
+    # A bare face at Brewster's angle: half of what s-polarised light reflects, ((n² − 1)/(n² + 1))²/2.
+    face = thin_film_stack(550e-9, (1.0, 1.5), (), np.degrees(np.arctan(1.5)), polarization="unpolarized")
+    assert abs(face.reflectance - (1.25 / 3.25) ** 2 / 2) < 1e-15
+    assert mixed.r is None and mixed.t is None and "r=" not in repr(mixed)

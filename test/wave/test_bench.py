@@ -425,3 +425,24 @@ def test_modulator_polariser_and_wave_plate_in_a_bench(random):
     passed, _ = optical_bench([Polarizer(turn)], WAVELENGTH).propagate(torch.as_tensor(along_x), 8e-6)
     (slope,) = torch.autograd.grad((abs(passed) ** 2).sum(0).mean(), turn)
     assert float(slope) == pytest.approx(-np.sin(np.radians(40)) * np.pi / 180)
+
+
+def test_a_lens_transforms_a_gaussian_into_its_spectrum():
+    # The waist w in the front focal plane becomes the waist λf/(πw) in the back one, real but for the path.
+    axis, waist, focal = (np.arange(128) - 64) * 8e-6, 120e-6, 0.2
+    beam = np.exp(-(axis[:, None] ** 2 + axis**2) / waist**2).astype(complex)
+    found, pitch = odak.wave.lens_fourier_transform(beam, focal, 8e-6, WAVELENGTH)
+    assert abs(pitch - WAVELENGTH * focal / (128 * 8e-6)) < 1e-15
+    place, there = (np.arange(128) - 64) * pitch, WAVELENGTH * focal / (np.pi * waist)
+    expected = waist / there * np.exp(-(place[:, None] ** 2 + place**2) / there**2)
+    np.testing.assert_allclose(found * 1j * np.exp(-4j * np.pi * focal / WAVELENGTH), expected, atol=1e-9)
+    # At the lens itself the same, times the curvature of a sphere about the lens.
+    at_lens, _ = odak.wave.lens_fourier_transform(beam, focal, 8e-6, WAVELENGTH, distance=0.0)
+    bent = np.exp(1j * np.pi * (place[:, None] ** 2 + place**2) / (WAVELENGTH * focal))
+    expected = expected * bent * np.exp(2j * np.pi * focal / WAVELENGTH) / 1j
+    np.testing.assert_allclose(at_lens, expected, atol=1e-9)
+
+
+def test_fraunhofer_names_the_lens_where_the_far_field_is_not_meant():
+    with pytest.warns(odak.SamplingWarning, match="lens_fourier_transform is for the focal plane of a lens"):
+        odak.wave.propagate_beam(np.ones((64, 64), complex), None, 0.2, 8e-6, WAVELENGTH, "Fraunhofer")

@@ -255,3 +255,41 @@ def test_two_spots_are_made_even(n_iterations):
     target[16, [10, 21]] = 1
     _, image = weighted_gerchberg_saxton(target, n_iterations, seed=0)
     assert uniformity(abs(image[target > 0]) ** 2) > 0.99
+
+
+def test_spots_take_the_phases_asked_for(random):
+    points, phases = far_grid(4, 9, 128), random.uniform(0, 2 * np.pi, 16)
+    hologram, spots = spot_hologram(points, (128, 128), WAVELENGTH, DX, 30, FOCAL, phases=phases)
+    assert np.abs(np.angle(spots * np.exp(-1j * phases))).max() < 0.02 and uniformity(abs(spots) ** 2) > 0.97
+    focus, pitch = odak.wave.lens_fourier_transform(hologram, FOCAL, DX, WAVELENGTH)
+    rows, columns = (np.round(points[:, k] / pitch).astype(int) + 64 for k in (1, 0))
+    common = np.exp(4j * np.pi * FOCAL / WAVELENGTH) / 1j
+    assert np.abs(np.angle(focus[rows, columns] / common * np.exp(-1j * phases))).max() < 0.02
+
+
+def test_phases_of_spots_in_free_space_are_those_of_propagation():
+    points = np.asarray([[-1e-4, 5e-5, 0.05], [1e-4, -2e-4, 0.05], [5e-5, 1.5e-4, 0.05]])
+    phases = np.asarray([0.5, -2.0, 1.0])
+    hologram, _ = spot_hologram(points, (96, 96), WAVELENGTH, DX, 20, phases=phases)
+    for (x, y, z), phase in zip(points, phases, strict=True):
+        found = odak.wave.propagate_to_window(hologram, WAVELENGTH, z, DX, (1, 1), DX, (y, x))[0, 0]
+        sphere = z / WAVELENGTH + (x**2 + y**2) / (2 * WAVELENGTH * z)
+        assert abs(np.angle(found * 1j * np.exp(-2j * np.pi * sphere - 1j * phase))) < 0.05
+
+
+def test_phases_and_intensities_under_uneven_light_in_a_batch(random):
+    import torch
+
+    points = np.stack([random.uniform(-1e-3, 1e-3, (6, 3)) * [1, 1, 2] for _ in range(2)])
+    phases, wanted = random.uniform(-3, 3, (2, 6)), np.asarray([1.0, 1, 2, 1, 3, 1])
+    light = np.exp(-(((np.arange(96) - 40) / 50) ** 2)) * np.ones((80, 96))
+    options = {"intensities": wanted, "illumination": light, "phases": phases}
+    _, spots = spot_hologram(points, (80, 96), WAVELENGTH, DX, 80, FOCAL, **options)
+    target = np.sqrt(wanted) * np.exp(1j * phases)
+    error = spots / target
+    assert np.abs(error / error.real.mean(-1, keepdims=True) - 1).max() < 0.02
+    tensors = {name: torch.as_tensor(value) for name, value in options.items()}
+    same = odak.learn.wave.spot_hologram(torch.as_tensor(points), (80, 96), WAVELENGTH, DX, 80, FOCAL, **tensors)[1]
+    np.testing.assert_allclose(same.numpy(), spots, atol=1e-10)
+    with pytest.raises(ValueError, match="phases"):
+        spot_hologram(points, (80, 96), WAVELENGTH, DX, 1, FOCAL, phases=phases[:, :5])
