@@ -76,6 +76,8 @@ GUARD, LARGEST_WINDOW = 3, 201
 SMALLEST_REGION = 12
 # Half of the extent of the spots of a registration at most, as a share of the farthest point that a pixel reaches.
 SPREAD = 0.6
+# Width of the stripes beside them into which light falls that forms no spots, as a share of what is free.
+STRIPE = 0.8
 # Displacement of the rays at the edge of an aperture, as a share of its radius, to measure its curvature.
 BLUR = 0.4
 # Distance from the axis of spots of a first estimate of the registration, as a share of that of the others.
@@ -978,11 +980,10 @@ def register_camera(
         λ·distance/pitch.
     middle : bool
         Form the spots by the middle part of the modulator, whose pixels reach all of them, and deflect the light of the
-        others outwards, for a first registration before the aberration is known: astigmatism and defocus move spots
-        that are formed by different parts by different amounts. The spots are larger, and found less accurately
+        others beside the spots, for a first registration before the aberration is known: astigmatism and defocus move
+        spots that are formed by different parts by different amounts. The spots are larger, and found less accurately
         (0.1 pixel of 4 µm on simulated tables), and shifted by the tilt of the aberration there; their grid is at most
-        0.6 of what a pixel reaches. On simulated tables of square pixels the spots are identified up to an aberration
-        of half a wavelength; at a whole one they are confused on some tables, which a residual of many pixels shows.
+        0.6 of what a pixel reaches.
     captures : int
         Number of patterns, whose captures are averaged.
 
@@ -1019,11 +1020,12 @@ def register_camera(
     size = np.minimum(shape, (2 * (farthest - half) / pitch).astype(int)) if middle else shape
     part = _Part((int(size[0]), int(size[1])), pitch)
     inside_part = tuple(slice(n // 2 - m // 2, n // 2 - m // 2 + m) for n, m in zip(shape, size, strict=True))
-    # The side lobes of an ellipse are weaker than those of a rectangle. Beyond it, light is deflected by nine tenths of
-    # what pixels can.
+    # The side lobes of an ellipse are weaker than those of a rectangle. Light from beyond it falls into stripes midway
+    # between the axis and its orders of diffraction, beside the spots, and is spread along the stripes at random.
     y, x = _axes(modulator)
-    radius = np.hypot(x / size[1], y / size[0]) * 2 / pitch if (size < shape).any() else 0 * (x + y)
-    lit, outwards = radius < 1, 0.9 * np.pi * np.hypot(x, y) / pitch * (1 - 1 / np.clip(radius, 1, None))
+    lit = np.hypot(x / size[1], y / size[0]) * 2 / pitch < 1 if (size < shape).any() else np.full(shape, True)
+    narrowed = STRIPE * size[1] / shape[1]
+    beside_spots = 2 * np.pi / (wavelength * distance) * (farthest * x - (1 - narrowed) * x**2 / 2)
     # Second moments along x and y of an ellipse, or of all pixels.
     moments = (size[::-1] * pitch) ** 2 / (16 if (size < shape).any() else 12)
     half = half[::-1]
@@ -1033,21 +1035,26 @@ def register_camera(
     def show(points: np.ndarray, seed: int = 0, extra: np.ndarray | float = 0.0) -> None:
         phase = np.zeros(modulator.shape)
         phase[inside_part] = spots_phase(part, wavelength, distance, points, seed=seed)
-        modulator.show(nearest_levels(np.where(lit, phase + extra - curved, outwards) - wavefront, phases))
+        others = beside_spots + np.random.default_rng(seed).uniform(0, 2 * np.pi, (shape[0], 1))
+        modulator.show(nearest_levels(np.where(lit, phase + extra - curved, others) - wavefront, phases))
 
     around = max(8, math.ceil(1.5 * wavelength * distance / (size.min() * pitch * camera.pitch)))
 
-    def place_of(point: np.ndarray, count: int) -> np.ndarray:
-        show(point[None])
-        frame = _averaged(camera, count)
-        return _centroid(frame, _brightest(frame), around)
+    def places_of(points: np.ndarray, count: int) -> np.ndarray:
+        """Return the pixels of single spots; light that does not move with them cancels."""
+        frames = []
+        for point in points:
+            show(point[None])
+            frames.append(_averaged(camera, count))
+        moving = np.stack(frames) - np.roll(frames, 1, axis=0)
+        return np.stack([_centroid(frame, _brightest(frame), around) for frame in moving])
 
     captures = _validate.integer("captures", captures, minimum=1)
     show(np.zeros((1, 2)))
     set_exposure(camera)
     # Spots near the axis tell which of the farther ones the camera sees.
     steps = NEAR * np.diag(half)
-    axis, *beside = (place_of(point, 1) for point in (np.zeros(2), *steps))
+    axis, *beside = places_of(np.vstack([np.zeros(2), steps]), 1)
     roughly = (np.array(beside) - axis) / (NEAR * half[:, None])
     three = np.diag(half)
     for number in range(2):
@@ -1059,13 +1066,17 @@ def register_camera(
         else:
             three[number] = steps[number]
     three = np.vstack([np.zeros(2), three])
-    pixels = [place_of(point, captures) for point in three]
-    matrix = np.linalg.solve(np.column_stack([three, np.ones(3)]), np.array(pixels))
+    pixels = places_of(three, captures)
+    matrix = np.linalg.solve(np.column_stack([three, np.ones(3)]), pixels)
     missed = np.linalg.norm(pixels - axis - three @ roughly, axis=-1)
     _check_places(axis, roughly, camera, bool((missed > 2 * around + 0.3 * np.abs(three @ roughly).max()).any()))
     if middle:
         for _ in range(4):
-            curved += _curvature(modulator, camera, partial(show, three[:1]), wavelength, distance, moments, matrix)
+            curved += _curvature(
+                modulator, camera, partial(show, three[:1]), wavelength, distance, moments, matrix, half.min()
+            )
+        # Spots that the aberration had spread are smaller now.
+        matrix = np.linalg.solve(np.column_stack([three, np.ones(3)]), places_of(three, captures))
     down, across = _validate.size("grid", grid)
     y, x = (np.linspace(-h, h, n) for h, n in ((half[1], down), (half[0], across)))
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -1215,7 +1226,7 @@ class _Middle:
         return replace(found, amplitude=amplitude, wavefront=wavefront, regional_phases=regional)
 
 
-def _curvature(modulator, camera, show, wavelength, distance, moments, matrix) -> np.ndarray:
+def _curvature(modulator, camera, show, wavelength, distance, moments, matrix, reach) -> np.ndarray:
     """Return the quadratic part of the wavefront in the middle of a modulator, from spots on either side of the focus.
 
     Rays of an aperture whose second moments along the axes are the diagonal S, behind a lens that adds the curvature ±c
@@ -1226,11 +1237,13 @@ def _curvature(modulator, camera, show, wavelength, distance, moments, matrix) -
     added = BLUR * 2 * np.pi / wavelength / distance
     back = np.linalg.inv(matrix[:2])
     difference = np.zeros((2, 2))
+    away = (np.moveaxis(np.indices(camera.shape)[::-1], 0, -1) - matrix[2]) @ back
+    near = np.abs(away).max(-1) < reach
     for sign in (1, -1):
         show(extra=sign * added / 2 * (x**2 + y**2))
         set_exposure(camera)
         frame = _averaged(camera, 4)
-        difference += sign * back.T @ _second_moments(frame) @ back
+        difference += sign * back.T @ _second_moments(frame, near) @ back
     scale = (wavelength * distance / (2 * np.pi)) ** 2 * np.add.outer(moments, moments)
     hessian = -difference / (2 * scale * added)
     # Curvatures larger than that of the lens are approached step by step.
@@ -1238,11 +1251,11 @@ def _curvature(modulator, camera, show, wavelength, distance, moments, matrix) -
     return -(hessian[0, 0] * x**2 + 2 * hessian[0, 1] * x * y + hessian[1, 1] * y**2) / 2
 
 
-def _second_moments(frame: np.ndarray) -> np.ndarray:
-    """Return the matrix of second moments of a spot, columns first, in square pixels."""
+def _second_moments(frame: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Return the matrix of second moments of a spot, columns first, in square pixels, from the pixels near it."""
     smooth = uniform_filter(frame, 5)
     floor = np.quantile(smooth, 0.5)
-    light = np.where(smooth - floor > 0.1 * (smooth.max() - floor), frame - floor, 0)
+    light = np.where(near & (smooth - floor > 0.1 * (smooth[near].max() - floor)), frame - floor, 0)
     v, u = np.indices(frame.shape)
     total = light.sum()
     u, v = u - (light * u).sum() / total, v - (light * v).sum() / total
