@@ -629,6 +629,8 @@ def encircled_energy(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the fraction of the energy within circles about the centroid of an image of a point.
 
+    Of a Spread with an `energy` the energy is that of an image of any width, some of which falls beside its samples.
+
     Parameters
     ----------
     found : Spread or Spots
@@ -686,7 +688,8 @@ def encircled_energy(
     grown = weight.gather(-1, order).cumsum(-1)
     number = torch.searchsorted(distance.gather(-1, order).contiguous(), radii.contiguous(), right=True)
     inside = torch.nn.functional.pad(grown, (1, 0)).gather(-1, number)
-    return radii, inside / grown[..., -1:]
+    whole = getattr(found, "energy", None)
+    return radii, inside / (grown[..., -1:] if whole is None else whole[..., None])
 
 
 def distortion(system: Any, prescription: Prescription | None = None, **options: Any) -> torch.Tensor:

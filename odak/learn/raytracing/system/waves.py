@@ -256,6 +256,9 @@ class Spread(NamedTuple):
         Pixel pitches (y, x) in the system's unit, ``[..., W, F, 2]``.
     strehl : torch.Tensor
         Largest of the samples, ``[..., W, F]``; :func:`strehl_ratio` is the peak itself.
+    energy : torch.Tensor or None
+        Sum of the samples of an image of any width, ``[..., W, F]``; None where it is not known. The samples here add
+        up to less, by what falls beside them and by what the samples on the edge of the pupil leave out.
 
     Examples
     --------
@@ -272,6 +275,7 @@ class Spread(NamedTuple):
     intensity: torch.Tensor
     pitch: torch.Tensor
     strehl: torch.Tensor
+    energy: torch.Tensor | None = None
 
     def __repr__(self) -> str:
         return _show.one_line(self)
@@ -345,17 +349,20 @@ def pupil_image(system, samples: int, size: int, options: dict, amplitudes: Call
     weight = torch.where(found.status == 0, share[inside].to(found.path.device), 0.0)
     phase = phasor_of_cycles(torch.where(found.status == 0, found.path, 0.0), torch.complex128) * weight
     intensity: Any = 0.0
+    energy: Any = 0.0
     for amplitude in [1.0] if amplitudes is None else amplitudes(points):
         pupil = torch.zeros(*phase.shape[:-1], samples, samples, dtype=phase.dtype, device=phase.device)
         pupil[..., inside.to(phase.device)] = amplitude * phase
         # Where the pupil lies on the grid does not change the modulus.
         modulus = torch.fft.fft2(pupil, s=(size, size)).abs() / weight.sum(-1)[..., None, None]
         intensity = intensity + torch.fft.fftshift(modulus.square(), dim=(-2, -1))
+        # A sample on the edge has the amplitude of the part inside, and the energy of its square: too little.
+        energy = energy + (abs(amplitude) ** 2 * weight).sum(-1) * (size / weight.sum(-1)).square()
     slopes = _derivatives(found, weight)
     given = options.get("prescription")
     numbers = system.prescription() if given is None else given
     pitch = (wavelengths_of(system, numbers) / numbers.index[..., -1].abs())[..., None, None] / (size * step * slopes)
-    return Spread(intensity, pitch, intensity.amax((-2, -1)))
+    return Spread(intensity, pitch, intensity.amax((-2, -1)), energy)
 
 
 def _derivatives(found, weight):
@@ -602,7 +609,8 @@ def modulation_transfer_function(spread: Spread, axis: str = "y") -> tuple[torch
 
     Notes
     -----
-    The modulus of the Fourier transform of the point spread function (Goodman 2005, section 6.3).
+    The modulus of the Fourier transform of the point spread function (Goodman 2005, section 6.3), over the energy of an
+    image of any width.
 
     Examples
     --------
@@ -624,7 +632,9 @@ def modulation_transfer_function(spread: Spread, axis: str = "y") -> tuple[torch
     transfer = torch.fft.rfft(profile).abs()
     pitch = spread.pitch[..., 0 if axis == "y" else 1]
     frequencies = torch.fft.rfftfreq(size, dtype=torch.float64, device=pitch.device) / pitch[..., None]
-    return frequencies, transfer / transfer[..., :1]
+    first = transfer[..., :1]
+    total = first if spread.energy is None else spread.energy[..., None]
+    return frequencies, torch.cat([first / first, transfer[..., 1:] / total], -1)
 
 
 def airy_pattern(radius: torch.Tensor, wavelength: float, numerical_aperture: float) -> Any:
@@ -757,11 +767,11 @@ def propagated_point_spread_function(
         if pitch is None:
             with torch.no_grad():
                 pitch = max(exit_field(system, size, plane="chief", **{**options, "field": f}).pitch for f in points)
-        parts = [
+        parts: list[Any] = [
             propagated_point_spread_function(system, size, pitch, propagation_type, **{**options, "field": point})
             for point in points
         ]
-        return Spread(*(torch.cat([part[i] for part in parts], axis) for i, axis in enumerate((-3, -2, -1))))
+        return Spread(*(torch.cat([part[i] for part in parts], axis) for i, axis in enumerate((-3, -2, -1, -1))))
     wave = exit_field(system, size, pitch, plane="chief", **options)
     count = wave.field.shape[-1]
     line = (torch.arange(count, dtype=torch.float64, device=wave.field.device) - count // 2) * wave.pitch
@@ -771,7 +781,8 @@ def propagated_point_spread_function(
     image = propagate_beam(wave.field, None, wave.to_image, wave.pitch, wave.wavelength, propagation_type)
     intensity = (image.abs().square() / peak[..., None, None].square())[..., None, None, :, :]
     pitches = torch.full((*intensity.shape[:-2], 2), wave.pitch, dtype=torch.float64, device=intensity.device)
-    return Spread(intensity, pitches, intensity.amax((-2, -1)))
+    energy = (wave.field.abs().square().sum((-2, -1)) / peak.square())[..., None, None]
+    return Spread(intensity, pitches, intensity.amax((-2, -1)), energy)
 
 
 class ExitField(NamedTuple):
@@ -1119,9 +1130,14 @@ def huygens_point_spread_function(
     along_x, along_y = (phasor_of_cycles(value, torch.complex128) for value in cycles)
     amplitude = phasor_of_cycles(torch.where(kept, path, 0.0) / waves, torch.complex128) * weight
     field = (along_y * amplitude[..., None]).mT @ along_x
-    total = share.sum().to(path)
-    intensity = (field.real.square() + field.imag.square()) / total.square()
-    return Spread(intensity, torch.stack([spacing, spacing], -1), intensity.amax((-2, -1)))
+    total = weight.sum(-1)
+    intensity = (field.real.square() + field.imag.square()) / total.square()[..., None, None]
+    # The area of direction cosines per area of the pupil: the determinant of the slopes that fit the rays best.
+    pupil, share = points[1:].to(path), weight[..., None]
+    moved = share * (pupil - (share * pupil).sum(-2, keepdim=True) / total[..., None, None])
+    squares, slopes = (torch.linalg.det(moved.mT @ value) for value in (pupil, torch.stack(ways[:2], -1)))
+    energy = (waves[..., 0] / (step * spacing)).square() * squares / (slopes.abs() * total)
+    return Spread(intensity, torch.stack([spacing, spacing], -1), intensity.amax((-2, -1)), energy)
 
 
 def modulation_at(spread: Spread, frequency: float, axis: str = "y") -> torch.Tensor:
@@ -1162,7 +1178,8 @@ def modulation_at(spread: Spread, frequency: float, axis: str = "y") -> torch.Te
     cycles = place * spread.pitch[..., 0 if axis == "y" else 1, None] * frequency
     wave = phasor_of_cycles(cycles, torch.complex128)
     real, imaginary = ((profile * part).sum(-1) for part in (wave.real, wave.imag))
-    return (real.square() + imaginary.square()).clamp_min(1e-300).sqrt() / profile.sum(-1)
+    total = profile.sum(-1) if spread.energy is None or not frequency else spread.energy
+    return (real.square() + imaginary.square()).clamp_min(1e-300).sqrt() / total
 
 
 def through_focus_modulation(
