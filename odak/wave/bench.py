@@ -263,7 +263,7 @@ def _along_axis(field, system, pitch, wanted, count: int, wavelength, axis: int,
     else:
         if half > (middle - edge) * (1 + 1e-9):
             # The sum repeats itself at λ|B| over the pitch of the samples, which light at the edges would reach.
-            field, pitch = _between_samples(field, wavelength, axis), pitch / 2
+            field, pitch = between_samples(field, wavelength, axis), pitch / 2
         source = centred(wavelength, field.shape[axis], axis) * pitch
         cycles = a * source**2 / (2 * b * wavelength)
         cycles = cycles - source * place / (b * wavelength) if moved else cycles
@@ -278,7 +278,7 @@ def _along_axis(field, system, pitch, wanted, count: int, wavelength, axis: int,
     return xp.astype(result, field.dtype, copy=False), xp.reshape(out, ())
 
 
-def _between_samples(field, like, axis: int):
+def between_samples(field, like, axis: int):
     """Return the band-limited interpolation of a field at half its pitch, over twice its width."""
     n = field.shape[axis]
     step = _array.namespace(like).ones_like(like) / (4 * n)

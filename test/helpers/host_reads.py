@@ -40,10 +40,12 @@ REASONS = {
         perception/quality: _require_positive
         raytracing/system/design: __init__ _now
         raytracing/system/environment: _expand
+        raytracing/system/eye: _traced_terms
+        raytracing/system/lens_fields: _check _traced apply
         raytracing/system/image_simulation: _chief _response point_spread_map
         raytracing/system/optimise: _deviated _dispersed iso_10110_tolerances
         raytracing/system/paraxial: _check_forward _near_reach ghost_system medium passed seidel_sums
-        raytracing/system/polarisation: _jones_vector ghosts
+        raytracing/system/polarisation: jones_vector ghosts
         raytracing/system/pupils: _far
         raytracing/system/surfaces: _any _fields _image _optional checked_settings is_off_axis number_or_infinity vary
         raytracing/system/waves: _derivatives _exit_pupil _length _sign exit_field
@@ -69,6 +71,7 @@ REASONS = {
         raytracing/mesh: _faces init_heights
         raytracing/surfaces: _intersect_parametric
         raytracing/system/eye: _radial_transfer
+        raytracing/system/lens_fields: products
         raytracing/system/pupils: pupil_quadrature
         raytracing/system/waves: _grid
         tools/transformation: load_voxelized_PLY point_cloud_to_voxel
@@ -109,6 +112,7 @@ REASONS = {
 }
 # Those whose syntax does not show it, such as `float(loss)`.
 AT_RUN_TIME = {
+    "raytracing/system/lens_fields:products",
     "raytracing/system/design:_now",
     "raytracing/system/optimise:iso_10110_tolerances",
     "raytracing/system/optimise:tolerances_for_yield",

@@ -44,6 +44,11 @@ def _wave_lens():
     return optical_system([surface(5.0, material=1.5, thickness=0.2), surface(thickness=9.8)], aperture=0.1)
 
 
+def _near_lens():
+    lens = [surface(5.0, material=1.5, thickness=0.2), surface(thickness=9.8)]
+    return optical_system(lens, aperture=0.1, object_distance=9.8)
+
+
 def _rod():
     rod = surface(thickness=2.0, material=1.5, gradient=RadialGradient([-0.01]))
     return optical_system([rod, surface()], aperture=1.0)
@@ -190,6 +195,8 @@ BY_CALL = {
     f"{HERE}.system.airy_pattern": {"radius": 2e-3 * tensor(5), "wavelength": 5e-4, "numerical_aperture": 0.1},
     f"{HERE}.system.draw_spots": {"found": Build(lambda _: spot_diagram(_lens(), count=2))},
     f"{HERE}.system.exit_field": {"wavelength": 0, "size": [64, 64], "system": Build(lambda _: _wave_lens())},
+    f"{HERE}.system.TracedSystem": {"grid": [3, 3], "system": Build(lambda _: _near_lens())},
+    f"{HERE}.system.TracedSystem.apply": {"field": tensor(16, 16) + 0j, "pitch": 8e-6, "wavelength": 550e-9},
     f"{HERE}.system.propagated_point_spread_function": {"size": 64, "system": Build(lambda _: _wave_lens())},
     f"{HERE}.detector.intersect": {"distances": True},
     f"{HERE}.system.levenberg_marquardt": {

@@ -64,6 +64,7 @@ from .image_simulation import demosaic as demosaic
 from .image_simulation import expose_sensor as expose_sensor
 from .image_simulation import point_spread_map as point_spread_map
 from .image_simulation import simulate_image as simulate_image
+from .lens_fields import TracedSystem as TracedSystem
 from .operands import Operand as Operand
 from .optimise import LevenbergMarquardtResult as LevenbergMarquardtResult
 from .optimise import Perturbation as Perturbation

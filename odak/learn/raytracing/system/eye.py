@@ -10,11 +10,13 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 
 from odak import _show, _validate
+from odak._array import is_readable
 from odak.catalog.materials import Material
 from odak.learn._tensors import kind_of, tensor
 from odak.learn.raytracing.system.analysis import wavefront
 from odak.learn.raytracing.system.surfaces import optical_system, surface
 from odak.raytracing import components as vec
+from odak.raytracing.geometry import safe_sqrt
 from odak.raytracing.gradients import Gradient
 from odak.wave.transfer_functions import phasor_of_cycles
 from odak.wave.viewing import ROTATION_RADIUS
@@ -97,15 +99,15 @@ def navarro_eye(
     """
     accommodation = _accommodation(accommodation)
     waves, pupil_diameter = _wavelengths(wavelengths), _pupil_width(pupil_diameter)
-    growth = math.log(accommodation + 1)
-    lens = _medium("lens", 9e-5 * (10 * accommodation + accommodation**2))
+    (front, back), (conic, behind), (chamber, width), added = _accommodated(accommodation, math.log(accommodation + 1))
+    lens = _medium("lens", added)
     return optical_system(
         [
             surface(7.72, conic=-0.26, thickness=0.55, material=_medium("cornea")),
-            surface(6.5, thickness=3.05 - 0.05 * growth, material=_medium("aqueous")),
+            surface(6.5, thickness=chamber, material=_medium("aqueous")),
             surface(thickness=0.0, material=_medium("aqueous"), stop=True),
-            surface(10.2 - 1.75 * growth, conic=-3.1316 - 0.34 * growth, thickness=4 + 0.1 * growth, material=lens),
-            surface(-6 + 0.2294 * growth, conic=-1 - 0.125 * growth, thickness=VITREOUS, material=_medium("vitreous")),
+            surface(front, conic=conic, thickness=width, material=lens),
+            surface(back, conic=behind, thickness=VITREOUS, material=_medium("vitreous")),
         ],
         aperture=pupil_diameter,
         wavelengths=[wave * 1e3 for wave in waves],
@@ -115,6 +117,13 @@ def navarro_eye(
         name="Navarro's eye",
         source="Navarro et al., J. Opt. Soc. Am. A 2, 1273 (1985); Escudero-Sanz and Navarro, ibid. 16, 1881 (1999)",
     )
+
+
+def _accommodated(accommodation, growth):
+    """Return radii and conics of the lens, depths of the chamber and the lens, and what its index has more."""
+    radii, conics = (10.2 - 1.75 * growth, -6 + 0.2294 * growth), (-3.1316 - 0.34 * growth, -1 - 0.125 * growth)
+    added = 9e-5 * (10 * accommodation + accommodation**2)
+    return radii, conics, (3.05 - 0.05 * growth, 4 + 0.1 * growth), added
 
 
 def _accommodation(value, name="accommodation"):
@@ -264,12 +273,32 @@ def _medium(name, added=0.0):
 def _terms(accommodation, diameter, waves):
     """Return the lag of the wavefront in metres as coefficients of (r/R)², (r/R)⁴, … ``[W, terms]``, R = diameter/2."""
     with torch.inference_mode(False), torch.no_grad():
-        system = navarro_eye(accommodation, diameter, waves)
-        radius = torch.sqrt((torch.arange(RAYS, dtype=torch.float64) + 0.5) / RAYS)
-        found = wavefront(system, torch.stack([torch.zeros_like(radius), radius], -1), vignetting=False)
-        lag = found.path[:, 0] * torch.tensor(waves, dtype=torch.float64)[:, None]
-        powers = radius[:, None] ** (2 * torch.arange(1, TERMS + 1))
-        return torch.linalg.lstsq(powers, lag.T).solution.T
+        return _fitted(navarro_eye(accommodation, diameter, waves), None, waves)
+
+
+def _traced_terms(accommodation: torch.Tensor, diameter, waves):
+    """Return the same, differentiable in the accommodation."""
+    system = navarro_eye(float(accommodation.detach()), diameter, waves)
+    given = accommodation.double().reshape(())
+    radii, conics, (chamber, width), added = _accommodated(given, torch.log(given + 1))
+    p = system.prescription()
+    # The medium behind the surface before the last is the lens.
+    behind = torch.eye(p.index.shape[-1], dtype=torch.float64)[4]
+    numbers = p._replace(
+        curvature=torch.stack([*p.curvature[:3], *(1 / radius for radius in radii)]),
+        conic=torch.stack([*p.conic[:3], *conics]),
+        thickness=torch.stack([p.thickness[0], chamber, p.thickness[2], width, p.thickness[4]]),
+        index=p.index + behind * (added - added.detach()),
+    )
+    return _fitted(system, numbers, waves)
+
+
+def _fitted(system, numbers, waves):
+    radius = torch.sqrt((torch.arange(RAYS, dtype=torch.float64) + 0.5) / RAYS)
+    places = torch.stack([torch.zeros_like(radius), radius], -1)
+    found = wavefront(system, places, vignetting=False, prescription=numbers)
+    lag = found.path[:, 0] * torch.tensor(waves, dtype=torch.float64)[:, None]
+    return torch.linalg.lstsq(radius[:, None] ** (2 * torch.arange(1, TERMS + 1)), lag.T).solution.T
 
 
 def eye_wavefront(
@@ -319,7 +348,11 @@ def eye_wavefront(
     waves, diameter = tuple(_wavelengths(wavelengths)), _pupil_width(pupil_diameter)
     vergence = _validate.constant("vergence", vergence)
     radius = tensor("radius", radius, torch.float64)
-    coefficients = _terms(_accommodation(accommodation), diameter, waves).to(radius.device)
+    if isinstance(accommodation, torch.Tensor) and accommodation.requires_grad:
+        _accommodation(accommodation.detach())
+        coefficients = _traced_terms(accommodation, diameter, waves).to(radius.device)
+    else:
+        coefficients = _terms(_accommodation(accommodation), diameter, waves).to(radius.device)
     squared = (radius / (diameter / 2e3)) ** 2
     total = torch.zeros((len(waves), *radius.shape), dtype=torch.float64, device=radius.device)
     for term in coefficients.T.flip(0):
@@ -462,11 +495,12 @@ def _pupil(y, x, pitch, waves, diameter, accommodation, vergence, direction=(0.0
     """
     along = y * direction[0] + x * direction[1]
     # Distance of such light from the axis.
-    radius = (y**2 + x**2 - along**2).clamp_min(0).sqrt()
-    edge = diameter / 2e3
+    radius = safe_sqrt((y**2 + x**2 - along**2).clamp_min(0))
     # Samples on the edge are weighted by the fraction of their area inside.
+    edge = torch.as_tensor(diameter / 2e3, dtype=torch.float64, device=radius.device)
     share = ((edge - radius) / pitch + 0.5).clamp(0, 1)
-    lag = eye_wavefront(radius.clamp(max=edge), waves, diameter, accommodation, vergence)
+    width = diameter.detach() if isinstance(diameter, torch.Tensor) else diameter
+    lag = eye_wavefront(torch.minimum(radius, edge), waves, width, accommodation, vergence)
     cycles = lag / torch.tensor(waves, dtype=torch.float64, device=lag.device)[:, None, None]
     return phasor_of_cycles(cycles, torch.complex128) * share
 
@@ -592,8 +626,9 @@ def retinal_field(
     wavelength: float,
     pupil_diameter: float = 4.0,
     accommodation: float = 0.0,
-    pupil_position: Sequence[float] = (0.0, 0.0),
-    rotation: Sequence[float] = (0.0, 0.0),
+    pupil_position: Sequence[float] | torch.Tensor = (0.0, 0.0),
+    rotation: Sequence[float] | torch.Tensor = (0.0, 0.0),
+    centre: str = "gaze",
 ) -> RetinalField:
     """Return the field on the retina of a coherent field in the entrance pupil, such as that of a hologram.
 
@@ -607,20 +642,24 @@ def retinal_field(
         In metres.
     pupil_diameter : float
         Of the entrance pupil, in millimetres.
-    accommodation : float
+    accommodation : float or torch.Tensor
         Of the eye, in dioptres.
-    pupil_position : sequence of float
+    pupil_position : sequence of float or torch.Tensor
         Of the pupil's middle in the field (x to the right, y downwards), in metres: the eye moves in the eyebox, its
         axis parallel to the field's.
-    rotation : sequence of float
+    rotation : sequence of float or torch.Tensor
         Angles in degrees (to the right, downwards), within ±60, by which the eye is then turned about its centre of
         rotation, 10.5 mm behind the entrance pupil.
+    centre : str
+        Direction of the middle sample of a turned eye: "gaze", that in which it looks, or "field", the axis of the
+        field, so that what stands still stays on its samples.
 
     Returns
     -------
     RetinalField
-        Differentiable in the field. Of a turned eye the middle sample is the direction in which it looks, and samples
-        are equally spaced in the direction cosines of the field, `pitch` being their step.
+        Differentiable in the field and in what is a tensor of `pupil_diameter`, `accommodation`, `pupil_position` and
+        `rotation`. Of a turned eye samples are equally spaced in the direction cosines of the field, `pitch` being
+        their step.
 
     Raises
     ------
@@ -650,24 +689,33 @@ def retinal_field(
     rows, columns = _validate.image("field", field).shape[-2:]
     pitch = _validate.constant("pitch", pitch, positive=True)
     wavelength = _wavelengths(_validate.number("wavelength", wavelength, positive=True))[0]
-    (right, down), (across, downwards) = (
-        [_validate.constant(name, value) for value in _validate.several(name, pair, 2)]
+    centre = _validate.one_of("centre", centre, ("gaze", "field"))
+    if not isinstance(pupil_diameter, torch.Tensor):
+        pupil_diameter = _pupil_width(pupil_diameter)
+    (right, down), angles = (
+        [_validate.real(name, value) for value in _validate.several(name, pair, 2)]
         for name, pair in (("pupil_position", pupil_position), ("rotation", rotation))
     )
-    if max(abs(across), abs(downwards)) > 60:
+    turned = any(isinstance(angle, torch.Tensor) or angle != 0 for angle in angles)
+    if any(is_readable(angle) and abs(_validate.numbers(angle)[0]) > 60 for angle in angles):
         raise ValueError(f"rotation must be two angles within ±60 degrees, got {tuple(rotation)}")
-    across, downwards = math.radians(across), math.radians(downwards)
-    cosines = math.sin(downwards), math.sin(across) * math.cos(downwards)
-    ahead = math.cos(across) * math.cos(downwards)
+    across, downwards = (
+        torch.as_tensor(angle, dtype=torch.float64, device=field.device) * (math.pi / 180) for angle in angles
+    )
+    cosines = torch.sin(downwards), torch.sin(across) * torch.cos(downwards)
+    ahead = torch.cos(across) * torch.cos(downwards)
     y, x = (
         (torch.arange(n, dtype=torch.float64, device=field.device) - n // 2) * pitch - shift - ROTATION_RADIUS * cosine
         for n, shift, cosine in ((rows, down, cosines[0]), (columns, right, cosines[1]))
     )
-    pupil = _pupil(y[:, None], x, pitch, [wavelength], _pupil_width(pupil_diameter), accommodation, 0.0, cosines)[0]
-    if (across, downwards) != (0.0, 0.0):
-        # A wave from the direction of the gaze has a constant phase in the pupil, and its power over the pupil's area.
-        tilt = (y[:, None] * cosines[0] + x * cosines[1]) / wavelength
-        pupil = pupil * phasor_of_cycles(tilt, torch.complex128) * math.sqrt(ahead)
+    pupil = _pupil(y[:, None], x, pitch, [wavelength], pupil_diameter, accommodation, 0.0, cosines)[0]
+    if turned:
+        if centre == "gaze":
+            # A wave from the direction of the gaze has a constant phase in the pupil.
+            tilt = (y[:, None] * cosines[0] + x * cosines[1]) / wavelength
+            pupil = pupil * phasor_of_cycles(tilt, torch.complex128)
+        # Its power is that over the area of the pupil.
+        pupil = pupil * ahead.sqrt()
         fy, fx = (torch.fft.fftfreq(n, pitch, dtype=torch.float64, device=field.device) for n in (rows, columns))
         squared = wavelength**-2 - fy[:, None] ** 2 - fx**2
         cycles = ROTATION_RADIUS * (1 - ahead) * squared.clamp_min(0).sqrt()

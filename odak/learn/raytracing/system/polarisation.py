@@ -442,7 +442,7 @@ def _ghost(first: int, second: int, way, samples: int, fields, numbers) -> Ghost
     return Ghost(first, second, power, focus, torch.as_tensor(squared).sqrt(), x, y, share)
 
 
-def _jones_vector(values) -> tuple[complex, complex]:
+def jones_vector(values) -> tuple[complex, complex]:
     """Return a Jones vector as two complex numbers."""
     try:
         found = torch.as_tensor(values, dtype=torch.complex128).reshape(-1).tolist()
@@ -504,7 +504,7 @@ def polarized_point_spread_function(
     (3, 3, 64, 64)
     """
     (polarization,) = _validate.constants(polarization=polarization)
-    states = [(1.0, 0.0), (0.0, 1.0)] if polarization is None else [_jones_vector(polarization)]
+    states = [(1.0, 0.0), (0.0, 1.0)] if polarization is None else [jones_vector(polarization)]
     options = {"prescription": prescription, "fields": fields, "aim": aim}
 
     def amplitudes(points):

@@ -1,0 +1,422 @@
+"""Fields through a lens system: diffraction between two planes, whose phase and amplitude are those of rays."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.fft import next_fast_len
+
+from odak import _validate
+from odak._array import is_readable, phasor_of_cycles
+from odak._warnings import AccuracyWarning, warn
+from odak.catalog.materials import MICROMETRES
+from odak.learn._tensors import kind_of
+from odak.learn.raytracing.system.paraxial import check_image_space, check_media, matrix, signed_indices
+from odak.learn.raytracing.system.polarisation import jones_vector, polarized_trace
+from odak.learn.raytracing.system.pupils import solve_pairs
+from odak.learn.raytracing.system.surfaces import Prescription, checked_system
+from odak.learn.raytracing.system.tracing import Rays, trace
+from odak.raytracing.intersections import RayStatus
+from odak.wave.bench import between_samples
+from odak.wave.transfer_functions import pitches
+
+# Step of direction cosines along which differences are taken, and the error of paths in wavelengths that is warned of.
+STEP, LARGE = 1e-4, 0.03
+
+
+@dataclass(frozen=True)
+class TracedSystem:
+    """A lens system as an element of an optical bench: a field of many points goes through it at once.
+
+    Use it to see a hologram or a display through real lenses, such as an eyepiece: aberrations over the field,
+    distortion and losses are those of traced rays, diffraction is that of waves. The field enters in the object plane
+    of the system, at its `object_distance`, and leaves in its image plane, which belongs where rays from one point are
+    spread out: into the pupil of an eye, not into an image.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system, with an object at a finite distance and a plane image.
+    output_dx : float or sequence of float, optional
+        Pixel pitch of the result in metres; λ·|B|/(N·dx) by default, see :func:`odak.wave.propagate_abcd`.
+    output_shape : sequence of int, optional
+        Rows and columns of the result; those of the field by default.
+    grid : sequence of int
+        Points of the object plane along rows and columns, odd numbers of at least 3, for which rays are traced; in
+        between, paths are interpolated by polynomials.
+    points : int
+        Rays of each point along each axis, an odd number of at least 3.
+    polarization : sequence of complex, optional
+        Jones vector (x, y) of the light. If it is given, the coatings, interfaces and glasses take their share of the
+        power, as in :func:`polarized_trace`; otherwise nothing is lost.
+    tolerance : float
+        Relative error of the field at which the sum of transforms ends, see below: the time grows with their number.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Warns
+    -----
+    AccuracyWarning
+        If the polynomials deviate from other rays by more than 0.03 wavelengths, or an aperture blocks rays: the field
+        is computed as if they passed.
+
+    Notes
+    -----
+    The field behind is ∬u(x)·|det ∂²V/∂x∂q|^½·exp(2πi·V(x, q)/λ) dx/(iλ), V(x, q) being the optical path of the ray
+    from x to q, Hamilton's point characteristic (Born and Wolf, Principles of Optics, 1999, section 4.1), and the
+    determinant the amplitude of a tube of rays (Van Vleck, Proc. Natl. Acad. Sci. 14, 178 (1928)), which keeps the
+    power. In free space this is the integral of Rayleigh and Sommerfeld, in first-order optics that of Collins.
+    V is a polynomial through the paths of rays between the Chebyshev points of both planes. What it has of x alone and
+    of q alone are phases in these planes, −x·q/B is a Fourier transform, and the rest a short sum of products of
+    functions of x and of q, with a transform for each.
+
+    Examples
+    --------
+    A point in the focal plane of a lens becomes a wave of even amplitude, whose light all arrives:
+
+    >>> import torch
+    >>> from odak.learn.raytracing.system import TracedSystem, optical_system, surface
+    >>> from odak.learn.wave import optical_bench
+    >>> front = surface(20.0, thickness=4.0, material="N-BK7")
+    >>> eyepiece = optical_system([front, surface(-20.0, thickness=18.0)], 4.0, object_distance=18.0)
+    >>> point = torch.zeros(64, 64, dtype=torch.complex128)
+    >>> point[32, 32] = 1.0
+    >>> pupil, pitch = optical_bench([TracedSystem(eyepiece, 40e-6, grid=(3, 3))], 550e-9).propagate(point, 8e-6)
+    >>> round(float((pupil.abs() ** 2).sum() * pitch**2 / 8e-6**2), 1)
+    1.0
+    """
+
+    system: Any
+    output_dx: float | Sequence[float] | None = None
+    output_shape: Sequence[int] | None = None
+    grid: Sequence[int] = (5, 5)
+    points: int = 9
+    polarization: Sequence[complex] | None = None
+    tolerance: float = 1e-3
+
+    def __post_init__(self):
+        if checked_system(self.system).at_infinity:
+            raise ValueError("system must have an object_distance, got one with its object at infinity")
+        grid = _validate.size("grid", self.grid)
+        object.__setattr__(self, "grid", tuple(grid))
+        for name, value in (("grid", grid[0]), ("grid", grid[1]), ("points", self.points)):
+            if _validate.integer(name, value, minimum=3) % 2 == 0:
+                raise ValueError(f"{name} must be an odd number, got {value}")
+        if self.polarization is not None:
+            object.__setattr__(self, "polarization", jones_vector(self.polarization))
+
+    @property
+    def path_length(self) -> torch.Tensor:
+        """Length of the axis from the object plane to the image plane in metres."""
+        lengths = torch.stack([item.thickness.double().reshape(()) for item in self.system.surfaces]).abs()
+        return (lengths.sum() + self.system.object_distance) * self._metres
+
+    def matrix(self) -> list:
+        """Return the ray matrix between the two planes at the reference wavelength, lengths in metres."""
+        numbers = self.system.prescription([self.system.wavelengths[self.system.reference]])
+        (a, b), (c, d) = self._paraxial(numbers)
+        return [[a, b * self._metres], [c / self._metres, d]]
+
+    @property
+    def _metres(self) -> float:
+        return MICROMETRES[self.system.unit] * 1e-6
+
+    def _paraxial(self, numbers: Prescription):
+        check_media(self.system, numbers)
+        check_image_space(self.system, numbers)
+        index = signed_indices(self.system, numbers)
+        found = matrix(numbers, index, 0, len(self.system.surfaces), gap=True)
+        gap = self.system.object_distance / index[..., 0]
+        return (found.a, found.b + gap * found.a), (found.c, found.d + gap * found.c)
+
+    def apply(self, field: torch.Tensor, pitch: Any, wavelength: Any) -> tuple:
+        """Return the field in the image plane of the system and its pixel pitch.
+
+        Parameters
+        ----------
+        field : torch.Tensor
+            Complex field ``[..., rows, columns]`` in the object plane.
+        pitch : float or sequence of float
+            Pixel pitch in metres, or a pair (rows, columns).
+        wavelength : float
+            Wavelength in metres.
+        """
+        if not isinstance(field, torch.Tensor) or not field.is_complex():
+            raise TypeError(f"field must be a complex tensor [..., rows, columns], got {kind_of(field)}")
+        unit = self._metres
+        wave = _validate.constant("wavelength", wavelength, positive=True) / unit
+        steps = [_validate.constant("pitch", step, positive=True) / unit for step in pitches(pitch)]
+        numbers = self.system.prescription([wave])
+        shape = _validate.image("field", field).shape[-2:]
+        lens = self._paraxial(numbers)
+        a, b = (float(value.detach()) for value in lens[0])
+        if any(abs(b) * wave < abs(a) * n * step**2 for n, step in zip(shape, steps, strict=True)):
+            raise ValueError(
+                "system must have its image plane where the rays of a point are spread out, got an image of the object "
+                "plane; put it into the pupil and propagate from there"
+            )
+        counts = shape if self.output_shape is None else _validate.size("output_shape", self.output_shape)
+        given = (None, None) if self.output_dx is None else pitches(self.output_dx, "output_dx")
+        axes = [
+            _Axis.of(a, b, wave, *one)
+            for one in zip(
+                shape,
+                steps,
+                counts,
+                (None if p is None else _validate.constant("output_dx", p, positive=True) / unit for p in given),
+                strict=True,
+            )
+        ]
+        for axis, one in zip((-2, -1), axes, strict=True):
+            field = one.finer(field, axis)
+        path = _Characteristic(self, numbers, axes, wave, lens)
+        first, second = path.alone()
+        source = field * phasor_of_cycles(first, field.dtype)
+        total: Any = 0.0
+        for before, behind in path.products(self.tolerance):
+            arrived = source * before.to(field.dtype)
+            for axis, one in zip((-1, -2), axes[::-1], strict=True):
+                arrived = one.transformed(arrived, axis)
+            total = total + arrived * behind.to(field.dtype)
+        # 1/(iλB) of the integral; the amplitudes are relative to 1/B.
+        scale = axes[0].step * axes[1].step / (wave * lens[0][1])
+        result = total * phasor_of_cycles(second - 0.25, field.dtype) * scale.to(field.real.dtype)
+        out = [one.out * unit for one in axes]
+        return result, out[0] if out[0] == out[1] else tuple(out)
+
+
+@dataclass(frozen=True)
+class _Axis:
+    """Samples of both planes along one axis, and the transform between them, lengths in the system's unit.
+
+    The sum over samples at n·step of exp(−2πi·n·step·m·out·slope) is a discrete Fourier transform of `size` points, of
+    which every `every`-th is taken: `slope`, 1/(λB) but for the rounding of the size, is what makes it one.
+    """
+
+    count: int
+    step: float
+    double: bool
+    counts: int
+    out: float
+    size: int
+    every: int
+    slope: float
+    near: float
+    far: float
+
+    @classmethod
+    def of(cls, a: float, b: float, wave: float, n: int, step: float, count: int, out: float | None) -> "_Axis":
+        """Return the axis of n samples at a step in front and `count` samples behind."""
+        out = wave * abs(b) / (n * step) if out is None else out
+        # Where light of the largest frequency arrives from the middle and from the edge of the field.
+        middle, edge = wave * abs(b) / (2 * step), abs(a) * n * step / 2
+        near, far = n * step / 2, min(middle + edge, count * out / 2)
+        # The sum repeats itself at λ|B|/step, which light at the edges would reach.
+        double = count * out / 2 > (middle - edge) * (1 + 1e-9)
+        n, step = (2 * n, step / 2) if double else (n, step)
+        period = wave * abs(b) / (step * out)
+        every = max(1, math.ceil(n / period - 1e-9))
+        size = next_fast_len(max(n, round(period * every)))
+        return cls(n, step, double, count, out, size, every, math.copysign(every / (size * step * out), b), near, far)
+
+    def finer(self, field: torch.Tensor, axis: int) -> torch.Tensor:
+        """Return the band-limited interpolation of a field at half its pitch, if this is what the axis needs."""
+        if not self.double:
+            return field
+        like = torch.zeros(1, 1, dtype=torch.float64, device=field.device)
+        return between_samples(field, like, axis).narrow(axis, self.count // 2, self.count)
+
+    def transformed(self, field: torch.Tensor, axis: int) -> torch.Tensor:
+        """Return the sum at the samples behind."""
+        half, size = self.count // 2, self.size
+        empty = list(field.shape)
+        empty[axis] = size - self.count
+        # The middle sample comes first.
+        parts = field.narrow(axis, half, self.count - half), field.new_zeros(empty), field.narrow(axis, 0, half)
+        whole = torch.cat(parts, axis)
+        found = torch.fft.fft(whole, dim=axis) if self.slope > 0 else torch.fft.ifft(whole, dim=axis, norm="forward")
+        places = torch.arange(self.counts, device=field.device) - self.counts // 2
+        found = found.index_select(axis, (places * self.every) % size)
+        if 2 * (self.counts // 2) * self.every <= size:
+            return found
+        # Beyond a period, no light of the field arrives.
+        dark = (2 * places.abs() * self.every <= size).to(found.real.dtype)
+        return found * (dark[:, None] if axis == -2 else dark)
+
+
+def _nodes(n: int) -> np.ndarray:
+    """Return the Chebyshev points of −1 … 1, the middle one of which is 0."""
+    nodes = np.cos((2 * np.arange(n) + 1) * np.pi / (2 * n))
+    nodes[n // 2] = 0.0
+    return nodes
+
+
+def _coefficients(n: int) -> np.ndarray:
+    """Return the matrix that makes coefficients of Chebyshev polynomials of values at their points."""
+    found = np.polynomial.chebyshev.chebvander(_nodes(n), n - 1).T * (2 / n)
+    found[0] /= 2
+    return found
+
+
+def _interpolation(places: np.ndarray, n: int) -> torch.Tensor:
+    """Return the matrix ``[places, n]`` of the polynomials through values at the Chebyshev points."""
+    held = np.clip(places, -1, 1)
+    return torch.from_numpy(np.polynomial.chebyshev.chebvander(held, n - 1) @ _coefficients(n))
+
+
+def _slopes(n: int) -> torch.Tensor:
+    """Return the matrix of the derivatives at the Chebyshev points."""
+    chebyshev = np.polynomial.chebyshev
+    return torch.from_numpy(chebyshev.chebvander(_nodes(n), n - 2) @ chebyshev.chebder(_coefficients(n)))
+
+
+def _spread(values: torch.Tensor, along: Sequence[torch.Tensor]) -> torch.Tensor:
+    """Return the polynomials through values ``[..., n, n]`` at the places of a plane."""
+    return along[0] @ values @ along[1].mT
+
+
+class _Characteristic:
+    """The optical path from points of one plane to points of another, and the amplitude of its tube of rays.
+
+    In wavelengths and relative to the kernel of the transform and to 1/B, at the Chebyshev points of both planes.
+    """
+
+    def __init__(self, element: TracedSystem, numbers: Prescription, axes: list[_Axis], wavelength: float, lens: tuple):
+        self.element, self.numbers, self.axes = element, numbers, axes
+        self.wavelength, self.lens, self.device = wavelength, lens, numbers.thickness.device
+        grid, count = element.grid, (element.points,) * 2
+        places, targets = self._at(map(_nodes, grid), "near"), self._at(map(_nodes, count), "far")
+        self.path, v, u, losses = self._traced(places, targets)
+        slope = [_slopes(n).to(self.device) / axis.far for n, axis in zip(count, axes, strict=True)]
+        vy, uy = (slope[0] @ part for part in (v, u))
+        vx, ux = (part @ slope[1].mT for part in (v, u))
+        self.amplitude = (vy * ux - vx * uy).abs().sqrt() * lens[0][1].abs() * losses
+        middle = grid[0] // 2, grid[1] // 2, element.points // 2
+        self.first = self.path[:, :, middle[2], middle[2]] - self.path[middle[0], middle[1], middle[2], middle[2]]
+        self.second = self.path[middle[0], middle[1]]
+        self._check()
+
+    def _at(self, points, side: str) -> list[torch.Tensor]:
+        """Return places along both axes of points of −1 … 1."""
+        return [
+            torch.as_tensor(one, dtype=torch.float64, device=self.device) * getattr(axis, side)
+            for one, axis in zip(points, self.axes, strict=True)
+        ]
+
+    def _lines(self, side: str, sizes: Sequence[int]) -> list[torch.Tensor]:
+        """Return the matrices of the polynomials through values at Chebyshev points, at the samples of a plane."""
+        found = []
+        for axis, n in zip(self.axes, sizes, strict=True):
+            count, step, reach = (
+                (axis.count, axis.step, axis.near) if side == "near" else (axis.counts, axis.out, axis.far)
+            )
+            places = (np.arange(count) - count // 2) * (step / reach)
+            found.append(_interpolation(places, n).to(self.device))
+        return found
+
+    def alone(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the parts of either plane alone at its samples, in wavelengths; the second with that of the axis."""
+        near = self._lines("near", self.element.grid)
+        return _spread(self.first, near), _spread(self.second, self._lines("far", (self.element.points,) * 2))
+
+    def products(self, tolerance: float):
+        """Yield functions of the samples of the two planes whose products add up to the rest, complex128.
+
+        The rest, at finer Chebyshev points, is a matrix; its singular vectors are the shortest such sum.
+        """
+        sizes = [2 * n + 3 for n in (*self.element.grid, *(self.element.points,) * 2)]
+        finer = [
+            _interpolation(_nodes(m), n).to(self.device)
+            for m, n in zip(sizes, (*self.element.grid, *(self.element.points,) * 2), strict=True)
+        ]
+        rest = self.path - self.first[:, :, None, None] - self.second
+        rest, size = (
+            _spread(_spread(part, finer[2:]).movedim((0, 1), (2, 3)), finer[:2]).movedim((2, 3), (0, 1))
+            for part in (rest, self.amplitude)
+        )
+        whole = (phasor_of_cycles(rest, torch.complex128) * size).reshape(sizes[0] * sizes[1], -1)
+        # Chebyshev points lie close together at the edges: weights make areas count.
+        near, far = (
+            torch.from_numpy(np.sqrt(np.outer(*(1 - _nodes(n) ** 2 for n in pair))).reshape(-1)).to(whole)
+            for pair in (sizes[:2], sizes[2:])
+        )
+        near = near.sqrt()
+        with torch.no_grad():
+            balanced = near[:, None] * whole
+            power, vectors = torch.linalg.eigh((balanced * far) @ balanced.mH)
+            left = power.clamp_min(0).cumsum(0)
+            used = vectors[:, left > tolerance**2 * left[-1]]
+        lines = self._lines("near", sizes[:2]), self._lines("far", sizes[2:])
+        for vector in used.mT:
+            before = (vector / near).reshape(sizes[:2])
+            behind = ((vector.conj() * near) @ whole).reshape(sizes[2:])
+            pairs = zip((before, behind), lines, strict=True)
+            yield (_spread(values, [one.to(values) for one in at]) for values, at in pairs)
+
+    def _traced(self, places, targets):
+        """Return the path less the kernel, optical direction cosines in front, and amplitudes that are left."""
+        system, numbers = self.element.system, self.numbers
+        (y, x), (q, p) = torch.meshgrid(*places, indexing="ij"), torch.meshgrid(*targets, indexing="ij")
+        shape = (*y.shape, *q.shape)
+        (y, x), (q, p) = (one.reshape(1, -1, 1) for one in (y, x)), (one.reshape(1, 1, -1) for one in (q, p))
+        a, b = self.lens[0]
+        front, behind = numbers.index[0, 0], numbers.index[0, -1]
+
+        def rays(u, v):
+            depth = torch.full_like(u, -system.object_distance)
+            return Rays(x.expand_as(u), y.expand_as(u), depth, u, v, (1 - u * u - v * v).sqrt())
+
+        def missed(u, v):
+            met = trace(system, rays(u, v), prescription=numbers, vignetting=False)
+            return met.x - p, met.y - q
+
+        with torch.no_grad():
+            u, v = ((to - a * at) / (b * front) for at, to in ((x, p), (y, q)))
+        sent = rays(*solve_pairs(missed, u, v, torch.full_like(u, STEP)))
+        met = trace(system, sent, prescription=numbers)
+        if is_readable(met.status) and bool((met.status == RayStatus.VIGNETTED).any()):
+            warn(
+                "an aperture of the system blocks rays of the field, which are computed as if they passed: give "
+                "surfaces a larger semi_diameter, or the field fewer or larger pixels",
+                AccuracyWarning,
+            )
+            met = trace(system, sent, prescription=numbers, vignetting=False)
+        if is_readable(met.status) and not bool(met.arrived.all()):
+            raise ValueError("system must let a ray of each point of the field reach the image plane, got lost rays")
+        # To the points themselves: by Fermat's principle what is left of the search does not count otherwise.
+        path = (met.path + behind * ((p - met.x) * met.u + (q - met.y) * met.v)) / self.wavelength
+        path = path + x * p * self.axes[1].slope + y * q * self.axes[0].slope
+        losses = torch.ones_like(path)
+        if self.element.polarization is not None:
+            vector = torch.tensor(self.element.polarization, dtype=torch.complex128, device=path.device)
+            through = polarized_trace(system, sent, prescription=numbers, vignetting=False)
+            power = (through.jones @ (vector / vector.abs().square().sum().sqrt())).abs().square().sum(-1)
+            losses = (power * through.absorption).clamp_min(1e-24).sqrt()
+        return (one.reshape(shape) for one in (path, sent.v * front, sent.u * front, losses))
+
+    @torch.no_grad()
+    def _check(self):
+        """Warn if paths between other points than those of the polynomials differ from them."""
+        if not is_readable(self.path):
+            return
+        between = [np.array([(t[0] + t[1]) / 2]) for t in map(_nodes, self.element.grid)]
+        inside = [np.array([-0.85, 0.65])] * 2
+        wanted, *_ = self._traced(self._at(between, "near"), self._at(inside, "far"))
+        near, far = (
+            [_interpolation(t, n).to(self.device) for t, n in zip(points, sizes, strict=True)]
+            for points, sizes in ((between, self.element.grid), (inside, (self.element.points,) * 2))
+        )
+        found = _spread(_spread(self.path, far).movedim((0, 1), (2, 3)), near)[..., 0, 0]
+        error = float((found - wanted[0, 0]).abs().max())
+        if error > LARGE:
+            warn(
+                f"paths between the rays are known to {error:.2g} wavelengths only: give TracedSystem a grid of more "
+                f"than {self.element.grid} points, or more than {self.element.points} rays along each axis",
+                AccuracyWarning,
+            )
