@@ -154,7 +154,7 @@ def read_picture(path: Path, name: str = "IMAGE") -> torch.Tensor:
     from odak.learn.tools import load_image
 
     try:
-        picture = load_image(str(path), normalizeby=None).float()
+        picture = load_image(str(path), normalizeby=None, color_managed=True).float()
     except (OSError, ValueError, TypeError) as error:
         raise InputError(" ".join(str(error).split())) from None
     picture = picture[None] if picture.ndim == 2 else picture.movedim(-1, 0)

@@ -3,6 +3,7 @@
 Images have 8 or 16 bits per channel: grey, colour and alpha.
 """
 
+import io
 import json
 import math
 import os
@@ -26,6 +27,7 @@ from PIL import Image
 
 from odak import _validate
 from odak._validate import one_of
+from odak._warnings import AccuracyWarning, warn
 from odak.log import logger
 from odak.tools.paths import (
     expanduser,
@@ -734,7 +736,9 @@ def save_image(
     return True
 
 
-def load_image(fn: str | os.PathLike, normalizeby: float = 0.0, torch_style: bool = False) -> np.ndarray:
+def load_image(
+    fn: str | os.PathLike, normalizeby: float = 0.0, torch_style: bool = False, *, color_managed: bool = False
+) -> np.ndarray:
     """Read an image from a file.
 
     Parameters
@@ -747,6 +751,10 @@ def load_image(fn: str | os.PathLike, normalizeby: float = 0.0, torch_style: boo
         Divide by this unless it is zero.
     torch_style : bool
         Put the channels first.
+    color_managed : bool
+        Convert colours by the ICC profile of the file to those of sRGB (relative colorimetric), which photographs of a
+        phone in Display P3 need. By default levels are those of the file. A picture without a profile is taken for
+        sRGB; of one with 16 bits per channel the profile is not applied, and a warning says so.
 
     Returns
     -------
@@ -774,13 +782,13 @@ def load_image(fn: str | os.PathLike, normalizeby: float = 0.0, torch_style: boo
     ((3, 2, 4), 1.0)
     """
     divisor = float(_validate.real("normalizeby", normalizeby))
-    image = read_levels(fn, torch_style).astype(np.float64)
+    image = read_levels(fn, torch_style, color_managed).astype(np.float64)
     if divisor != 0:
         image /= divisor
     return image
 
 
-def read_levels(fn: str | os.PathLike, torch_style: bool = False) -> np.ndarray:
+def read_levels(fn: str | os.PathLike, torch_style: bool = False, color_managed: bool = False) -> np.ndarray:
     """Read the levels of an image as they are stored in the file.
 
     Parameters
@@ -789,6 +797,8 @@ def read_levels(fn: str | os.PathLike, torch_style: bool = False) -> np.ndarray:
         File of a format that :func:`load_image` reads.
     torch_style : bool
         Put the channels first.
+    color_managed : bool
+        Convert colours by the file's ICC profile to those of sRGB, as :func:`load_image` does.
 
     Returns
     -------
@@ -802,11 +812,12 @@ def read_levels(fn: str | os.PathLike, torch_style: bool = False) -> np.ndarray:
         If the path is not acceptable, or the file is missing, broken, not an image or too large.
     """
     path, torch_style = validate_path(fn, _READABLE), _validate.flag("torch_style", torch_style)
+    color_managed = _validate.flag("color_managed", color_managed)
     if not os.path.isfile(path):
         reason = "it is not a regular file" if os.path.exists(path) else "there is no such file"
         raise ValueError(f"Failed to load image {path!r}: {reason}")
     try:
-        levels = _read(path)
+        levels = _read(path, color_managed)
     except Image.DecompressionBombError as error:
         raise ValueError(f"Failed to load image {path!r}: more than 89 megapixels are refused ({error})") from error
     except Exception as error:
@@ -831,7 +842,7 @@ def white_level(levels: np.ndarray) -> float:
     return float(np.iinfo(levels.dtype).max) if levels.dtype.kind in "iu" else 1.0
 
 
-def _read(path):
+def _read(path, color_managed=False):
     if (kind := extension_of(path)) in (_RADIANCE, _OPEN_EXR):
         return _read_radiance(path) if kind == _RADIANCE else _read_exr(path)
     with _open(path) as image:
@@ -839,11 +850,14 @@ def _read(path):
             with _open(path) as checked:
                 # Loading alone does not compare the checksums of the pixels.
                 checked.verify()
+        profile = image.info.get("icc_profile") if color_managed else None
         if _is_deep(image):
+            if profile:
+                warn(f"the colour profile of {path!r} is not applied: it has 16 bits per channel", AccuracyWarning)
             with _open(path) as again:
                 levels = _read_deep(image, again)
         else:
-            levels = _shallow(image)
+            levels = _shallow(_in_srgb(image, profile) if profile else image)
         # Read last: in PNG it may follow the pixels. Pillow turns TIFF while it decodes, and no other format.
         return levels if image.format == "TIFF" else _upright(levels, image.getexif().get(_ORIENTATION, 1))
 
@@ -932,6 +946,22 @@ def _shallow(image):
         return np.array(image.convert("L"))
     alpha = image.mode in ("LA", "La", "PA", "RGBa") or "transparency" in image.info
     return np.array(image.convert("RGBA" if alpha else "RGB"))
+
+
+def _in_srgb(image, profile: bytes):
+    """Return a picture of 8 bits whose colours are those of sRGB instead of its profile's."""
+    from PIL import ImageCms
+
+    try:
+        given, srgb = ImageCms.ImageCmsProfile(io.BytesIO(profile)), ImageCms.createProfile("sRGB")
+        space = given.profile.xcolor_space.strip()
+        if image.mode not in {"GRAY": ("L",), "CMYK": ("CMYK",)}.get(space, ("RGB", "RGBA")):
+            alpha = image.mode in ("LA", "PA") or "transparency" in image.info
+            image = image.convert("L" if space == "GRAY" else "RGBA" if alpha else "RGB")
+        mode = "RGBA" if image.mode == "RGBA" else "RGB"
+        return ImageCms.profileToProfile(image, given, srgb, ImageCms.Intent.RELATIVE_COLORIMETRIC, mode)
+    except (ImageCms.PyCMSError, OSError) as error:
+        raise ValueError(f"its colour profile cannot be used ({error}); color_managed=False ignores it") from error
 
 
 def _checked(img):

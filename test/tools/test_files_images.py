@@ -383,3 +383,59 @@ def test_one_axis_is_a_column(tmp_path):
     assert load_image(tmp_path / "a.png").tolist() == [[0], [100], [255]]
     with pytest.raises(ValueError, match="img must be"):
         save_image(tmp_path / "a.png", np.empty(0))
+
+
+def profile_of(matrix, gamma=563 / 256):
+    """Return an ICC profile of three primaries, their XYZ under D50 in the columns of `matrix`, and a gamma curve."""
+
+    def fixed(value):
+        return struct.pack(">i", round(value * 65536))
+
+    def xyz(values):
+        return b"XYZ \0\0\0\0" + b"".join(fixed(value) for value in values)
+
+    curve = b"curv\0\0\0\0" + struct.pack(">IHxx", 1, round(gamma * 256))
+    text = b"text\0\0\0\0none\0\0\0\0"
+    described = b"desc\0\0\0\0" + struct.pack(">I", 5) + b"test\0" + bytes(78)
+    tags = {b"desc": described + bytes(-len(described) % 4), b"cprt": text, b"wtpt": xyz((0.9642, 1.0, 0.8249))}
+    for name, column in zip((b"r", b"g", b"b"), np.transpose(matrix), strict=True):
+        tags |= {name + b"XYZ": xyz(column), name + b"TRC": curve}
+    start, table, content = 132 + 12 * len(tags), struct.pack(">I", len(tags)), b""
+    for name, value in tags.items():
+        table += name + struct.pack(">II", start + len(content), len(value))
+        content += value
+    header = struct.pack(">I4sI4s4s4s", start + len(content), bytes(4), 0x02100000, b"mntr", b"RGB ", b"XYZ ")
+    header += struct.pack(">6H", 2026, 1, 1, 0, 0, 0) + b"acsp" + bytes(28) + xyz((0.9642, 1.0, 0.8249))[8:]
+    return header.ljust(128, b"\0") + table + content
+
+
+def test_colours_are_converted_by_the_profile_of_the_file(tmp_path):
+    import torch
+
+    from odak.learn.perception import change_primaries, linear_rgb_to_rgb
+
+    # Columns of Display P3 adapted to D50, as its registered profile states them (ICC, "Display P3", 2017).
+    p3 = [[0.51512, 0.29198, 0.15710], [0.24120, 0.69225, 0.06657], [-0.00105, 0.04189, 0.78407]]
+    levels = np.asarray([[[200, 100, 50], [90, 140, 120], [128, 128, 128], [60, 80, 160]]], np.uint8)
+    path = tmp_path / "phone.png"
+    Image.fromarray(levels).save(path, icc_profile=profile_of(p3))
+    assert (load_image(path) == levels).all()
+    linear = torch.from_numpy((levels / 255.0) ** (563 / 256)).movedim(-1, 0)[None]
+    expected = linear_rgb_to_rgb(change_primaries(linear, "Display P3", "BT.709").clamp(0, 1))
+    found = load_image(path, color_managed=True)
+    assert abs(found - 255 * expected[0].movedim(0, -1).numpy()).max() < 1.0
+    assert abs(found - levels).max() > 10
+    same = learned.load_image(path, color_managed=True)
+    np.testing.assert_allclose(255 * same.numpy(), found, atol=1e-4)
+    Image.fromarray(np.dstack([levels, np.full((1, 4, 1), 77, np.uint8)])).save(path, icc_profile=profile_of(p3))
+    with_alpha = load_image(path, color_managed=True)
+    assert (with_alpha[..., :3] == found).all() and (with_alpha[..., 3] == 77).all()
+
+
+def test_a_broken_profile_is_named(tmp_path):
+
+    path = tmp_path / "broken.png"
+    Image.new("RGB", (4, 4), (10, 20, 30)).save(path, icc_profile=b"no profile at all" * 20)
+    assert load_image(path)[0, 0].tolist() == [10.0, 20.0, 30.0]
+    with pytest.raises(ValueError, match="its colour profile cannot be used"):
+        load_image(path, color_managed=True)

@@ -69,7 +69,9 @@ def resize(image: torch.Tensor, multiplier: float = 0.5, mode: str = "nearest") 
     return result.movedim(-3, -1) if last else result
 
 
-def load_image(fn: str | os.PathLike, normalizeby: float | None = None, torch_style: bool = False) -> torch.Tensor:
+def load_image(
+    fn: str | os.PathLike, normalizeby: float | None = None, torch_style: bool = False, *, color_managed: bool = False
+) -> torch.Tensor:
     """Read an image from a file; see :func:`odak.tools.file.load_image` for the formats.
 
     Parameters
@@ -80,6 +82,8 @@ def load_image(fn: str | os.PathLike, normalizeby: float | None = None, torch_st
         Divide by this unless it is zero. By default the file's own white level, 255 or 65535, so that white is 1.
     torch_style : bool
         Put the channels first.
+    color_managed : bool
+        Convert colours by the file's ICC profile to those of sRGB, as :func:`odak.tools.load_image` does.
 
     Returns
     -------
@@ -103,7 +107,7 @@ def load_image(fn: str | os.PathLike, normalizeby: float | None = None, torch_st
     >>> [round(value, 6) for value in image[0].tolist()]
     [0.0, 0.2, 1.0]
     """
-    levels = file.read_levels(fn, torch_style)
+    levels = file.read_levels(fn, torch_style, color_managed)
     divisor = file.white_level(levels) if normalizeby is None else _validate.constant("normalizeby", normalizeby)
     image = torch.from_numpy(levels.astype("float32"))
     return image if divisor in (0, 1) else image.div_(divisor)
