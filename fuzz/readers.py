@@ -193,6 +193,14 @@ def _spectra(path):
     read_spectra(path)
 
 
+def _cube(path):
+    import torch
+
+    from odak.learn.perception import ColorTable
+
+    ColorTable.read(path)(torch.zeros(1, 3, 2, 2))
+
+
 def _in_scene(data, chance):
     text, mark, arrays = data.partition(seed_files.MARK)
     if chance.random() < 0.5:
@@ -318,6 +326,7 @@ READERS = {
     "checkpoint": Reader(archive_seeds.checkpoint_seeds, _checkpoint, (), mutations.in_archive),
     "text": Reader(seed_files.text_seeds, _text, (rb"\begin{equation}", rb"\end{figure}", b"```", b"|", b"\t")),
     "spectra": Reader(seed_files.spectra_seeds, _spectra, (b'"', b";", b",,", b"\t", b"\x00", b"400,1\n")),
+    "cube": Reader(seed_files.cube_seeds, _cube, (b"LUT_3D_SIZE 256\n", b"LUT_1D_SIZE", b"nan", b"DOMAIN_MIN 1 1 1\n")),
     "scene": Reader(
         seed_files.scene_seeds,
         _scene,

@@ -249,6 +249,13 @@ def spectra_seeds(folder):
     yield ".csv", '\ufeff"nm";"a"\n400;1\n401;2\n'.encode()
 
 
+def cube_seeds(folder):
+    """Yield tables of colours."""
+    yield ".cube", b"TITLE a\nLUT_1D_SIZE 2\nDOMAIN_MAX 1 2 1\n0 0 0\n1 1 1\n"
+    corners = "\n".join(f"{r} {g} {b}" for b in (0, 1) for g in (0, 1) for r in (0, 1))
+    yield ".cube", f"# by hand\nLUT_3D_SIZE 2\n{corners}\n".encode()
+
+
 def scene_seeds(folder):
     """Yield scenes."""
     from odak.visualize.blender import scene

@@ -7,6 +7,7 @@ from .appearance import correlated_color_temperature as correlated_color_tempera
 from .appearance import dkl_to_xyz as dkl_to_xyz
 from .appearance import xyz_to_cam16_ucs as xyz_to_cam16_ucs
 from .appearance import xyz_to_dkl as xyz_to_dkl
+from .color import ColorTable as ColorTable
 from .color import adapt_chromatically as adapt_chromatically
 from .color import change_primaries as change_primaries
 from .color import ciede2000 as ciede2000

@@ -7,7 +7,9 @@ in the precision and on the device of the input.
 
 import functools
 import math
+import os
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
@@ -154,6 +156,133 @@ def change_primaries(
         gains = (matrix @ np.array(target_white)) / (matrix @ np.array(white))
         to_xyz = np.linalg.solve(matrix, gains[:, None] * matrix) @ to_xyz
     return mix(rows(np.linalg.solve(to_target, to_xyz)), as_pictures("image", image))
+
+
+# The largest tables of Adobe's format: entries along one axis of a table of three axes, and of one.
+_LARGEST_TABLE = {"LUT_3D_SIZE": 256, "LUT_1D_SIZE": 65536}
+# A table of 129 entries along each axis, with eight digits: larger ones are refused before they are read.
+_CUBE_BYTES = 80 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class ColorTable:
+    """A table that changes colours: a measured correction of a display, a film's look, a conversion between cameras.
+
+    Read one from a ``.cube`` file with :meth:`read`, or give its values; a call applies it to pictures. Use a matrix
+    (:func:`change_primaries`) where the change is linear, which is exact and faster.
+
+    Parameters
+    ----------
+    values : torch.Tensor
+        ``[blue, green, red, 3]`` for a table of all colours, ``[N, 3]`` for one curve per channel; N at least 2.
+    lowest : sequence of float
+        Red, green and blue of the first entry.
+    highest : sequence of float
+        Red, green and blue of the last entry.
+
+    Examples
+    --------
+    A table that exchanges red and blue:
+
+    >>> import torch
+    >>> from odak.learn.perception import ColorTable
+    >>> blue, green, red = torch.meshgrid(*[torch.linspace(0, 1, 2)] * 3, indexing="ij")
+    >>> exchange = ColorTable(torch.stack([blue, green, red], -1))
+    >>> [round(value, 4) for value in exchange(torch.tensor([0.1, 0.5, 0.8]).reshape(1, 3, 1, 1)).flatten().tolist()]
+    [0.8, 0.5, 0.1]
+    """
+
+    values: torch.Tensor
+    lowest: Sequence[float] = (0.0, 0.0, 0.0)
+    highest: Sequence[float] = (1.0, 1.0, 1.0)
+
+    def __post_init__(self):
+        values = _validate.real("values", self.values)
+        if not isinstance(values, torch.Tensor) or not values.is_floating_point():
+            raise TypeError(f"values must be a tensor of floats, got {kind_of(values)}")
+        if values.ndim not in (2, 4) or values.shape[-1] != 3 or min(values.shape[:-1]) < 2:
+            raise ValueError(f"values must be [blue, green, red, 3] or [N, 3], got {list(values.shape)}")
+        ends = [_validate.numbers(_validate.several(name, getattr(self, name), 3)) for name in ("lowest", "highest")]
+        if not all(low < high for low, high in zip(*ends, strict=True)):
+            raise ValueError(f"highest must be above lowest in each channel, got {self.highest} and {self.lowest}")
+
+    @classmethod
+    def read(cls, path: str | os.PathLike) -> "ColorTable":
+        """Read a ``.cube`` file.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            Text file with a table of one axis or of three.
+
+        Returns
+        -------
+        ColorTable
+            Its table, float64.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        ValueError
+            If it is not such a file, its table is incomplete or larger than the format allows.
+
+        Notes
+        -----
+        Adobe, Cube LUT Specification 1.0 (2013): red changes first, then green, then blue.
+        """
+        name = os.fspath(path)
+        if os.path.getsize(name) > _CUBE_BYTES:
+            raise ValueError(f"{name!r} is larger than a .cube file can be ({_CUBE_BYTES >> 20} MB)")
+        try:
+            with open(name, encoding="utf-8-sig") as stream:
+                words = [line.split() for line in stream if line.strip() and not line.lstrip().startswith("#")]
+            said = {line[0]: line[1:] for line in words if line[0][0].isalpha()}
+            numbers = np.array([line for line in words if not line[0][0].isalpha()], dtype=np.float64)
+            kind = next(kind for kind in _LARGEST_TABLE if kind in said)
+            size = int(said[kind][0])
+            low, high = ([float(v) for v in said.get(f"DOMAIN_{end}", [d] * 3)] for end, d in (("MIN", 0), ("MAX", 1)))
+        except (ValueError, IndexError, StopIteration) as error:
+            raise ValueError(f"{name!r} is not a .cube file: {str(error) or 'it states no size of a table'}") from error
+        if not 2 <= size <= _LARGEST_TABLE[kind]:
+            raise ValueError(f"{name!r}: {kind} must be 2 to {_LARGEST_TABLE[kind]}, got {size}")
+        shape = (size, 3) if kind == "LUT_1D_SIZE" else (size, size, size, 3)
+        if numbers.shape != (math.prod(shape) // 3, 3):
+            raise ValueError(f"{name!r} must have {math.prod(shape) // 3} lines of three numbers, got {numbers.shape}")
+        try:
+            return cls(torch.from_numpy(numbers.reshape(shape)), low, high)
+        except ValueError as error:
+            raise ValueError(f"{name!r}: {error}") from error
+
+    def __call__(self, image: torch.Tensor) -> torch.Tensor:
+        """Return pictures with the colours of the table, linear between its entries and constant beyond them.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            RGB ``[..., 3, H, W]``, encoded as the table asks for.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[..., 3, H, W]``, four axes for three; differentiable in the picture and in the values of the table.
+        """
+        given = as_pictures("image", image)
+        image = in_float32(given)
+        low, high = (torch.tensor(end, dtype=image.dtype, device=image.device) for end in (self.lowest, self.highest))
+        place = (image - low[:, None, None]) / (high - low)[:, None, None]
+        values = self.values.to(image)
+        if values.ndim == 2:
+            count = len(values)
+            place = place.clamp(0, 1) * (count - 1)
+            below = place.detach().long().clamp(max=count - 2)
+            channel = torch.arange(3, device=image.device)[:, None, None].expand(below.shape[-3:])
+            found = torch.lerp(values[below, channel], values[below + 1, channel], place - below)
+        else:
+            grid = (2 * place - 1).movedim(-3, -1).reshape(1, 1, 1, -1, 3)
+            cells = functional.grid_sample(values.movedim(-1, 0)[None], grid, "bilinear", "border", align_corners=True)
+            found = cells.reshape(3, *given.shape[:-3], *given.shape[-2:]).movedim(0, -3)
+        return found.to(given.dtype)
 
 
 def _space(name, space):

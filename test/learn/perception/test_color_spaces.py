@@ -1,7 +1,9 @@
 """Colour spaces of XYZ against values of colour-science 0.4.7; gamut and tone mapping by their properties."""
 
+import itertools
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -214,3 +216,47 @@ def test_half_precision_keeps_its_digits_and_finite_gradients_at_black(dtype):
         black = torch.zeros(1, 3, 1, 1, dtype=dtype, requires_grad=True)
         function(black).sum().backward()
         assert black.grad.isfinite().all()
+
+
+def test_a_cube_file_of_a_matrix_is_the_matrix(tmp_path):
+    matrix = torch.tensor([[0.7, 0.2, 0.1], [0.1, 0.8, 0.1], [0.0, 0.1, 0.9]], dtype=torch.float64)
+    lines = ['TITLE "a matrix"', "# comment", "LUT_3D_SIZE 5", "DOMAIN_MIN -1 -1 -1", "DOMAIN_MAX 1 1 1"]
+    steps = torch.linspace(-1, 1, 5, dtype=torch.float64)
+    for blue, green, red in itertools.product(steps, repeat=3):
+        lines.append(" ".join(f"{value:.17g}" for value in (matrix @ torch.stack([red, green, blue])).tolist()))
+    (tmp_path / "matrix.cube").write_text("\n".join(lines))
+    table = p.ColorTable.read(tmp_path / "matrix.cube")
+    image = 2 * torch.rand(2, 3, 4, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) - 1
+    # What is linear is exact between the entries, and what lies beyond is that of the nearest place within.
+    torch.testing.assert_close(table(image), torch.einsum("cd,bdhw->bchw", matrix, image), rtol=0, atol=1e-14)
+    torch.testing.assert_close(table(3 * image), table((3 * image).clamp(-1, 1)))
+    assert torch.autograd.gradcheck(lambda x: table(x), (0.9 * image[:, :, :2, :2]).requires_grad_())
+    assert table(image.half()).dtype == torch.float16
+
+
+def test_curves_of_a_cube_file_act_on_each_channel(tmp_path):
+    x = np.linspace(0, 1, 17)
+    curves = np.stack([x**2, np.sqrt(x), 1 - x], -1)
+    text = "LUT_1D_SIZE 17\n" + "\n".join(" ".join(f"{v:.9f}" for v in line) for line in curves)
+    (tmp_path / "curves.cube").write_text(text)
+    image = np.random.default_rng(0).uniform(-0.2, 1.2, (3, 6, 7))
+    expected = np.stack([np.interp(image[c], x, curves[:, c]) for c in range(3)])
+    found = p.ColorTable.read(tmp_path / "curves.cube")(torch.from_numpy(image))
+    np.testing.assert_allclose(found[0].numpy(), expected, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("LUT_3D_SIZE 300\n", "LUT_3D_SIZE must be 2 to 256, got 300"),
+        ("LUT_3D_SIZE 2\n0 0 0\n", "must have 8 lines of three numbers"),
+        ("LUT_1D_SIZE 2\n0 0 0\n1 1 x\n", "is not a .cube file"),
+        ("nothing\n", "it states no size of a table"),
+        ("LUT_1D_SIZE 2\nDOMAIN_MAX 0 1 1\n0 0 0\n1 1 1\n", "highest must be above lowest"),
+        ("LUT_1D_SIZE 2\n0 0 0\n1 1 nan\n", "values must be finite"),
+    ],
+)
+def test_cube_files_that_cannot_be_read_are_named(tmp_path, text, message):
+    (tmp_path / "bad.cube").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        p.ColorTable.read(tmp_path / "bad.cube")
