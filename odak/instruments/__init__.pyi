@@ -14,6 +14,9 @@ from .captures import record_captures as record_captures
 from .captures import save_captures as save_captures
 from .drivers import FileCamera as FileCamera
 from .drivers import FileModulator as FileModulator
+from .drivers import GenICamCamera as GenICamCamera
+from .drivers import MicroManagerCamera as MicroManagerCamera
+from .drivers import MicroManagerModulator as MicroManagerModulator
 from .drivers import ScreenModulator as ScreenModulator
 from .drivers import VideoCamera as VideoCamera
 from .exposures import PolarisationResult as PolarisationResult

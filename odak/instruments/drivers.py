@@ -1,5 +1,10 @@
-"""Drivers of instruments that need no library of a maker: a second screen, a UVC camera, files in a shared folder."""
+"""Drivers of instruments: a second screen, UVC, GenICam and Micro-Manager cameras, files in a shared folder.
 
+None needs a library of one maker. Those of GenICam and Micro-Manager were run with stand-ins and with Micro-Manager's
+demonstration camera, not with hardware.
+"""
+
+import glob
 import os
 import time
 from collections.abc import Sequence
@@ -8,9 +13,18 @@ from typing import Any
 import numpy as np
 
 from odak import _show, _validate
+from odak._warnings import ArgumentWarning, warn
 from odak.tools.paths import replacing, validate_path
 
-__all__ = ["FileCamera", "FileModulator", "ScreenModulator", "VideoCamera"]
+__all__ = [
+    "FileCamera",
+    "FileModulator",
+    "GenICamCamera",
+    "MicroManagerCamera",
+    "MicroManagerModulator",
+    "ScreenModulator",
+    "VideoCamera",
+]
 
 # Value of OpenCV's property CAP_PROP_AUTO_EXPOSURE that switches automatic exposure off.
 _MANUAL_EXPOSURE = 1.0
@@ -23,10 +37,11 @@ class ScreenModulator:
     ----------
     pitch : float
         Distance between pixels in metres.
-    display : int
-        Number of the screen, 0 for the first.
+    display : int, optional
+        Number of the screen, 0 for the first, see :meth:`identify`. By default the last one, where there are several:
+        the only screen, which you work on, is taken if you ask for 0.
     shape : sequence of int, optional
-        Rows and columns; those of the screen by default.
+        Rows and columns; those of the screen by default. A warning says where they are not those of the screen.
     settling_time : float
         Seconds to wait after a pattern was drawn: that of the modulator and the delay of the screen.
 
@@ -43,6 +58,7 @@ class ScreenModulator:
     Examples
     --------
     >>> from odak.instruments import ScreenModulator
+    >>> ScreenModulator.identify()  # doctest: +SKIP
     >>> modulator = ScreenModulator(pitch=8e-6, display=1, settling_time=0.1)  # doctest: +SKIP
     """
 
@@ -51,15 +67,30 @@ class ScreenModulator:
     __repr__ = _show.one_line
 
     @_validate.takes_units("pitch")
-    def __init__(self, pitch: float, display: int = 0, shape: Sequence[int] | None = None, settling_time: float = 0.05):
+    def __init__(
+        self,
+        pitch: float,
+        display: int | None = None,
+        shape: Sequence[int] | None = None,
+        settling_time: float = 0.05,
+    ):
         pygame = _imported("pygame", "pygame-ce")
         self._pygame = pygame
         pygame.display.init()
-        display, count = _validate.integer("display", display), pygame.display.get_num_displays()
+        count = pygame.display.get_num_displays()
+        if display is None and count == 1:
+            raise ValueError("there is one screen, on which you work: connect the modulator, or give display=0")
+        display = count - 1 if display is None else _validate.integer("display", display)
         if display >= count:
             raise ValueError(f"display must be below {count}, the number of screens, got {display}")
         columns, rows = pygame.display.get_desktop_sizes()[display]
         self.shape = (rows, columns) if shape is None else _validate.size("shape", shape)
+        if self.shape != (rows, columns):
+            warn(
+                f"screen {display} has {rows} × {columns} pixels, the modulator {self.shape[0]} × {self.shape[1]}: set "
+                "its resolution to that of the modulator and its scale to 100 %, or pixels are interpolated",
+                ArgumentWarning,
+            )
         self.pitch = float(_validate.number("pitch", pitch, positive=True))
         self.settling_time = float(_validate.number("settling_time", settling_time, least=0))
         self._window = pygame.display.set_mode(self.shape[::-1], pygame.NOFRAME, display=display)
@@ -78,6 +109,35 @@ class ScreenModulator:
     def close(self) -> None:
         """Close the window."""
         self._pygame.display.quit()
+
+    @staticmethod
+    def identify(seconds: float = 2.0) -> list[tuple[int, int]]:
+        """Show on each screen, one after another, its number; return their rows and columns.
+
+        Parameters
+        ----------
+        seconds : float
+            How long each number is shown.
+
+        Returns
+        -------
+        list of tuple of int
+            Rows and columns of each screen.
+        """
+        seconds = float(_validate.number("seconds", seconds, least=0))
+        pygame = _imported("pygame", "pygame-ce")
+        pygame.display.init()
+        pygame.font.init()
+        sizes = pygame.display.get_desktop_sizes()
+        for number, (columns, rows) in enumerate(sizes):
+            window = pygame.display.set_mode((columns, rows), pygame.NOFRAME, display=number)
+            text = pygame.font.Font(None, rows // 2).render(str(number), True, "white")
+            window.blit(text, text.get_rect(center=window.get_rect().center))
+            pygame.display.flip()
+            pygame.event.pump()
+            time.sleep(seconds)
+        pygame.display.quit()
+        return [(rows, columns) for columns, rows in sizes]
 
 
 class VideoCamera:
@@ -168,6 +228,234 @@ class VideoCamera:
     def close(self) -> None:
         """Release the camera."""
         self._stream.release()
+
+
+class GenICamCamera:
+    """Camera with a GenICam interface, as most industrial ones have: GigE Vision, USB3 Vision, CoaXPress, 10 GigE.
+
+    Each capture is triggered by software, so that no frame is older than the pattern.
+
+    Parameters
+    ----------
+    pitch : float
+        Distance between pixels in metres.
+    device : int or str
+        Number of the camera, or its serial number.
+    producer : str or os.PathLike, optional
+        The GenTL producer of the maker or of another one, a ``.cti`` file; by default the files in the folders of the
+        environment variable ``GENICAM_GENTL64_PATH``, which installers of makers set.
+    pixel_format : str
+        Name of a monochrome format after the Pixel Format Naming Convention, such as "Mono8" or "Mono12", unpacked.
+    timeout : float
+        Seconds to wait for a frame beyond the exposure.
+
+    Notes
+    -----
+    Needs the package harvesters (``pip install harvesters``). EMVA, GenICam Standard Features Naming Convention 2.7.
+    Not run on hardware: tested with a stand-in for harvesters.
+
+    Examples
+    --------
+    >>> from odak.instruments import GenICamCamera
+    >>> camera = GenICamCamera(3.45e-6, device="40012345", pixel_format="Mono12")  # doctest: +SKIP
+    """
+
+    __repr__ = _show.one_line
+
+    @_validate.takes_units("pitch")
+    def __init__(
+        self,
+        pitch: float,
+        device: int | str = 0,
+        producer: str | os.PathLike | None = None,
+        pixel_format: str = "Mono12",
+        timeout: float = 5.0,
+    ):
+        self.pitch = float(_validate.number("pitch", pitch, positive=True))
+        self._timeout = float(_validate.number("timeout", timeout, positive=True))
+        if not (isinstance(pixel_format, str) and pixel_format[:4] == "Mono" and pixel_format[4:].isdigit()):
+            raise ValueError(f"pixel_format must be Mono and a number of bits, got {pixel_format!r}")
+        self.bits = int(pixel_format[4:])
+        self._harvester = _imported("harvesters.core", "harvesters").Harvester()
+        for path in _producers(producer):
+            self._harvester.add_file(path)
+        self._harvester.update()
+        found = self._harvester.device_info_list
+        if not found:
+            raise OSError("no GenICam camera answers: check its power, cable, address and the producer")
+        if isinstance(device, str):
+            chosen: Any = {"serial_number": device}
+            known = [info.serial_number for info in found]
+            if device not in known:
+                raise ValueError(f"device must be one of the serial numbers {known}, got {device!r}")
+        else:
+            chosen = _validate.integer("device", device)
+            if chosen >= len(found):
+                raise ValueError(f"device must be below {len(found)}, the number of cameras, got {device}")
+        self._camera = self._harvester.create(chosen)
+        self._nodes = self._camera.remote_device.node_map
+        for name, value in (
+            ("PixelFormat", pixel_format),
+            ("ExposureAuto", "Off"),
+            ("GainAuto", "Off"),
+            ("TriggerSelector", "FrameStart"),
+            ("TriggerMode", "On"),
+            ("TriggerSource", "Software"),
+        ):
+            # A camera without automatic gain has no node of that name.
+            if hasattr(self._nodes, name):
+                getattr(self._nodes, name).value = value
+        if self._nodes.PixelFormat.value != pixel_format:
+            raise ValueError(f"the camera does not take the format {pixel_format!r}")
+        self.shape = (int(self._nodes.Height.value), int(self._nodes.Width.value))
+        self.region: tuple[int, int, int, int] | None = None
+        node = self._nodes.ExposureTime
+        self.exposure_limits = (1e-6 * float(node.min), 1e-6 * float(node.max))
+        self._camera.start()
+
+    @property
+    def exposure(self) -> float:
+        """Exposure time in seconds."""
+        return 1e-6 * float(self._nodes.ExposureTime.value)
+
+    @exposure.setter
+    def exposure(self, value: float) -> None:
+        self._nodes.ExposureTime.value = 1e6 * float(_validate.number("exposure", value, positive=True))
+
+    def capture(self, count: int = 1) -> np.ndarray:
+        """Return captures, uint8 or uint16 ``[count, rows, columns]`` of the region."""
+        row, column, rows, columns = self.region or (0, 0, *self.shape)
+        frames = []
+        for _ in range(_validate.integer("count", count, minimum=1)):
+            self._nodes.TriggerSoftware.execute()
+            with self._camera.fetch(timeout=self._timeout + self.exposure) as buffer:
+                part = buffer.payload.components[0]
+                frame = np.array(part.data, copy=True).reshape(part.height, part.width)
+            frames.append(frame[row : row + rows, column : column + columns])
+        return np.stack(frames)
+
+    def close(self) -> None:
+        """Stop the camera and release it."""
+        self._camera.stop()
+        self._camera.destroy()
+        self._harvester.reset()
+
+
+class MicroManagerCamera:
+    """Camera that Micro-Manager drives: scientific cameras of most makers, through its device adapters.
+
+    Parameters
+    ----------
+    configuration : str, os.PathLike or CMMCorePlus
+        Micro-Manager's configuration file (``.cfg``), or a core of pymmcore-plus whose devices are loaded, which a
+        modulator and a camera of one table share.
+    pitch : float
+        Distance between pixels in metres.
+    device : str, optional
+        Label of the camera; by default the one that the configuration names.
+
+    Notes
+    -----
+    Needs the package pymmcore-plus (``pip install pymmcore-plus``) and Micro-Manager's device adapters (``mmcore
+    install``). Run with the adapter of the demonstration camera, not with hardware.
+
+    Examples
+    --------
+    >>> from odak.instruments import MicroManagerCamera
+    >>> camera = MicroManagerCamera("table.cfg", pitch=6.5e-6)  # doctest: +SKIP
+    """
+
+    __repr__ = _show.one_line
+
+    @_validate.takes_units("pitch")
+    def __init__(self, configuration: Any, pitch: float, device: str | None = None):
+        self.pitch = float(_validate.number("pitch", pitch, positive=True))
+        self._core = _core_of(configuration)
+        if device is not None:
+            self._core.setCameraDevice(device)
+        self._device = self._core.getCameraDevice()
+        if not self._device:
+            raise ValueError("the configuration names no camera; give device")
+        self._core.clearROI()
+        self.shape = (int(self._core.getImageHeight()), int(self._core.getImageWidth()))
+        self.region: tuple[int, int, int, int] | None = None
+
+    @property
+    def bits(self) -> int:
+        """Bit depth."""
+        return int(self._core.getImageBitDepth())
+
+    @property
+    def exposure(self) -> float:
+        """Exposure time in seconds."""
+        return 1e-3 * float(self._core.getExposure())
+
+    @exposure.setter
+    def exposure(self, value: float) -> None:
+        self._core.setExposure(1e3 * float(_validate.number("exposure", value, positive=True)))
+
+    def capture(self, count: int = 1) -> np.ndarray:
+        """Return captures, unsigned integers ``[count, rows, columns]`` of the region."""
+        row, column, rows, columns = self.region or (0, 0, *self.shape)
+        frames = []
+        for _ in range(_validate.integer("count", count, minimum=1)):
+            self._core.setCameraDevice(self._device)
+            self._core.snapImage()
+            frames.append(np.array(self._core.getImage())[row : row + rows, column : column + columns])
+        return np.stack(frames)
+
+
+class MicroManagerModulator:
+    """Modulator that Micro-Manager drives, by an adapter of its maker or as a screen.
+
+    Parameters
+    ----------
+    configuration : str, os.PathLike or CMMCorePlus
+        Micro-Manager's configuration file (``.cfg``), or a core of pymmcore-plus whose devices are loaded.
+    pitch : float
+        Distance between pixels in metres.
+    device : str, optional
+        Label of the modulator; by default the one that the configuration names.
+    settling_time : float
+        Seconds to wait after a pattern was shown.
+
+    Attributes
+    ----------
+    bits : int
+        8.
+
+    Notes
+    -----
+    Needs the package pymmcore-plus (``pip install pymmcore-plus``). Not run on hardware: tested with a stand-in.
+
+    Examples
+    --------
+    >>> from odak.instruments import MicroManagerModulator
+    >>> modulator = MicroManagerModulator("table.cfg", pitch=8e-6, settling_time=0.05)  # doctest: +SKIP
+    """
+
+    bits = 8
+
+    __repr__ = _show.one_line
+
+    @_validate.takes_units("pitch")
+    def __init__(self, configuration: Any, pitch: float, device: str | None = None, settling_time: float = 0.05):
+        self.pitch = float(_validate.number("pitch", pitch, positive=True))
+        self.settling_time = float(_validate.number("settling_time", settling_time, least=0))
+        self._core = _core_of(configuration)
+        self._device = self._core.getSLMDevice() if device is None else device
+        if not self._device:
+            raise ValueError("the configuration names no modulator; give device")
+        if (size := self._core.getSLMBytesPerPixel(self._device)) != 1:
+            raise ValueError(f"the modulator {self._device!r} must take one byte per pixel, got {size}")
+        self.shape = (int(self._core.getSLMHeight(self._device)), int(self._core.getSLMWidth(self._device)))
+
+    def show(self, levels: np.ndarray) -> None:
+        """Show levels 0 … 255, integers ``[rows, columns]``, and wait for the settling time."""
+        self._core.setSLMImage(self._device, checked_levels(levels, self.shape, self.bits))
+        self._core.displaySLMImage(self._device)
+        self._core.waitForDevice(self._device)
+        time.sleep(self.settling_time)
 
 
 class FileModulator:
@@ -358,6 +646,32 @@ def _imported(module: str, package: str) -> Any:
         return importlib.import_module(module)
     except ImportError:
         raise ImportError(f"this driver needs {package}: pip install {package}") from None
+
+
+def _producers(producer) -> list[str]:
+    """Return the GenTL producers to load."""
+    if producer is not None:
+        path = validate_path(producer, name="producer")
+        if not os.path.isfile(path):
+            raise ValueError(f"producer must be a .cti file that exists, got {path!r}")
+        return [path]
+    folders = os.environ.get("GENICAM_GENTL64_PATH", "").split(os.pathsep)
+    found = [path for folder in folders if folder for path in sorted(glob.glob(os.path.join(folder, "*.cti")))]
+    if not found:
+        raise ValueError("producer must be given: GENICAM_GENTL64_PATH names no folder with a .cti file")
+    return found
+
+
+def _core_of(configuration) -> Any:
+    """Return Micro-Manager's core with the devices of a configuration."""
+    if not isinstance(configuration, (str, os.PathLike)):
+        return configuration
+    path = validate_path(configuration, name="configuration")
+    if not os.path.isfile(path):
+        raise ValueError(f"configuration must be a file that exists, got {path!r}")
+    core = _imported("pymmcore_plus", "pymmcore-plus").CMMCorePlus()
+    core.loadSystemConfiguration(path)
+    return core
 
 
 def _folder(folder: str | os.PathLike) -> str:

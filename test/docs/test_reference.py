@@ -100,6 +100,9 @@ def test_tables_of_parameters_agree_with_signatures():
 WITHOUT_OUTPUT = {
     "odak.cli.app": "an object of typer",
     "odak.instruments.ScreenModulator": "needs a second screen",
+    "odak.instruments.GenICamCamera": "needs a camera",
+    "odak.instruments.MicroManagerCamera": "needs a camera",
+    "odak.instruments.MicroManagerModulator": "needs a modulator",
     "odak.instruments.VideoCamera": "needs a camera",
     "odak.visualize.plotly.close_browser": "returns nothing",
 }

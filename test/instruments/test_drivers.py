@@ -1,11 +1,16 @@
 """Drivers that need no library of a maker: a screen, a video camera, files in a shared folder."""
 
+import contextlib
+import sys
 import threading
 import time
+import types
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import odak
 from odak import instruments
 from odak.instruments import drivers
 
@@ -13,7 +18,12 @@ from odak.instruments import drivers
 def test_a_pattern_fills_the_screen(monkeypatch):
     pygame = pytest.importorskip("pygame", reason="pygame-ce is not installed")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    modulator = instruments.ScreenModulator(8e-6, settling_time=0.0)
+    with pytest.raises(ValueError, match="there is one screen, on which you work"):
+        instruments.ScreenModulator(8e-6)
+    (size,) = instruments.ScreenModulator.identify(0.0)
+    with pytest.warns(odak.ArgumentWarning, match=f"screen 0 has {size[0]} × {size[1]} pixels, the modulator 20 × 30"):
+        instruments.ScreenModulator(8e-6, 0, (20, 30)).close()
+    modulator = instruments.ScreenModulator(8e-6, 0, settling_time=0.0)
     try:
         assert isinstance(modulator, instruments.Modulator)
         columns, rows = pygame.display.get_desktop_sizes()[0]
@@ -116,3 +126,121 @@ def test_a_folder_that_does_not_answer(tmp_path):
 def test_drivers_of_the_package_are_registered():
     with pytest.raises(ValueError, match="'file-camera', 'file-modulator', 'screen', 'video'"):
         instruments.open_instrument("none")
+
+
+class StandIn(types.SimpleNamespace):
+    """What harvesters' camera has of the GenICam interface: nodes with values, a trigger, frames in flat buffers."""
+
+    def __init__(self, depth):
+        super().__init__(seen=[], waiting=[], depth=depth)
+        node = types.SimpleNamespace
+        names = ("PixelFormat", "ExposureAuto", "TriggerSelector", "TriggerMode", "TriggerSource")
+        self.nodes = node(**{name: node(value="") for name in names})
+        self.nodes.Height, self.nodes.Width = node(value=12), node(value=16)
+        self.nodes.ExposureTime = node(value=5000.0, min=20.0, max=1e6)
+        self.nodes.TriggerSoftware = node(execute=self.expose)
+        self.remote_device = node(node_map=self.nodes)
+
+    def expose(self):
+        assert self.nodes.TriggerMode.value == "On" and self.nodes.TriggerSource.value == "Software"
+        level = min(self.nodes.ExposureTime.value / 10, (1 << self.depth) - 1)
+        ramp = np.arange(12 * 16) * level / (12 * 16)
+        self.waiting.append(ramp.astype(np.uint16 if self.depth > 8 else np.uint8))
+
+    @contextlib.contextmanager
+    def fetch(self, timeout):
+        assert timeout > 1e-6 * self.nodes.ExposureTime.value
+        data = self.waiting.pop(0)
+        part = types.SimpleNamespace(data=data, height=12, width=16)
+        yield types.SimpleNamespace(payload=types.SimpleNamespace(components=[part]))
+        # The buffer belongs to the camera again and is written to.
+        data[:] = 0
+
+    def start(self):
+        self.seen.append("start")
+
+    def stop(self):
+        self.seen.append("stop")
+
+    def destroy(self):
+        self.seen.append("destroy")
+
+
+def test_a_genicam_camera_is_triggered_for_each_frame(monkeypatch, tmp_path):
+    camera, made = StandIn(12), []
+
+    class Harvester:
+        device_info_list = (types.SimpleNamespace(serial_number="40012345"),)
+
+        def __init__(self):
+            self.files = []
+            self.reset = lambda: made.append("reset")
+            self.update = lambda: None
+
+        def add_file(self, path):
+            self.files.append(path)
+
+        def create(self, key):
+            made.append((self.files, key))
+            return camera
+
+    monkeypatch.setitem(sys.modules, "harvesters", types.ModuleType("harvesters"))
+    monkeypatch.setitem(sys.modules, "harvesters.core", types.SimpleNamespace(Harvester=Harvester))
+    monkeypatch.delenv("GENICAM_GENTL64_PATH", raising=False)
+    with pytest.raises(ValueError, match="producer must be given"):
+        instruments.GenICamCamera(3.45e-6)
+    (tmp_path / "maker.cti").write_bytes(b"")
+    monkeypatch.setenv("GENICAM_GENTL64_PATH", str(tmp_path))
+    with pytest.raises(ValueError, match=r"one of the serial numbers \['40012345'\]"):
+        instruments.GenICamCamera(3.45e-6, "7")
+    found = instruments.GenICamCamera(3.45e-6, "40012345")
+    assert made == [([str(tmp_path / "maker.cti")], {"serial_number": "40012345"})]
+    assert isinstance(found, instruments.Camera) and (found.shape, found.bits) == ((12, 16), 12)
+    assert found.exposure == 5e-3 and np.allclose(found.exposure_limits, (2e-5, 1.0), rtol=1e-12)
+    found.exposure = 20e-3
+    whole = found.capture(2)
+    assert whole.shape == (2, 12, 16) and whole.dtype == np.uint16
+    assert (whole[1].ravel() == np.floor(np.arange(192) * 2000 / 192)).all() and not camera.waiting
+    found.region = (2, 3, 4, 5)
+    assert (found.capture(1)[0] == whole[0, 2:6, 3:8]).all()
+    found.close()
+    assert camera.seen == ["start", "stop", "destroy"] and made[-1] == "reset"
+
+
+def test_micro_manager_shows_and_captures(tmp_path):
+    shown, core = [], types.SimpleNamespace()
+    core.setCameraDevice = core.waitForDevice = core.displaySLMImage = lambda name: shown.append(name)
+    core.getCameraDevice, core.getSLMDevice = lambda: "Camera", lambda: "Panel"
+    core.getImageHeight, core.getImageWidth, core.getImageBitDepth = lambda: 6, lambda: 8, lambda: 16
+    core.getSLMHeight, core.getSLMWidth, core.getSLMBytesPerPixel = (lambda _, n=n: n for n in (6, 8, 1))
+    core.clearROI = core.snapImage = lambda: None
+    core.setSLMImage = lambda name, levels: shown.append(levels)
+    core.getImage = lambda: 100 * next(part for part in reversed(shown) if not isinstance(part, str)).astype(np.uint16)
+    core.exposure = 10.0
+    core.getExposure, core.setExposure = lambda: core.exposure, lambda value: setattr(core, "exposure", value)
+    modulator = instruments.MicroManagerModulator(core, 8e-6, settling_time=0)
+    camera = instruments.MicroManagerCamera(core, 6.5e-6)
+    assert isinstance(modulator, instruments.Modulator) and isinstance(camera, instruments.Camera)
+    levels = np.arange(48, dtype=np.uint8).reshape(6, 8)
+    modulator.show(levels)
+    assert shown[-2:] == ["Panel", "Panel"] and (shown[-3] == levels).all()
+    camera.exposure = 0.02
+    assert core.exposure == 20.0 and camera.exposure == 0.02 and camera.bits == 16
+    assert (camera.capture(3) == 100 * levels.astype(int)).all()
+    with pytest.raises(ValueError, match="configuration must be a file that exists"):
+        instruments.MicroManagerCamera(tmp_path / "none.cfg", 6.5e-6)
+
+
+def test_micro_manager_demonstration_camera():
+    core = pytest.importorskip("pymmcore_plus", reason="pymmcore-plus is not installed").CMMCorePlus()
+    adapters = pytest.importorskip("mm_test_adapters", reason="mm-test-adapters is not installed")
+    core.setDeviceAdapterSearchPaths([adapters.device_adapter_path()])
+    core.loadSystemConfiguration(Path(adapters.device_adapter_path()) / "MMConfig_demo.cfg")
+    camera = instruments.MicroManagerCamera(core, 6.5e-6)
+    camera.exposure = 2e-3
+    assert camera.exposure == 2e-3 and isinstance(camera, instruments.Camera)
+    whole = camera.capture(2)
+    assert whole.shape == (2, *camera.shape) and whole.dtype.kind == "u" and whole.max() < 2**camera.bits
+    assert whole.std() > 0
+    camera.region = (10, 20, 30, 40)
+    assert camera.capture(1).shape == (1, 30, 40)
