@@ -19,6 +19,7 @@ from odak.wave.transfer_functions import Grid, Request, convolve, pitches
 _log = logging.getLogger("odak")
 _AXES = (-2, -1)
 _LENGTHS = ("field", "distance", "wavelength", "dx")
+_ROUNDING = 1 + 1e-12
 
 
 @dataclass(frozen=True)
@@ -243,12 +244,13 @@ def _band_extended_transfer(grid: Grid):
     return tf.plane_wave_transfer(grid, *frequencies)
 
 
-# Where each method is valid.
+# Where each method is valid. At the limit itself the rounding of N·dx²/λ does not decide.
 
 
 def _kernel_aliases(report: Criteria) -> str | None:
     z, limit = abs(report.distance), min(report.critical_distance)
-    return f"|z| = {z:.4g} m is beyond {limit:.4g} m, from where its transfer function aliases" if z > limit else None
+    beyond = z > limit * _ROUNDING
+    return f"|z| = {z:.4g} m is beyond {limit:.4g} m, from where its transfer function aliases" if beyond else None
 
 
 def _band_is_lost(report: Criteria) -> str | None:
@@ -271,7 +273,7 @@ def _not_far(report: Criteria) -> str | None:
 
 def _too_near(report: Criteria, limit: float, why: str) -> str | None:
     z = abs(report.distance)
-    return f"|z| = {z:.4g} m is short of {limit:.4g} m, where {why}" if 0 < z < limit else None
+    return f"|z| = {z:.4g} m is short of {limit:.4g} m, where {why}" if 0 < z * _ROUNDING < limit else None
 
 
 def _not_paraxial(report: Criteria) -> str | None:

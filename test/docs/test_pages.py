@@ -39,6 +39,7 @@ SLOW = {
     "notes/hologram_optimization.md",
     "notes/light_transport.md",
     "notes/metameric_loss.md",
+    "notes/published_results.md",
 }
 NEED_A_BROWSER = {"guides/see_results.md"}
 NEED_BLENDER = {"guides/render_in_blender.md"}

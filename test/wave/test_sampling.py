@@ -31,6 +31,16 @@ def test_report_gives_the_criteria():
     json.dumps(report.to_dict())
 
 
+@pytest.mark.filterwarnings("error::odak.SamplingWarning")
+def test_both_fresnel_methods_take_the_critical_distance():
+    """Of 250 samples of 2 mm at 0.5 µm it is 2000 m, which rounding puts beside 2000."""
+    field = np.ones((250, 1), dtype=np.complex128)
+    for method in ("Transfer Function Fresnel", "Impulse Response Fresnel"):
+        options = {"axes": -2, "zero_padding": [False] * 3}
+        for length in (2000.0, math.nextafter(2000.0, 0), math.nextafter(2000.0, 3000)):
+            odak.wave.propagate_beam(field, None, length, 2e-3, 0.5e-6, method, **options)
+
+
 def test_paraxial_error_is_the_phase_that_fresnel_loses():
     report = odak.wave.sampling_report([512, 512], 2e-6, 532e-9, 1e-3)
     sine = 532e-9 * math.sqrt(2) * min(report.nyquist, report.band_limit[0])
