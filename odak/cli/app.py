@@ -471,6 +471,10 @@ Track = Annotated[
 Back = Annotated[
     float | None, typer.Option(parser=length, metavar=LENGTH, help="Least distance from the last vertex to the image.")
 ]
+AxialColor = Annotated[
+    float | None,
+    typer.Option(parser=length, metavar=LENGTH, help="Largest distance between the foci of two wavelengths."),
+]
 
 
 BAD_INPUT, FAILURE, INTERRUPTED = 2, 1, 130
@@ -917,6 +921,7 @@ def design(
         float | None,
         typer.Option(metavar="RATIO", help="Largest distortion.", show_default="0.02, or that of the SYSTEM if larger"),
     ] = None,
+    axial_color: AxialColor = None,
     chief_ray_angle: Annotated[
         float | None, typer.Option(metavar="DEGREES", help="Largest angle of chief rays in the image.")
     ] = None,
@@ -933,7 +938,7 @@ def design(
     glasses: Glasses = None,
     substitute: Annotated[
         str | None,
-        typer.Option(metavar="MAKERS", help="Vary the glasses, then take the nearest of these makers: schott,ohara."),
+        typer.Option(metavar="MAKERS", help="Vary the glasses, then take those of these makers: schott,ohara."),
     ] = None,
     zmx: Annotated[bool, typer.Option("--zmx", help="Write lens.zmx, a Zemax file, too.")] = False,
     quiet: Quiet = False,

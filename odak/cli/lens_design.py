@@ -92,6 +92,8 @@ class DesignJob:
         Largest distance from the first vertex to the image and least distance from the last one, in metres.
     distortion : float or None
         Largest distortion; 0.02, or that of the system if larger, by default.
+    axial_color : float or None
+        Largest distance between the paraxial images of two wavelengths, in metres.
     chief_ray_angle : float or None
         Largest angle of the chief rays in the image in degrees.
     aim : str
@@ -105,8 +107,8 @@ class DesignJob:
     glasses : sequence of Path
         Files of materials to be read first.
     substitute : str or None
-        Makers of glass with commas between: index and Abbe number of the glasses vary, then each is replaced by one of
-        theirs.
+        Makers of glass with commas between: index and Abbe number of the glasses vary from the start, then each is
+        replaced by one of theirs.
     zmx : bool
         Write the lens as Zemax file too.
     quiet : bool
@@ -123,6 +125,7 @@ class DesignJob:
     track: float | None = None
     back: float | None = None
     distortion: float | None = None
+    axial_color: float | None = None
     chief_ray_angle: float | None = None
     aim: str = "paraxial"
     starts: int | None = None
@@ -140,7 +143,7 @@ class DesignJob:
             if value is not None and value >= 5:
                 warn(f"{_option(name)} {value:g} is {value:g} metres; did you mean {value:g}mm?", ArgumentWarning)
         try:
-            for name in ("focal_length", "f_number", "track", "distortion", "chief_ray_angle"):
+            for name in ("focal_length", "f_number", "track", "distortion", "axial_color", "chief_ray_angle"):
                 if getattr(self, name) is not None:
                     _validate.number(_option(name), getattr(self, name), positive=True)
             for name in ("field", "back"):
@@ -296,7 +299,7 @@ def _from_plates(job: DesignJob, step: Callable[[], Any]):
     f, speed, field = given.pop("focal_length"), float(job.f_number or 0), float(job.field or 0)
     given |= {"aspheric_terms": job.aspheric_terms, "chief_ray_angle": job.chief_ray_angle, "seed": job.seed}
     given |= {name: value for name, value in (("starts", job.starts), ("iterations", job.iterations)) if value}
-    given |= {"distortion": job.distortion or DISTORTION}
+    given |= {"distortion": job.distortion or DISTORTION, "makers": job.makers() or None}
     try:
         found = automatic_design(materials, f, speed, field, **given, callback=lambda stage: step())
     except ValueError as error:
@@ -323,11 +326,8 @@ def _from_plates(job: DesignJob, step: Callable[[], Any]):
     merit = [{"aperture": s.aperture, "field": s.field, "rms": finite(s.rms)} for s in found.stages]
     if job.substitute is not None:
         surfaces: list[Any] = list(lens.surfaces)
-        for item in surfaces:
-            item.semi_diameter = None
-        conditions = (lens.aperture, lens.fields)
-        did.append(_substituted(_optimised(lens, conditions, conditions, job, f, 1.0, step)[2]))
-        _set_semi_diameters(lens, job.aim)
+        names = (getattr(item.material, "name", item.material) for item in surfaces)
+        did.append(_substituted([name for name in names if name not in (None, "air")]))
     return start, lens, did, merit
 
 
@@ -343,7 +343,7 @@ def _set_semi_diameters(system: optical_system, aim: str) -> None:
             item.semi_diameter = 1.001 * float(size)
 
 
-LENGTHS = ("focal_length", "track", "back")
+LENGTHS = ("focal_length", "track", "back", "axial_color")
 
 
 def _from_system(job: DesignJob, step: Callable[[], Any]):
@@ -557,6 +557,8 @@ def _problem(system, job: DesignJob, size: float, f: float, metre: float) -> tup
         operands.append(Operand("thickness", lower=least, options={"surfaces": [last]}))
     if job.track is not None:
         operands.append(Operand("total_track", upper=job.track * metre))
+    if job.axial_color is not None:
+        operands.append(Operand("axial_color", upper=job.axial_color * metre))
     if job.chief_ray_angle is not None:
         operands.append(Operand("chief_ray_angle", weight=0.002 * size, upper=job.chief_ray_angle))
     height = _image_height(system, job.aim)

@@ -159,6 +159,25 @@ def test_glasses_are_replaced_by_those_of_makers(name, makers, iterations, tmp_p
 
 
 @pytest.mark.slow
+def test_plates_of_glasses_that_vary_become_a_lens_of_real_ones(tmp_path, monkeypatch):
+    """A doublet of 100 mm at f/8 whose colours meet within 0.1 mm; two equal glasses leave f/V, 1.6 mm."""
+    short = functools.partial(lens_design.automatic_design, stages=2, polish=0)
+    monkeypatch.setattr(lens_design, "automatic_design", short)
+    asked = ["--focal-length", "100mm", "--f-number", "8", "--field", "1", "--elements", "stop,N-BK7,N-BK7"]
+    asked += ["--substitute", "schott", "--axial-color", "0.1mm", "--starts", "4", "--iterations", "8"]
+    assert main(["design", *asked, "-q", "--output", str(tmp_path)]) == 0
+    lens = load_system(tmp_path / "lens.json")
+    names = [item.get("material", "air") for item in json.loads((tmp_path / "lens.json").read_text())["surfaces"]]
+    names = [name for name in names if name != "air"]
+    assert len(set(names)) == 2 and all(name in str(material_names("schott")) for name in names)
+    found = []
+    for lens.reference in range(3):
+        found.append(float(first_order(lens).image_distance))
+    assert max(found) - min(found) < 0.1
+    assert f"replaced the glasses by {', '.join(names)}" in (tmp_path / "report.json").read_text()
+
+
+@pytest.mark.slow
 def test_real_rays_fill_the_stop_for_all_fields(tmp_path):
     """With --aim real the spots of the report are of rays that pass the stop at the same points for all fields."""
     asked = ["--aim", "real", "--iterations", "3", "-q", "--output", str(tmp_path)]

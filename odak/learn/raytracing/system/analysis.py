@@ -8,7 +8,14 @@ import numpy as np
 import torch
 
 from odak import _show, _validate
-from odak.learn.raytracing.system.paraxial import check_media, entrance_pupil, first_order, matrix, signed_indices
+from odak.learn.raytracing.system.paraxial import (
+    check_media,
+    entrance_pupil,
+    first_order,
+    image_distances,
+    matrix,
+    signed_indices,
+)
 from odak.learn.raytracing.system.pupils import at_stop, field_points, launch, pupil_of, trace_fields, weights_of
 from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
 from odak.learn.raytracing.system.surfaces import (
@@ -319,9 +326,9 @@ def axial_color(system: Any, wavelengths: Any = None, prescription: Prescription
         raise ValueError("wavelengths must be left out where prescription holds them")
     else:
         checked_system(system), checked_prescription(prescription)
-        numbers, origin = prescription, first_order(system, prescription=prescription).image_distance
-    each = [first_order(system, prescription=numbers.at(i)).image_distance for i in range(numbers.index.shape[-2])]
-    return torch.stack(each, -1) - origin[..., None]
+        numbers, origin = prescription, None
+    each = image_distances(system, numbers)
+    return each - (each[..., reference_of(system, numbers)] if origin is None else origin)[..., None]
 
 
 def distortion_grid(

@@ -9,9 +9,10 @@ import torch
 
 from odak import _show, _validate
 from odak._warnings import ConvergenceWarning, warn
+from odak.catalog import glass_makers
 from odak.learn.raytracing.system.analysis import rms_spot
 from odak.learn.raytracing.system.design import Solve, Variable, lens_design
-from odak.learn.raytracing.system.operands import Operand
+from odak.learn.raytracing.system.operands import Operand, glass_pool
 from odak.learn.raytracing.system.paraxial import matrix, signed_indices
 from odak.learn.raytracing.system.pupils import trace_fields
 from odak.learn.raytracing.system.surfaces import optical_system, reference_of, surface
@@ -29,6 +30,10 @@ CURRICULUM = (
     (0.85, 0.9, 0.15, 3, 5),
     (1.0, 1.0, 0.09, 4, 6),
 )
+
+# Weight of a glass beyond the hull of the catalogues by 0.01 of n_d or 1 of 1000/V_d, in focal lengths; how many
+# designs take real glasses, and how many neighbours of each glass are tried then.
+GLASS_WEIGHT, GLASS_STARTS, GLASS_CANDIDATES = 4e-4, 4, 6
 
 # What follows belongs to designs of aspheres. Their progress is a number from 0 to 1.
 # Fractions of the full aperture and field at progress 0, where nearly all random bendings form an image.
@@ -134,6 +139,8 @@ def automatic_design(
     distortion: float = 0.02,
     chief_ray_angle: float | None = None,
     cover: tuple[Any, float] | None = None,
+    makers: Sequence[str] | None = None,
+    axial_color: float | None = None,
     starts: int | None = None,
     stages: int = 6,
     iterations: int | None = None,
@@ -177,6 +184,11 @@ def automatic_design(
         Largest angle of the chief rays against the axis in the image, in degrees.
     cover : pair, optional
         Material and thickness of a plane plate in front of the image.
+    makers : sequence of str, optional
+        Makers of glass, names of :func:`odak.catalog.glass_makers`. The glasses of the elements vary then, from those
+        of `elements`, within the hull of all glasses of these makers, and are replaced by real ones at the end.
+    axial_color : float, optional
+        Largest distance between the paraxial images of two wavelengths, in `unit`.
     starts : int, optional
         Number of random bendings of the plates in the first stage; by default 16 of spheres, 12 of aspheres.
     stages : int
@@ -256,6 +268,11 @@ def automatic_design(
             raise TypeError(f"cover must be a pair of a material and a thickness, got {cover!r:.80}")
         cover = (cover[0], _validate.constant("cover[1]", cover[1], positive=True))
     _validate.function_or_none("callback", callback)
+    makers = None if makers is None else tuple(_validate.texts("makers", makers))
+    for maker in makers or ():
+        _validate.one_of("makers", maker, glass_makers())
+    if axial_color is not None:
+        axial_color = _validate.constant("axial_color", axial_color, positive=True)
     glass = (0.02 * f, 0.2 * f) if glass is None else tuple(_validate.several("glass", glass, 2))
     air = (0.002 * f, 0.3 * f) if air is None else tuple(_validate.several("air", air, 2))
     edge = air[0] if edge is None else _validate.constant("edge", edge, least=0)
@@ -263,7 +280,20 @@ def automatic_design(
     system, curved, spaces = _flat_plates(elements, terms, glass, air, cover, wavelengths, unit, f)
     start = copy.deepcopy(system)
     requirements = _Requirements(
-        f, speed, angle, terms, glass, air, edge, back, track, distortion, chief_ray_angle, cover is not None
+        f,
+        speed,
+        angle,
+        terms,
+        glass,
+        air,
+        edge,
+        back,
+        track,
+        distortion,
+        chief_ray_angle,
+        cover is not None,
+        makers,
+        axial_color,
     )
     problem = _Problem(requirements, system, curved, spaces, callback)
     generator = torch.Generator().manual_seed(seed)
@@ -299,6 +329,8 @@ class _Requirements(NamedTuple):
     distortion: float
     chief_ray_angle: float | None
     covered: bool
+    makers: tuple[str, ...] | None
+    axial_color: float | None
 
     @property
     def image_distance(self) -> float:
@@ -318,11 +350,26 @@ class _Problem:
         self.requirements, self.system, self.curved, self.callback = requirements, system, curved, callback
         self.last = len(system.surfaces) - 1
         self.first = min(curved)
+        self.free_glasses = bool(requirements.makers)
         self.stages: list[Stage] = []
         self.thicknesses = [
             Variable("thickness", [i for i in spaces if i in curved[::2]], *requirements.glass),
             Variable("thickness", [i for i in spaces if i not in curved[::2]], *requirements.air),
         ]
+
+    def glasses(self) -> list[Variable]:
+        """Return the variables of the glasses; none where they are given or real."""
+        if not self.free_glasses:
+            return []
+        known = glass_pool(self.requirements.makers or ())[1] / torch.tensor([100.0, 1.0], dtype=torch.float64)
+        return [Variable("glass", self.curved[::2], known.amin(0).tolist(), known.amax(0).tolist())]
+
+    def take_glasses(self, design: lens_design, values: torch.Tensor, iterations: int, run: Callable) -> torch.Tensor:
+        """Replace variable glasses by real ones, beginning with several designs, and return the values ``[1, V]``."""
+        design._take_glasses(values, self.requirements.makers or (), GLASS_CANDIDATES, iterations, run)
+        self.free_glasses = False
+        self.record(1.0, 1.0)
+        return design.values[None]
 
     def set_stage(self, aperture: float, field: float, field_fractions) -> None:
         """Set the system's aperture and fields.
@@ -372,6 +419,11 @@ class _Problem:
             # A tenth remains for the fields between those of the operand.
             bound = 0.9 * wanted.distortion
             found.append(Operand("distortion", weight=weight, lower=-bound, upper=bound))
+        if wanted.axial_color is not None:
+            found.append(Operand("axial_color", upper=0.95 * wanted.axial_color))
+        if self.free_glasses:
+            options = {"surfaces": self.curved[::2], "makers": wanted.makers, "hull": True}
+            found.append(Operand("glass", weight=GLASS_WEIGHT * f, upper=0.0, options=options))
         if wanted.track is not None:
             track = _validate.constant("track", wanted.track)
             found.append(Operand("total_track", weight=edges, upper=track, options={"first": self.first}))
@@ -386,21 +438,23 @@ def _designed_spheres(problem: _Problem, starts: int, stages: int, iterations: i
     f = problem.requirements.focal_length
     # Radii of at least 0.15 focal lengths.
     limit = 1 / (0.15 * f)
-    variables = [
-        Variable("curvature", curved[1:], -limit, limit),
-        *problem.thicknesses,
-        Variable("thickness", last, -0.1 * f, 0.1 * f),
-    ]
     solves = [Solve("focal_length", curved[0], f), Solve("marginal_height", last)]
-    fixed = [
-        # The curvature that is solved for the focal length, in units of 1/f.
-        Operand(lambda _, p: f * p.curvature[..., curved[0]], weight=0.1 * f, lower=-limit * f, upper=limit * f),
-        *problem.limits((0.5, 0.75, 1.0)),
-    ]
 
     def design_of(weights, rings: int) -> lens_design:
-        spot = Operand("spot", options={"fields": weights})
-        return lens_design(system, [spot, *fixed], variables, solves=solves, pupil="rings", count=rings)
+        operands = [
+            Operand("spot", options={"fields": weights}),
+            # The curvature that is solved for the focal length, in units of 1/f.
+            Operand(lambda _, p: f * p.curvature[..., curved[0]], weight=0.1 * f, lower=-limit * f, upper=limit * f),
+            *problem.limits((0.5, 0.75, 1.0)),
+        ]
+        variables = [
+            Variable("curvature", curved[1:], -limit, limit),
+            *problem.thicknesses,
+            Variable("thickness", last, -0.1 * f, 0.1 * f),
+            *problem.glasses(),
+        ]
+        pupil = _pupil_of_fields(len(system.fields), rings)
+        return lens_design(system, operands, variables, solves=solves, pupil=pupil)
 
     values: Any = None
     reached = (0.0, 0.0)
@@ -417,9 +471,12 @@ def _designed_spheres(problem: _Problem, starts: int, stages: int, iterations: i
             problem.record(*reached)
         values = values[loss.argsort()[: max(1, math.ceil(retained * starts))]]
 
-    def run(design, values):
-        return _optimised(design, values, 2 * iterations)
+    def run(design, values, count: int = 2 * iterations):
+        return _optimised(design, values, count)[:2]
 
+    if problem.free_glasses:
+        values, loss = run(design, values, 3 * iterations)
+        values = problem.take_glasses(design, values[loss.argsort()[:GLASS_STARTS]], iterations, run)
     return _with_equal_spots(problem, lambda weights, _: design_of(weights, rings), design, run, values, polish)
 
 
@@ -488,6 +545,7 @@ def _designed_aspheres(problem: _Problem, starts: int, stages: int, iterations: 
             operands.insert(1, power)
         # Coefficients last and by order, so that the values of a design with fewer orders are the first ones.
         variables = [Variable("curvature", curved[1:] if final else curved), *problem.thicknesses, image]
+        variables += problem.glasses()
         variables += [Variable("coefficients", curved, terms=[term]) for term in range(1, free_terms + 1)]
         solves = [Solve("focal_length", curved[0], f)] if final else []
         return lens_design(
@@ -556,6 +614,16 @@ def _designed_aspheres(problem: _Problem, starts: int, stages: int, iterations: 
     if found is not None:
         design.apply(found[0][0])
         damping = found[2]
+
+    def run_beside(design, values, count: int):
+        """Run several designs beside the best one, whose beam and basis they share."""
+        design.heights = design.heights.reshape(1, -1)
+        basis = _slope_basis(design).expand(len(values), -1, -1)
+        found = design._minimised(values, count, damping=1e-3, basis=basis, floor=LEAST_DIAGONAL * f**2)
+        return found.x, found.loss
+
+    if problem.free_glasses:
+        problem.take_glasses(design, design.values[None], 2 * iterations, run_beside)
 
     def run(design, values):
         nonlocal damping

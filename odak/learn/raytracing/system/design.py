@@ -1,5 +1,6 @@
 """Lens design: variables with bounds, pickups and solves, optimised by exact Jacobians; real glasses; restarts."""
 
+import copy
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -7,7 +8,7 @@ import numpy as np
 import torch
 
 from odak import _show, _validate
-from odak.catalog import material, nearest_materials
+from odak.catalog import material
 from odak.catalog.materials import MICROMETRES, cauchy_through, model_glass
 from odak.learn.raytracing.system.operands import (
     Operand,
@@ -15,6 +16,7 @@ from odak.learn.raytracing.system.operands import (
     checked_operands,
     clear_heights,
     merit_residuals,
+    nearest_glasses,
     values_of,
 )
 from odak.learn.raytracing.system.optimise import LADDER, least_squares, linearised_forward
@@ -24,6 +26,8 @@ from odak.learn.raytracing.system.surfaces import Prescription, checked_system, 
 
 VARIED = ("curvature", "conic", "thickness", "coefficients", "index", "shift", "tilt", "glass")
 COPIED = ("curvature", "conic", "thickness", "coefficients")
+# Share of the merit that an exchange of glasses must gain for another one.
+LEAST_GAIN = 1e-3
 SOLVES = ("focal_length", "marginal_height", "edge_thickness")
 
 
@@ -218,6 +222,8 @@ class lens_design:
         with torch.no_grad():
             held = (v.detach() if isinstance(v, torch.Tensor) else v for v in system.prescription())
             self.base = Prescription._make(held)
+        # Of several designs, which glasses are real ones already, [N, glasses].
+        self.real: torch.Tensor | None = None
         self.pickups = [self._checked_pickup(item) for item in _items("pickups", pickups, Pickup)]
         self.solves = [self._checked_solve(item) for item in _items("solves", solves, Solve)]
         self.solved = {(_number_of(item), item.surface) for item in self.solves}
@@ -367,6 +373,9 @@ class lens_design:
             With the axes ``[...]`` as a batch of systems; pickups and solves applied.
         """
         values, p = self._checked(values), self.base
+        if p.index.ndim > 2:
+            # One row for each of several designs, each of which may be evaluated at several values.
+            p = p._replace(index=p.index.reshape(len(p.index), *(1,) * (values.ndim - 2), *p.index.shape[-2:]))
         for name, places in self.places.items():
             chosen = values[..., self.columns[name]]
             if name == "glass":
@@ -406,7 +415,11 @@ class lens_design:
         squared = self.micrometres**2
         for j in range(0, len(places), 2):
             a, b, c = cauchy_through(chosen[..., j, None], chosen[..., j + 1, None])
-            index = _set(index, places[j][0] + 1, a + b / squared + c / squared**2, -1)
+            found, place = a + b / squared + c / squared**2, places[j][0] + 1
+            if self.real is not None:
+                real = self.real[:, j // 2].reshape(-1, *(1,) * (found.ndim - 1))
+                found = torch.where(real, index[..., place], found)
+            index = _set(index, place, found, -1)
         return index
 
     def view(self, values: torch.Tensor) -> View:
@@ -626,16 +639,16 @@ class lens_design:
     def substitute_glasses(
         self, makers: Iterable[str] = ("schott",), candidates: int = 3, iterations: int = 20
     ) -> tuple[str, ...]:
-        """Replace the variable glasses by real ones, one after the other, and optimise the rest after each.
+        """Replace the variable glasses by real ones, and optimise the rest.
 
         Parameters
         ----------
         makers : iterable of str
             Of :func:`odak.catalog.glass_makers`.
         candidates : int
-            How many of the nearest glasses are tried for each surface; that of the lowest merit stays.
+            How many of the nearest glasses are tried for each surface.
         iterations : int
-            Steps at most after each substitution.
+            Steps at most for each choice of glasses.
 
         Returns
         -------
@@ -644,59 +657,100 @@ class lens_design:
 
         Notes
         -----
-        The surface whose model glass is nearest to a real one is taken first.
+        First one of the glasses becomes real, any of them and any of the nearest, while the others still vary, then the
+        next. At last all lenses in which one glass is exchanged for one of its neighbours are optimised side by side,
+        and the best takes the place of the lens, until none is better.
         """
         candidates = _validate.integer("candidates", candidates, minimum=1)
         makers = tuple(_validate.texts("makers", makers))
         _validate.integer("iterations", iterations, minimum=1)
-        chosen: dict[int, str] = {}
-        while "glass" in self.places:
-            apart = []
-            for j in range(0, len(self.places["glass"]), 2):
-                nd, vd = (float(self.values[self.columns["glass"][j + k]]) for k in (0, 1))
-                names = nearest_materials(nd, vd, candidates, makers)
-                first: Any = material(names[0])  # only materials with a published n_d and V_d are found
-                apart.append((((first.nd - nd) / 0.01) ** 2 + (first.vd - vd) ** 2, self.places["glass"][j][0], names))
-            _, place, names = min(apart)
-            found = []
-            for name in names:
-                trial = self._with_glass(place, name)
-                result = trial._minimised(trial.values[None], iterations)
-                found.append((float(result.loss[0]), name, result.x[0]))
-            _, name, values = min(found, key=lambda item: item[:2])
-            chosen[place] = name
-            held = self._with_glass(place, name)
+        if "glass" not in self.places:
+            return ()
+        return self._take_glasses(self.values[None], makers, candidates, iterations, _run)
+
+    def _take_glasses(self, starts, makers: tuple[str, ...], candidates: int, iterations: int, run: Callable):
+        """Do the work of :meth:`substitute_glasses` from several starts ``[N, V]``.
+
+        `run` takes a design, values ``[N, V]`` and a number of steps, and returns optimised values and merits.
+        """
+        columns = torch.tensor(self.columns["glass"]).reshape(-1, 2).tolist()
+        places = [place for place, _ in self.places["glass"][::2]]
+
+        def best_of(rows: list, values: list, keep: int) -> list:
+            """Return merits, glasses and values of the best of several choices: first few steps, then all for a few."""
+            held = torch.stack(values)
+            for row, own in zip(rows, held, strict=True):
+                for pair, name in zip(columns, row, strict=True):
+                    if name is not None:
+                        own[pair] = torch.tensor(_published(name), dtype=torch.float64)
+            for count in (max(1, iterations // 4), iterations):
+                held, merit = run(self._with_glasses(rows), held, count)
+                order = merit.argsort(stable=True)[: max(keep, len(rows) // 4)].tolist()
+                rows, held, merit = [rows[i] for i in order], held[order], merit[order]
+            order = merit.argsort(stable=True)[:keep].tolist()
+            return [(float(merit[i]), rows[i], held[i]) for i in order]
+
+        found: list = [(0.0, (None,) * len(columns), start) for start in starts]
+        for _ in columns:
+            choices: dict = {}
+            for _, row, values in found:
+                for j, pair in enumerate(columns):
+                    for name in nearest_glasses(values[pair].tolist(), candidates, makers) if row[j] is None else ():
+                        choices.setdefault((*row[:j], name, *row[j + 1 :]), values)
+            found = best_of(list(choices), list(choices.values()), len(starts))
+        best, tried = found[0], {row for _, row, _ in found}
+        while candidates > 1:
+            rows = [
+                (*best[1][:j], other, *best[1][j + 1 :])
+                for j, own in enumerate(best[1])
+                for other in nearest_glasses(_published(own), candidates + 1, makers)
+            ]
+            rows = [row for row in dict.fromkeys(rows) if row not in tried]
+            tried.update(rows)
+            found = best_of(rows, [best[2]] * len(rows), 1) if rows else [best]
+            if not found[0][0] < (1 - LEAST_GAIN) * best[0]:
+                break
+            best = found[0]
+        _, chosen, values = best
+        kept = self._settle(chosen)
+        self.apply(values[kept])
+        return tuple(name for _, name in sorted(zip(places, chosen, strict=True)))
+
+    def _with_glasses(self, rows: Sequence[Sequence[str | None]]) -> "lens_design":
+        """Return the design of N lenses with real glasses, N rows of them, in place of the variable ones but None."""
+        found = copy.copy(self)
+        found.real = torch.tensor([[name is not None for name in row] for row in rows])
+        index = self.base.index.expand(len(rows), *self.base.index.shape[-2:]).clone()
+        for k, row in enumerate(rows):
+            for (place, _), name in zip(self.places["glass"][::2], row, strict=True):
+                if name is not None:
+                    index[k, :, place + 1] = material(name).index(self.micrometres)
+        found.base = self.base._replace(index=index)
+        return found
+
+    def _settle(self, names: Sequence[str]) -> list[int]:
+        """Put real glasses in place of all variable ones, and return the columns of the variables that remain."""
+        self.base = self.base._replace(index=self._with_glasses([names]).base.index[0])
+        for (place, _), name in zip(self.places["glass"][::2], names, strict=True):
             item: Any = self.system.surfaces[place]
             item.material = material(name)
-            self.__dict__.update(held.__dict__)
-            self.apply(values)
-        return tuple(chosen[place] for place in sorted(chosen))
-
-    def _with_glass(self, place: int, name: str) -> "lens_design":
-        """Return the same design with a real glass behind a surface in place of the variable one."""
-
-        def without(item: Operand) -> Operand | None:
-            """Return an operand of glass for the other surfaces, None if there are none; others as they are."""
-            if item.kind != "glass":
-                return item
-            rest = [i for i in _listed(item.options["surfaces"]) if i % len(self.system.surfaces) != place]
-            return item._replace(options={**item.options, "surfaces": rest}) if rest else None
-
-        found = object.__new__(lens_design)
-        found.__dict__.update(self.__dict__)
-        taken = {c for c, (i, _) in zip(self.columns["glass"], self.places["glass"], strict=True) if i == place}
+        taken = self.columns.pop("glass")
+        del self.places["glass"]
         kept = [c for c in range(len(self.values)) if c not in taken]
-        found.columns = {
-            key: [kept.index(c) for c in columns if c not in taken] for key, columns in self.columns.items()
-        }
-        found.places = dict(self.places) | {"glass": [entry for entry in self.places["glass"] if entry[0] != place]}
-        if not found.places["glass"]:
-            del found.places["glass"], found.columns["glass"]
-        found.values, found.lower, found.upper = (v[kept] for v in (self.values, self.lower, self.upper))
-        found.operands = [item for item in map(without, self.operands) if item is not None]
-        index = material(name).index(self.micrometres)
-        found.base = self.base._replace(index=_set(self.base.index, place + 1, index, -1))
-        return found
+        self.columns = {key: [kept.index(c) for c in columns] for key, columns in self.columns.items()}
+        self.values, self.lower, self.upper = (v[kept] for v in (self.values, self.lower, self.upper))
+        self.operands = [item for item in self.operands if item.kind != "glass"]
+        return kept
+
+
+def _published(name: str) -> tuple[float, float]:
+    glass: Any = material(name)  # only glasses with a published n_d and V_d are taken
+    return glass.nd, glass.vd
+
+
+def _run(design: lens_design, values: torch.Tensor, iterations: int) -> tuple[torch.Tensor, torch.Tensor]:
+    found = design._minimised(values, iterations)
+    return found.x, found.loss
 
 
 def _number_of(item: Solve) -> str:

@@ -1,17 +1,20 @@
 """Operands of a merit function: quantities of a design with their targets, bounds and weights."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from scipy.spatial import ConvexHull
 
 from odak import _validate
 from odak.catalog import glass_makers, material, material_names
+from odak.catalog.materials import Material
 from odak.learn.raytracing.system.analysis import (
     Wavefront,
+    axial_color,
     lateral_color,
     paraxial_points,
     relative_deviation,
@@ -30,6 +33,9 @@ from odak.learn.raytracing.system.surfaces import (
 from odak.learn.raytracing.system.tracing import Rays, Traced, in_surface_frame, trace
 from odak.learn.raytracing.system.waves import huygens_point_spread_function, modulation_at
 from odak.raytracing.surfaces import EvenAsphere, Sag
+
+# Distance in 0.01 of n_d and 1 of V_d below which two glasses count as the same one of two makers.
+SAME_GLASS = 0.3
 
 
 class Operand(NamedTuple):
@@ -312,6 +318,12 @@ def _lateral_color(view: View) -> torch.Tensor:
     return lateral_color(view.system, **view.options).flatten(-2)
 
 
+def _axial_color(view: View) -> torch.Tensor:
+    """Largest distance between the paraxial images of two wavelengths."""
+    shift = axial_color(view.system, prescription=view.prescription)
+    return (shift.amax(-1) - shift.amin(-1))[..., None]
+
+
 def _chief_ray_angle(view: View) -> torch.Tensor:
     """Angle of the chief rays against the axis behind the last surface in degrees, of all fields."""
     chief = view.chief
@@ -370,26 +382,59 @@ def _telecentricity(view: View) -> torch.Tensor:
     return torch.cat([chief.u / chief.w, chief.v / chief.w], -1)
 
 
-def _glass(view: View, surfaces: Any, makers: Any = ("schott",)) -> torch.Tensor:
-    """Differences from the nearest glass of the makers' catalogues, in 0.01 of n_d and 1 of V_d."""
+def _glass(view: View, surfaces: Any, makers: Any = ("schott",), hull: bool = False) -> torch.Tensor:
+    """Differences from the nearest glass of the makers' catalogues, in 0.01 of n_d and 1 of V_d.
+
+    With `hull`, how far outside of each edge of :func:`glass_hull` the glasses are, negative inside.
+    """
     places = _places(surfaces, view.prescription.thickness.shape[-1], ())
     if view.glass is None:
         raise ValueError("an operand of glass needs a variable of glass")
-    known = _glass_map(tuple(_validate.texts("makers", makers)))
-    own = view.glass[..., places, :] / torch.tensor([0.01, 1.0], dtype=torch.float64)
+    makers = tuple(_validate.texts("makers", makers))
+    own = view.glass[..., places, :]
+    if hull:
+        normals, offsets = glass_hull(makers)
+        n, v = own.unbind(-1)
+        return (100 * n[..., None] * normals[:, 0] + 1000 / v[..., None] * normals[:, 1] - offsets).flatten(-2)
+    known, own = glass_pool(makers)[1], own * torch.tensor([100.0, 1.0], dtype=torch.float64)
     nearest = known[(own.detach()[..., None, :] - known).square().sum(-1).argmin(-1)]
     return (own - nearest).flatten(-2)
 
 
 @cache
-def _glass_map(makers: tuple[str, ...]) -> torch.Tensor:
-    """Return n_d/0.01 and V_d of all glasses of some makers, ``[n, 2]``."""
+def glass_pool(makers: tuple[str, ...]) -> tuple[list[Material], torch.Tensor]:
+    """Return all glasses of some makers, and their n_d/0.01 and V_d, ``[n, 2]``."""
     named = [_validate.one_of("makers", maker, glass_makers()) for maker in makers]
-    pool = [material(name) for maker in named for name in material_names(maker)]
-    return torch.tensor([[m.nd / 0.01, m.vd] for m in pool if m.nd and m.vd], dtype=torch.float64)
+    items: list[Any] = [material(name) for maker in named for name in material_names(maker)]
+    pool = [item for item in items if item.nd and item.vd]
+    return pool, torch.tensor([[100 * item.nd, item.vd] for item in pool], dtype=torch.float64)
+
+
+@cache
+def glass_hull(makers: tuple[str, ...]) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return normals ``[edges, 2]`` and offsets ``[edges]`` of the convex hull of some makers' glasses.
+
+    A glass of n_d/0.01 and 1000/V_d is within the hull where its products with all normals are at most the offsets. In
+    1/V_d the borders of the catalogues are nearly straight, so that hardly any of the hull is empty.
+    """
+    n, v = glass_pool(makers)[1].unbind(-1)
+    edges = torch.from_numpy(ConvexHull(torch.stack([n, 1000 / v], -1).numpy()).equations)
+    return edges[:, :2], -edges[:, 2]
+
+
+def nearest_glasses(wanted: Sequence[float], count: int, makers: tuple[str, ...]) -> list[str]:
+    """Return names of the nearest glasses of some makers to n_d and V_d, of such as hardly differ only the nearest."""
+    pool, known = glass_pool(makers)
+    found: list[int] = []
+    apart = known - torch.tensor([100 * wanted[0], wanted[1]], dtype=torch.float64)
+    for i in apart.square().sum(-1).argsort(stable=True).tolist():
+        if len(found) < count and all((known[i] - known[j]).norm() > SAME_GLASS for j in found):
+            found.append(i)
+    return [pool[i].name for i in found]
 
 
 OPERANDS: dict[str, Callable[..., torch.Tensor]] = {
+    "axial_color": _axial_color,
     "chief_ray_angle": _chief_ray_angle,
     "distortion": _distortion,
     "edge_thickness": edge_thicknesses,

@@ -170,6 +170,23 @@ def first_order(system: Any, wavelength: float | None = None, prescription: Pres
     )
 
 
+def image_distances(system, p: Prescription) -> torch.Tensor:
+    """Return the paraxial distance of the image from the last surface at each wavelength, ``[..., W]``."""
+    check_media(system, p)
+    check_image_space(system, p)
+
+    def distance(one: Prescription) -> torch.Tensor:
+        index = signed_indices(system, one)
+        height, slope = _axial_ray(system, matrix(one, index, 0, len(system.surfaces)), index[..., 0])
+        return -index[..., -1] * height / slope
+
+    if any(group is not None for group in (p.shapes, p.phases, p.gradients)):
+        return torch.stack([distance(p.at(i)) for i in range(p.index.shape[-2])], -1)
+    # The wavelengths as further systems of the batch.
+    rows = {name: getattr(p, name).unsqueeze(-2) for name in ("curvature", "conic", "thickness", "index")}
+    return distance(p._replace(coefficients=p.coefficients.unsqueeze(-3), **rows))
+
+
 class ParaxialRays(NamedTuple):
     """Marginal and chief ray of first-order optics; the axis S + 1 counts surfaces, the image last.
 

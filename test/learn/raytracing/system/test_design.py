@@ -3,13 +3,16 @@
 import math
 import runpy
 import warnings
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 import torch
+from scipy.optimize import nnls
 
 import odak
-from odak.catalog import material, model_glass, refractive_index
+from odak.catalog import material, material_names, model_glass, refractive_index
+from odak.catalog.materials import Material
 from odak.learn.raytracing.system import (
     Operand,
     Perturbation,
@@ -335,6 +338,52 @@ def test_an_operand_of_glass_ends_with_the_variables_of_glass():
     assert float(first_order(lens).focal_length) == pytest.approx(100.0, rel=1e-9)
 
 
+def test_distances_from_the_hull_of_a_catalogue():
+    """Against the nearest mixture of glasses; those of the catalogue are all within."""
+    lens = optical_system([surface(50.0, thickness=3.0, material="N-BK7"), surface(thickness=90.0)], 5.0)
+    inside = Operand("glass", options={"surfaces": [0], "makers": ["schott"], "hull": True})
+    design = lens_design(lens, ["spot", inside], Variable("glass", 0, (1.3, 10.0), (2.3, 120.0)))
+    pool = [material(name) for name in material_names("schott")]
+    known = torch.tensor([[item.nd, item.vd] for item in pool if item.nd and item.vd], dtype=F64)
+    for wanted in [*known[:5], torch.tensor([1.9, 60.0], dtype=F64), torch.tensor([1.5, 30.0], dtype=F64)]:
+        found = float(values_of(inside, design.view(wanted)).max())
+        points = torch.stack([100 * known[:, 0], 1000 / known[:, 1]])
+        point = torch.stack([100 * wanted[0], 1000 / wanted[1]])
+        heavy = torch.full((1, len(known)), 1e4, dtype=F64)
+        _, distance = nnls(torch.cat([points, heavy]).numpy(), torch.cat([point, heavy[0, :1]]).numpy())
+        assert max(found, 0.0) == pytest.approx(distance, rel=1e-4, abs=1e-5)
+
+
+def test_axial_colour_of_thin_lenses_is_the_sum_of_powers_over_abbe_numbers():
+    """f²·Σ φ/V between the F and C lines, for two lenses in contact."""
+    crown, flint = model_glass(1.6, 60.0), model_glass(1.65, 34.0)
+    rows = [(60.0, 1e-9, crown), (-60.0, 1e-9, "air"), (-90.0, 1e-9, flint), (400.0, 100.0, "air")]
+    lines = [486.1327e-6, 587.5618e-6, 656.2725e-6]
+    lens = optical_system([surface(r, thickness=t, material=m) for r, t, m in rows], 10.0, wavelengths=lines)
+    design = lens_design(lens, "axial_color", Variable("thickness", 3))
+    (_, found, _), *_ = design.report()
+    powers = 0.6 * (1 / 60 + 1 / 60), 0.65 * (-1 / 90 - 1 / 400)
+    expected = (powers[0] / 60 + powers[1] / 34) / sum(powers) ** 2
+    assert float(found) == pytest.approx(expected, rel=0.02)
+
+
+def test_lenses_of_several_glasses_are_evaluated_side_by_side():
+    """Each as the lens of its own glasses would be; a glass of None still varies."""
+    lens = load_system("cooke_triplet")
+    design = lens_design(lens, "spot", [Variable("curvature", 0), Variable("glass", [0, 2])], count=2)
+    rows = [("N-LAK9", "N-SF5"), ("N-LAK33B", "SF10"), (None, "SF10")]
+    several = design._with_glasses(rows)
+    found = several.residuals(design.values.expand(3, -1))
+    again = several.residuals(design.values.expand(3, 2, -1))
+    model = model_glass(*design.values[1:3].tolist())
+    for k, row in enumerate(rows):
+        for place, name in zip((0, 2), row, strict=True):
+            lens.surfaces[place].material = model if name is None else material(name)
+        own = lens_design(lens, "spot", Variable("curvature", 0), count=2)
+        torch.testing.assert_close(found[k], own.residuals(own.values), rtol=1e-9, atol=1e-12)
+        torch.testing.assert_close(again[k, 1], found[k], rtol=1e-12, atol=1e-15)
+
+
 def test_a_model_glass_in_a_design_is_that_of_the_catalogue():
     lens = optical_system([surface(50.0, thickness=3.0, material="N-BK7"), surface(-50.0, thickness=48.0)], 5.0)
     design = lens_design(lens, "spot", Variable("glass", 0))
@@ -487,6 +536,34 @@ def test_a_lens_is_designed_from_flat_plates_and_the_seed_repeats_it():
     assert all(float(item.thickness) > 0 for item in lens.surfaces)
     assert all(float(item.curvature) == 0 for item in found.start.surfaces)
     assert torch.equal(lens.prescription().curvature, again.system.prescription().curvature)
+
+
+@pytest.mark.slow
+def test_glasses_that_vary_from_the_start_correct_colour_and_spots():
+    """A triplet of 50 mm, f/2.8 and 20 degrees, judged by rays and paraxial sums that are not the library's."""
+    options = {"glass": (1.5, 9.0), "air": (0.3, 15.0), "edge": 0.6, "back": 20.0, "track": 80.0, "polish": 1}
+    lens = automatic_design(
+        ["N-LAK33B", "stop", "SF5", "N-LAK33B"],
+        50.0,
+        2.8,
+        20.0,
+        makers=["schott", "ohara"],
+        axial_color=0.1,
+        starts=24,
+        iterations=12,
+        **options,
+    ).system
+    names = [item.material.name for item in lens.surfaces if isinstance(item.material, Material)]
+    assert len(names) == 3 and all(material(name).source for name in names)
+    judged_alone(lens, [2.5 * k for k in range(9)], 0.0165, 0.02)
+    images = []
+    for index in lens.prescription().index.tolist():
+        height, slope = 1.0, 0.0
+        for item, (before, behind) in zip(lens.surfaces, pairwise(index), strict=True):
+            slope = (before * slope - (behind - before) * float(item.curvature) * height) / behind
+            height += slope * float(item.thickness)
+        images.append(-height / slope)
+    assert max(images) - min(images) < 0.1
 
 
 @pytest.mark.parametrize(("f_number", "poor"), [(2.0, True), (4.0, False)])
