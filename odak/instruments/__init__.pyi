@@ -28,6 +28,7 @@ from .exposures import measure_settling as measure_settling
 from .exposures import set_exposure as set_exposure
 from .feedback import SpotFeedback as SpotFeedback
 from .feedback import equalise_spots as equalise_spots
+from .mapping import Lens as Lens
 from .mapping import Registration as Registration
 from .protocols import Camera as Camera
 from .protocols import Laser as Laser

@@ -24,7 +24,7 @@ from odak._warnings import AccuracyWarning, warn
 from odak.instruments.array_files import SUFFIXES, checked_array, checked_number, read_hdf5, write_hdf5
 from odak.instruments.captures import LARGEST_DISTANCE, PITCHES, WAVELENGTHS
 from odak.instruments.exposures import SATURATED, STALE, set_exposure
-from odak.instruments.mapping import Registration
+from odak.instruments.mapping import Lens, Registration, ray_matrix
 from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
 from odak.tools.file import read_npz
 from odak.tools.paths import replacing, validate_path
@@ -78,6 +78,10 @@ SMALLEST_REGION = 12
 SPREAD = 0.6
 # Width of the stripes beside them into which light falls that forms no spots, as a share of what is free.
 STRIPE = 0.8
+# Width and height of the field of the spots of lenslets behind a lens, as a share of the image of the camera.
+FIELD = 0.75
+# Radius of the disc around the axis, behind a lens, that is left out, as a share of the spots' distance.
+ZERO_ORDER = 0.25
 # Displacement of the rays at the edge of an aperture, as a share of its radius, to measure its curvature.
 BLUR = 0.4
 # Distance from the axis of spots of a first estimate of the registration, as a share of that of the others.
@@ -940,7 +944,7 @@ def register_camera(
     modulator: Modulator,
     camera: Camera,
     wavelength: float,
-    distance: float,
+    distance: float | Lens,
     phases: np.ndarray,
     *,
     wavefront: np.ndarray | float = 0.0,
@@ -967,8 +971,8 @@ def register_camera(
         The camera.
     wavelength : float
         Vacuum wavelength in metres.
-    distance : float
-        Distance from the modulator to the camera in metres.
+    distance : float or Lens
+        Distance from the modulator to the camera in metres, or the lens between them.
     phases : numpy.ndarray
         Phase of each level in radians, from :func:`measure_phase_response` or :func:`measure_regional_response`.
     wavefront : numpy.ndarray or float
@@ -976,8 +980,8 @@ def register_camera(
     grid : sequence of int
         Rows and columns of spots.
     extent : float
-        Width and height of the grid as a fraction of those of the modulator, at most 0.8 of what a pixel reaches,
-        λ·distance/pitch.
+        Width and height of the grid as a fraction of those of the modulator, or behind a lens of those of the camera's
+        image, at most 0.8 of what a pixel reaches, λ·distance/pitch.
     middle : bool
         Form the spots by the middle part of the modulator, whose pixels reach all of them, and deflect the light of the
         others beside the spots, for a first registration before the aberration is known: astigmatism and defocus move
@@ -1012,23 +1016,30 @@ def register_camera(
     check_square_pixels(modulator, camera)
     camera = checked_camera(camera)
     shape, pitch = np.array(modulator.shape), modulator.pitch
-    half = shape * pitch * float(_validate.number("extent", extent, positive=True)) / 2
+    a, b = ray_matrix(distance)
+    behind_lens = isinstance(distance, Lens)
+    seen = np.array(camera.shape) * camera.pitch if behind_lens else shape * pitch
+    half = seen * float(_validate.number("extent", extent, positive=True)) / 2
     # A pixel does not send light to points that are farther from it than this along an axis, and lenses that focus
     # there have a second focus at twice that distance on the other side.
-    farthest = wavelength * distance / (2 * pitch)
+    farthest = wavelength * abs(b) / (2 * pitch)
     half = np.minimum(half, (SPREAD if middle else 0.8) * farthest)
-    size = np.minimum(shape, (2 * (farthest - half) / pitch).astype(int)) if middle else shape
+    size = shape
+    if middle:
+        size = shape // 2 if behind_lens else np.minimum(shape, (2 * (farthest - half) / pitch).astype(int))
     part = _Part((int(size[0]), int(size[1])), pitch)
     inside_part = tuple(slice(n // 2 - m // 2, n // 2 - m // 2 + m) for n, m in zip(shape, size, strict=True))
     # The side lobes of an ellipse are weaker than those of a rectangle. Light from beyond it falls into stripes midway
     # between the axis and its orders of diffraction, beside the spots, and is spread along the stripes at random.
     y, x = _axes(modulator)
     lit = np.hypot(x / size[1], y / size[0]) * 2 / pitch < 1 if (size < shape).any() else np.full(shape, True)
-    narrowed = STRIPE * size[1] / shape[1]
-    beside_spots = 2 * np.pi / (wavelength * distance) * (farthest * x - (1 - narrowed) * x**2 / 2)
+    narrowed = STRIPE * 2 * (farthest - half[1]) / (shape[1] * pitch)
+    beside_spots = 2 * np.pi / (wavelength * b) * (farthest * x - (a - narrowed) * x**2 / 2)
     # Second moments along x and y of an ellipse, or of all pixels.
     moments = (size[::-1] * pitch) ** 2 / (16 if (size < shape).any() else 12)
     half = half[::-1]
+    # On the axis behind a lens is the light that is not modulated.
+    origin = -half / 2 if behind_lens else np.zeros(2)
     # What is added to the wavefront within the middle part.
     curved = np.zeros(modulator.shape)
 
@@ -1038,7 +1049,7 @@ def register_camera(
         others = beside_spots + np.random.default_rng(seed).uniform(0, 2 * np.pi, (shape[0], 1))
         modulator.show(nearest_levels(np.where(lit, phase + extra - curved, others) - wavefront, phases))
 
-    around = max(8, math.ceil(1.5 * wavelength * distance / (size.min() * pitch * camera.pitch)))
+    around = max(8, math.ceil(1.5 * wavelength * abs(b) / (size.min() * pitch * camera.pitch)))
 
     def places_of(points: np.ndarray, count: int) -> np.ndarray:
         """Return the pixels of single spots; light that does not move with them cancels."""
@@ -1050,30 +1061,33 @@ def register_camera(
         return np.stack([_centroid(frame, _brightest(frame), around) for frame in moving])
 
     captures = _validate.integer("captures", captures, minimum=1)
-    show(np.zeros((1, 2)))
+    show(origin[None])
     set_exposure(camera)
     # Spots near the axis tell which of the farther ones the camera sees.
     steps = NEAR * np.diag(half)
-    axis, *beside = places_of(np.vstack([np.zeros(2), steps]), 1)
-    roughly = (np.array(beside) - axis) / (NEAR * half[:, None])
+    first, *beside = places_of(origin + np.vstack([np.zeros(2), steps]), 1)
+    roughly = (np.array(beside) - first) / (NEAR * half[:, None])
     three = np.diag(half)
     for number in range(2):
         for share in (1, -1, 0.8, -0.8, 0.6, -0.6, 0.4, -0.4):
             three[number] = share * np.diag(half)[number]
-            there = axis + three[number] @ roughly
+            there = first + three[number] @ roughly
             if (there >= around).all() and (there <= np.array(camera.shape[::-1]) - 1 - around).all():
                 break
         else:
             three[number] = steps[number]
     three = np.vstack([np.zeros(2), three])
+    wanted, three = three @ roughly, origin + three
     pixels = places_of(three, captures)
     matrix = np.linalg.solve(np.column_stack([three, np.ones(3)]), pixels)
-    missed = np.linalg.norm(pixels - axis - three @ roughly, axis=-1)
-    _check_places(axis, roughly, camera, bool((missed > 2 * around + 0.3 * np.abs(three @ roughly).max()).any()))
+    missed = np.linalg.norm(pixels - first - wanted, axis=-1)
+    _check_places(first, roughly, camera, bool((missed > 2 * around + 0.3 * np.abs(wanted).max()).any()))
     if middle:
+        near = 0.45 * half.min() if behind_lens else half.min()
+        blur = min(BLUR, 0.6 * near / (size.max() * pitch)) if behind_lens else BLUR
         for _ in range(4):
             curved += _curvature(
-                modulator, camera, partial(show, three[:1]), wavelength, distance, moments, matrix, half.min()
+                *(modulator, camera, partial(show, three[:1]), wavelength, b, moments, matrix, origin, near, blur)
             )
         # Spots that the aberration had spread are smaller now.
         matrix = np.linalg.solve(np.column_stack([three, np.ones(3)]), places_of(three, captures))
@@ -1226,7 +1240,7 @@ class _Middle:
         return replace(found, amplitude=amplitude, wavefront=wavefront, regional_phases=regional)
 
 
-def _curvature(modulator, camera, show, wavelength, distance, moments, matrix, reach) -> np.ndarray:
+def _curvature(modulator, camera, show, wavelength, distance, moments, matrix, origin, reach, blur) -> np.ndarray:
     """Return the quadratic part of the wavefront in the middle of a modulator, from spots on either side of the focus.
 
     Rays of an aperture whose second moments along the axes are the diagonal S, behind a lens that adds the curvature ±c
@@ -1234,10 +1248,10 @@ def _curvature(modulator, camera, show, wavelength, distance, moments, matrix, r
     difference of the two is 2·(d/k)²·c·(H·S + S·H), also with diffraction.
     """
     y, x = _axes(modulator)
-    added = BLUR * 2 * np.pi / wavelength / distance
+    added = blur * 2 * np.pi / wavelength / abs(distance)
     back = np.linalg.inv(matrix[:2])
     difference = np.zeros((2, 2))
-    away = (np.moveaxis(np.indices(camera.shape)[::-1], 0, -1) - matrix[2]) @ back
+    away = (np.moveaxis(np.indices(camera.shape)[::-1], 0, -1) - matrix[2]) @ back - origin
     near = np.abs(away).max(-1) < reach
     for sign in (1, -1):
         show(extra=sign * added / 2 * (x**2 + y**2))
@@ -1267,7 +1281,7 @@ def measure_wavefront(
     modulator: Modulator,
     camera: Camera,
     wavelength: float,
-    distance: float,
+    distance: float | Lens,
     phases: np.ndarray,
     registration: Registration,
     *,
@@ -1296,8 +1310,8 @@ def measure_wavefront(
         The camera.
     wavelength : float
         Vacuum wavelength in metres.
-    distance : float
-        Distance from the modulator to the camera in metres.
+    distance : float or Lens
+        Distance from the modulator to the camera in metres, or the lens between them.
     phases : numpy.ndarray
         Phase of each level in radians, from :func:`measure_phase_response` or :func:`measure_regional_response`.
     registration : Registration
@@ -1355,7 +1369,7 @@ def wavefront_with_uncertainty(
     modulator: Modulator,
     camera: Camera,
     wavelength: float,
-    distance: float,
+    distance: float | Lens,
     phases: np.ndarray,
     registration: Registration,
     amplitude: np.ndarray | float | None = None,
@@ -1378,7 +1392,17 @@ def wavefront_with_uncertainty(
     )
     modes = _modes(modulator, order)
     slopes = np.stack([np.gradient(mode, modulator.pitch) for mode in modes])[:, ::-1]
-    if cells is None:
+    a, b = ray_matrix(distance)
+    size = shape * modulator.pitch
+    # Width and height of the spots' field. Without a lens, lenslets focus straight ahead.
+    wide = size
+    if isinstance(distance, Lens):
+        farthest = wavelength * abs(b) / (2 * modulator.pitch)
+        wide = np.minimum(FIELD * np.array(camera.shape) * camera.pitch, 2 * SPREAD * farthest)
+    if cells is None and isinstance(distance, Lens):
+        # An even number has no spot on the axis, where the light is that is not modulated.
+        fine = 2 * np.clip(np.sqrt(0.8 * wide * size / (wavelength * abs(b))) / 2, 2, 3).astype(int)
+    elif cells is None:
         fine = _lenslets(modulator.shape, wavelength, distance, modulator.pitch)
     else:
         fine = np.full(2, _validate.integer("cells", cells, minimum=3))
@@ -1399,19 +1423,20 @@ def wavefront_with_uncertainty(
 
     def lenses(cell: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """Return the phase that focuses the light of each lenslet at a target x, y."""
-        return -np.pi / (wavelength * distance) * ((x - targets[cell, 0]) ** 2 + (y - targets[cell, 1]) ** 2)
+        across, down = targets[cell, 0], targets[cell, 1]
+        return -np.pi / (wavelength * b) * (a * (x**2 + y**2) - 2 * (x * across + y * down) + across**2 + down**2)
 
     def fitted(moved: np.ndarray, system: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the wavefront, the gradients and the coefficients of modes for displacements of spots in metres."""
-        gradient = (2 * np.pi / wavelength * moved / distance).ravel()
+        gradient = (2 * np.pi / wavelength * moved / b).ravel()
         coefficients, *_ = np.linalg.lstsq(system, gradient, rcond=None)
         # Tilts belong to the registration.
         return np.tensordot(coefficients[2:], modes[2 : len(coefficients)], axes=1), gradient, coefficients
 
     def apart(cell: np.ndarray, middles: np.ndarray) -> np.ndarray:
         """Return the displacements in metres of the spots of coarse lenslets, of which one in four is lit at a time."""
-        quarter = shape[::-1] * modulator.pitch / 4
-        limit = 0.15 * wavelength * distance / modulator.pitch
+        quarter = wide[::-1] / 4
+        limit = math.inf if isinstance(distance, Lens) else 0.15 * wavelength * b / modulator.pitch
         moved = np.empty_like(middles)
         for pair in itertools.product(range(2), repeat=2):
             used = (np.indices((COARSE, COARSE)) % 2 == np.reshape(pair, (2, 1, 1))).all(0).ravel()
@@ -1438,9 +1463,16 @@ def wavefront_with_uncertainty(
     for _ in range(coarse):
         wavefront = wavefront + fitted(apart(cell, middles), system[:, :FOURTH])[0]
     cell, middles, system = lenslets_of(fine)
-    phase, places = lenses(cell, middles), registration.camera_pixels(middles)
-    beside = registration.camera_pixels(middles[:1] + np.diag(shape[::-1] * modulator.pitch / fine[::-1]))
+    targets = middles * (wide / size)[::-1]
+    phase, places = lenses(cell, targets), registration.camera_pixels(targets)
+    beside = registration.camera_pixels(targets[:1] + np.diag(wide[::-1] / fine[::-1]))
     reach = int(0.42 * np.linalg.norm(beside - places[:1], axis=-1).min())
+    dark = np.zeros(tuple(camera.shape), dtype=bool)
+    if isinstance(distance, Lens):
+        # Light that is not modulated.
+        v, u = np.indices(dark.shape)
+        apart_from_axis = registration.plane_points(np.stack([u, v], axis=-1))
+        dark = np.hypot(*np.moveaxis(apart_from_axis, -1, 0)) < ZERO_ORDER * (wide / fine).min()
     iterations -= coarse
     for step in range(iterations):
         frame = np.zeros(tuple(camera.shape))
@@ -1450,9 +1482,10 @@ def wavefront_with_uncertainty(
             if step == 0 and capture == 0:
                 set_exposure(camera)
             frame += _averaged(camera, 1) / captures
+        frame[dark] = np.quantile(frame, 0.02)
         seen = np.stack([_centroid(frame, place, reach) for place in places])
         lit = _lit(modulator, frame, seen, middles, reach) if amplitude is None else amplitude
-        ideal = _ideal_capture(modulator, phase, lit, wavelength, distance, registration)
+        ideal = np.where(dark, 0, _ideal_capture(modulator, phase, lit, wavelength, distance, registration))
         wanted = np.stack([_centroid(ideal, place, reach) for place in places])
         moved = registration.plane_points(seen) - registration.plane_points(wanted)
         change, gradient, coefficients = fitted(moved, system)
@@ -2226,7 +2259,7 @@ class _Part(NamedTuple):
 
 
 def lens_phase(
-    modulator: Modulator | _Part, wavelength: float, distance: float, point: Sequence[float] = (0, 0)
+    modulator: Modulator | _Part, wavelength: float, distance: float | Lens, point: Sequence[float] = (0, 0)
 ) -> np.ndarray:
     """Return the phase in radians ``[rows, columns]`` of a lens that focuses at a point x, y of a plane.
 
@@ -2236,14 +2269,17 @@ def lens_phase(
         The modulator.
     wavelength : float
         Vacuum wavelength in metres.
-    distance : float
-        Focal length in metres.
+    distance : float or Lens
+        Focal length in metres, or the lens between the modulator and the plane.
     point : sequence of float
         x and y in metres.
     """
     wavelength = float(_validate.number("wavelength", wavelength, positive=True))
-    distance = float(_validate.number("distance", distance, positive=True))
     y, x = _axes(modulator)
+    if isinstance(distance, Lens):
+        a, b = distance.ray_matrix
+        return 2 * np.pi / (wavelength * b) * (x * point[0] + y * point[1] - a / 2 * (x**2 + y**2))
+    distance = float(_validate.number("distance", distance, positive=True))
     squared = (x - point[0]) ** 2 + (y - point[1]) ** 2
     return -2 * np.pi / wavelength * squared / (np.sqrt(squared + distance**2) + distance)
 
@@ -2251,7 +2287,7 @@ def lens_phase(
 def spots_phase(
     modulator: Modulator | _Part,
     wavelength: float,
-    distance: float,
+    distance: float | Lens,
     points: np.ndarray,
     iterations: int = 12,
     seed: int = 0,
@@ -2383,6 +2419,11 @@ def predicted_capture(calibration: Calibration, levels: np.ndarray) -> np.ndarra
 def _ideal_capture(modulator, phase, amplitude, wavelength, distance, registration) -> np.ndarray:
     """Return the simulated capture of a pattern on an ideal table."""
     rows, columns = modulator.shape
+    v, u = np.indices(registration.shape)
+    points = registration.plane_points(np.stack([u, v], axis=-1))
+    if isinstance(distance, Lens):
+        return _ideal_focus(modulator, amplitude * np.exp(1j * phase), wavelength, distance, points)
+    points = points / modulator.pitch
     wide = [2 * n for n in (rows, columns)]
     field = np.zeros(wide, dtype=complex)
     first = [n // 2 - m // 2 for n, m in zip(wide, (rows, columns), strict=True)]
@@ -2393,8 +2434,19 @@ def _ideal_capture(modulator, phase, amplitude, wavelength, distance, registrati
     there: Any = propagate_beam(
         field, None, distance, modulator.pitch, wavelength, kind, zero_padding=[False, False, False]
     )
-    v, u = np.indices(registration.shape)
-    points = registration.plane_points(np.stack([u, v], axis=-1)) / modulator.pitch
     return map_coordinates(
         np.abs(np.asarray(there)) ** 2, [points[..., 1] + wide[0] // 2, points[..., 0] + wide[1] // 2], order=3
     )
+
+
+def _ideal_focus(modulator, field, wavelength: float, lens: Lens, points: np.ndarray) -> np.ndarray:
+    """Return the intensity behind a lens at points x, y in metres: the spectrum of square pixels."""
+    a, b = lens.ray_matrix
+    y, x = _axes(modulator)
+    field = field * np.exp(1j * np.pi * a / (wavelength * b) * (x**2 + y**2))
+    wide = [3 * n for n in modulator.shape]
+    reach = wavelength * abs(b) / modulator.pitch
+    orders = min(3, math.ceil(2 * float(np.abs(points).max()) / reach + 0.1))
+    light = np.fft.fftshift(np.abs(pixels_spectrum(field, wide, orders)) ** 2)
+    places = [points[..., 1 - k] * n * modulator.pitch / (wavelength * b) + orders * n // 2 for k, n in enumerate(wide)]
+    return map_coordinates(light, places, order=3) * (np.hypot(points[..., 0], points[..., 1]) >= lens.block)

@@ -1,13 +1,82 @@
-"""Mapping between the pixels of a camera and the plane that it images: a homography and radial distortion."""
+"""Light path between a modulator and a camera, and mapping between the camera's pixels and the plane that it images."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from odak import _array, _show
+from odak import _array, _show, _validate
 from odak._array import Array, ArrayT
 
-__all__ = ["Registration", "plane_points"]
+__all__ = ["Lens", "Registration", "plane_points"]
+
+
+@_validate.takes_units("focal_length", "before", "after", "block")
+@dataclass(frozen=True)
+class Lens:
+    """Thin lens between a modulator and a camera, which takes the place of the distance between them.
+
+    At its back focal plane, where a camera is by default, the light of a pattern of phases is its Fourier transform:
+    every pixel sends light to all places, whatever `before` is, and light that is not modulated forms the zero order on
+    the axis.
+
+    Attributes
+    ----------
+    focal_length : float
+        Focal length in metres.
+    before : float, optional
+        From the modulator to the lens in metres; by default the focal length.
+    after : float, optional
+        From the lens to the camera in metres; by default the focal length.
+    block : float
+        Radius in metres of a disc on the axis in the plane of the camera, or in one that a relay images onto it, which
+        blocks the zero order; 0, the default, for none.
+
+    Raises
+    ------
+    ValueError
+        If the focal length is not positive, a length is negative, or the camera sees an image of the modulator.
+
+    Examples
+    --------
+    >>> from odak.instruments import Lens
+    >>> Lens("200mm").ray_matrix
+    (0.0, 0.2)
+    """
+
+    focal_length: float
+    before: float | None = None
+    after: float | None = None
+    block: float = 0.0
+
+    def __post_init__(self):
+        focal = float(_validate.number("focal_length", self.focal_length, positive=True))
+        object.__setattr__(self, "focal_length", focal)
+        for name in ("before", "after", "block"):
+            value = getattr(self, name)
+            value = focal if value is None else float(_validate.number(name, value, least=0))
+            object.__setattr__(self, name, value)
+        if abs(self.ray_matrix[1]) < 1e-3 * focal:
+            raise ValueError(
+                f"before and after must not image the modulator onto the camera, got {self.before:g} and "
+                f"{self.after:g} m for a focal length of {focal:g} m"
+            )
+
+    @property
+    def ray_matrix(self) -> tuple[float, float]:
+        """The place x of a ray on the camera is A·x + B·angle of the ray at the modulator."""
+        before, after = float(self.before or 0.0), float(self.after or 0.0)
+        return 1 - after / self.focal_length, before + after - before * after / self.focal_length
+
+    def moved(self, position: float) -> "Lens":
+        """Return the path to a camera that is farther from the lens by a length in metres."""
+        return replace(self, after=float(self.after or 0.0) + position)
+
+
+def ray_matrix(path: float | Lens) -> tuple[float, float]:
+    """Return A and B of a light path: x and the angle at the modulator give A·x + B·angle on the camera."""
+    if isinstance(path, Lens):
+        return path.ray_matrix
+    return 1.0, float(_validate.number("distance", path, positive=True))
 
 
 def plane_points(pixels: ArrayT, shape: tuple[int, int], homography: Array, distortion: Array | float) -> ArrayT:

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from odak import _show, _validate
 from odak.instruments.drivers import checked_levels
-from odak.instruments.mapping import plane_points
+from odak.instruments.mapping import Lens, plane_points, ray_matrix
 from odak.tools.zernike import zernike_polynomial
 from odak.wave.linear_kernels import orders_reaching, pixels_spectrum, taper
 
@@ -51,8 +51,8 @@ class Truth:
         Amplitude of the illumination at each pixel of the modulator, at most 1.
     wavefront : numpy.ndarray
         Aberration in radians at each pixel of the modulator.
-    distance : float
-        From the modulator to the plane of the camera at stage position 0, in metres.
+    distance : float or Lens
+        From the modulator to the plane of the camera at stage position 0, in metres, or the lens between them.
     homography : numpy.ndarray
         ``[3, 3]``, from undistorted camera pixels (column, row), from the middle, to metres (x, y) in the plane.
     distortion : float
@@ -76,7 +76,7 @@ class Truth:
     phases: np.ndarray
     amplitude: np.ndarray
     wavefront: np.ndarray
-    distance: float
+    distance: float | Lens
     homography: np.ndarray
     distortion: float
     reflection: complex
@@ -96,7 +96,7 @@ class SimulatedTable:
     """Modulator, camera, laser, stage and polariser on a simulated table with hidden faults.
 
     Light of a Gaussian beam, off centre and aberrated, meets a phase-only modulator with a nonlinear response and a
-    reflection at its cover glass, propagates to the camera (angular spectrum), and is captured with
+    reflection at its cover glass, propagates to the camera (angular spectrum), or passes a lens, and is captured with
     misalignment, distortion, shot noise, read noise, saturation and quantisation. The modulator may flicker, smooth the
     phase by fringing fields, respond differently from pixel to pixel, have gaps between its pixels, carry dust and take
     time to settle. The laser can be tuned: phases and the aberration, which are those at `wavelength`, change as its
@@ -112,8 +112,9 @@ class SimulatedTable:
         Distance between pixels of the modulator in metres.
     wavelength : float
         Vacuum wavelength in metres.
-    distance : float
-        Nominal distance from the modulator to the camera in metres.
+    distance : float or Lens
+        Nominal distance from the modulator to the camera in metres, or the lens between them, behind which light is
+        paraxial.
     camera_shape : sequence of int
         Rows and columns of the camera.
     camera_pitch : float
@@ -125,7 +126,7 @@ class SimulatedTable:
     nonlinearity : bool
         Make the phase response of the modulator nonlinear.
     distance_error : float
-        Largest error of the distance as a fraction.
+        Largest error of the distance as a fraction, of that from the lens to the camera where there is a lens.
     reflection : float
         Amplitude reflected by the cover glass, as a fraction of the illumination.
     regional : float
@@ -142,7 +143,8 @@ class SimulatedTable:
         send light of their own, and up to three orders of diffraction along each axis reach the camera. A number makes
         each pixel a set of points, that many along each side, as earlier versions did by default with one.
     iris : float, optional
-        Radius of a round iris in the Fourier plane of a relay, in units of 1/(2·pitch); none by default.
+        Radius of a round iris in the Fourier plane of a relay, in units of 1/(2·pitch); none by default. Behind a
+        lens, it is in the plane of the camera, in units of the farthest point that a pixel reaches.
     dust : int
         Number of specks that absorb light in front of the modulator.
     time_constant : float
@@ -187,7 +189,7 @@ class SimulatedTable:
         shape: Sequence[int] = (144, 144),
         pitch: float = 8e-6,
         wavelength: float = 532e-9,
-        distance: float = 20e-3,
+        distance: float | Lens = 20e-3,
         camera_shape: Sequence[int] = (320, 320),
         camera_pitch: float = 4e-6,
         misalignment: bool = True,
@@ -208,7 +210,7 @@ class SimulatedTable:
         draw = np.random.default_rng(_validate.integer("seed", seed))
         rows, columns = _validate.size("shape", shape)
         self.wavelength = float(_validate.number("wavelength", wavelength, positive=True))
-        nominal = float(_validate.number("distance", distance, positive=True))
+        _, nominal = ray_matrix(distance)
         pitch = float(_validate.number("pitch", pitch, positive=True))
         camera_pitch = float(_validate.number("camera_pitch", camera_pitch, positive=True))
         y, x = ((np.arange(n) - n // 2) * pitch for n in (rows, columns))
@@ -242,7 +244,16 @@ class SimulatedTable:
             homography[:2, 2] = draw.uniform(-12, 12, 2) * camera_pitch
             homography[2, :2] = draw.uniform(-1, 1, 2) * 1e-2 / max(camera_rows, camera_columns)
             distortion = draw.uniform(-0.02, 0.02)
-        true_distance = nominal * (1 + draw.uniform(-1, 1) * float(_validate.number("distance_error", distance_error)))
+        wrong = draw.uniform(-1, 1) * float(_validate.number("distance_error", distance_error))
+        path = distance.moved(wrong * distance.after) if isinstance(distance, Lens) else nominal * (1 + wrong)
+        if isinstance(path, Lens):
+            a, b = path.ray_matrix
+            turns = abs(a / (self.wavelength * b)) * pitch**2 * max(rows, columns) / 2
+            if turns > 0.5:
+                raise ValueError(
+                    f"distance must be a lens near whose back focal plane the camera is: at {path.after:g} m the phase "
+                    f"of its light turns by {turns:.2g} cycles over a pixel at the edge, more than 0.5"
+                )
         self._pitch, self._noise = pitch, draw
         reflected = float(_validate.number("reflection", reflection, least=0)) * np.exp(2j * np.pi * draw.random())
         # Faults that were added later do not change what the seed draws for the others.
@@ -260,7 +271,7 @@ class SimulatedTable:
             away = np.hypot(np.arange(rows)[:, None] - row, np.arange(columns) - column)
             amplitude = amplitude * (1 - depth * np.clip(radius + 0.5 - away, 0, 1))
         self.truth = Truth(
-            *(phases, amplitude, wavefront, true_distance, homography, distortion, reflected),
+            *(phases, amplitude, wavefront, path, homography, distortion, reflected),
             response=1 + float(_validate.number("regional", regional, least=0)) * gain,
             flicker=float(_validate.number("flicker", flicker, least=0)),
             fringing=float(_validate.number("fringing", fringing, least=0)),
@@ -283,7 +294,7 @@ class SimulatedTable:
         self.camera = SimulatedCamera(self, (camera_rows, camera_columns), camera_pitch, draw)
         self.laser, self.stage, self.polariser = SimulatedLaser(self.wavelength), SimulatedStage(), SimulatedRotator()
         # The brightest spot that the modulator can form stays below saturation at an exposure of 1 ms.
-        area = amplitude.sum() * pitch**2 / (self.wavelength * nominal)
+        area = amplitude.sum() * pitch**2 / (self.wavelength * abs(nominal))
         self._unit = 0.7 * FULL_WELL / area**2
 
     @classmethod
@@ -354,9 +365,12 @@ class SimulatedTable:
         """
         s, fill = self._samples or 1, self.truth.fill_factor
         pitch, shape = self._pitch / s, [n * s for n in still.shape]
-        distance, wavelength = self.truth.distance + self.stage.position, self.laser.wavelength
+        path, wavelength = self.truth.distance, self.laser.wavelength
         corners = np.array([[u, v] for u in (0, self.camera.shape[1]) for v in (0, self.camera.shape[0])], float)
         seen = np.abs(self.truth.plane_points(corners, self.camera.shape)).max(0)[::-1]
+        if isinstance(path, Lens):
+            return self._focused(modulated, still, path.moved(self.stage.position), float(seen.max()))
+        distance = path + self.stage.position
         band = (1.0 * s, 1.0 * s)
         if self._samples is None:
             farthest = max(n * pitch / 2 + far for n, far in zip(shape, seen, strict=True))
@@ -372,10 +386,7 @@ class SimulatedTable:
             cells = modulated.shape[0] // still.shape[0]
             spectrum += pixels_spectrum(modulated.astype(np.complex64), wide, orders, fill, cells)
         else:
-            edges = np.clip(np.arange(s + 1) - s / 2, *(np.array([-0.5, 0.5]) * s * np.sqrt(fill)))
-            down, across = (np.tile(np.diff(edges), n) for n in still.shape)
-            field = np.kron(still, np.ones((s, s))) + np.outer(down, across) * modulated
-            spectrum = fft.fft2(field.astype(np.complex64), wide)
+            spectrum = fft.fft2(self._points(modulated, still).astype(np.complex64), wide)
         # The axis passes through the middle of pixel n // 2, and is brought to the middle of the grid.
         middle = [n // 2 * s + (s - 1) / 2 - m // 2 for n, m in zip(still.shape, wide, strict=True)]
         spectrum *= self._transferred(spectrum.shape, pitch, orders, band, distance, middle)
@@ -387,8 +398,54 @@ class SimulatedTable:
         for part in itertools.product(*halves):
             wider[part] = spectrum[part]
         field = fft.ifft2(wider, overwrite_x=True)
-        light, pitch = (field.real**2 + field.imag**2) * finer**4, pitch / finer
-        # A pixel of the camera averages over its area.
+        return self._averaged((field.real**2 + field.imag**2) * finer**4, pitch / finer)
+
+    def _focused(self, modulated, still, path: Lens, seen: float) -> tuple[np.ndarray, float]:
+        """Return the intensity behind a lens as far as `seen` from the axis, and the pitch of its samples.
+
+        Collins' integral of squares is their spectrum, with the part of its curvature that the lens leaves.
+        """
+        (a, b), wavelength, fill = path.ray_matrix, self.laser.wavelength, self.truth.fill_factor
+        size = 2 * fft.next_fast_len(math.ceil(FINER / 2 * max(still.shape)))
+        curvature = a / (2 * wavelength * b)
+
+        def curved(field: np.ndarray, cells: int, width: float = 1.0) -> np.ndarray:
+            inner = ((np.arange(cells) + 0.5) / cells - 0.5) * width
+            y, x = (self._pitch * np.add.outer(np.arange(n) - n // 2, inner).ravel() for n in still.shape)
+            cycles = np.remainder(curvature * np.add.outer(y**2, x**2), 1)
+            return (field * np.exp(2j * np.pi * cycles)).astype(np.complex64)
+
+        if self._samples is None:
+            orders = int(np.clip(math.ceil(2 * seen * self._pitch / abs(wavelength * b) + 0.1), 1, ORDERS))
+            cells = modulated.shape[0] // still.shape[0]
+            parts = FINER if curvature and cells == 1 else cells
+            modulated, unmodulated = (
+                np.kron(f, np.ones((n, n))) for f, n in ((modulated, parts // cells), (still, parts))
+            )
+            spectrum = pixels_spectrum(curved(unmodulated, parts), (size, size), orders, 1.0, parts)
+            spectrum += pixels_spectrum(curved(modulated, parts, fill**0.5), (size, size), orders, fill, parts)
+        else:
+            orders = self._samples
+            field = self._points(modulated, still)
+            spectrum = fft.fft2(curved(field, orders), (orders * size, orders * size)) / orders**2
+        pitch = wavelength * b / (size * self._pitch)
+        light = fft.fftshift(spectrum.real**2 + spectrum.imag**2) * (self._pitch**2 / (wavelength * b)) ** 2
+        y, x = ((np.arange(n) - n // 2) * pitch for n in light.shape)
+        radius = np.hypot(y[:, None], x)
+        light *= radius >= path.block
+        if self._iris is not None:
+            light *= radius <= self._iris * abs(wavelength * b) / (2 * self._pitch)
+        return self._averaged(light, pitch)
+
+    def _points(self, modulated: np.ndarray, still: np.ndarray) -> np.ndarray:
+        """Return the field of pixels that are sets of points, with gaps between them."""
+        s = self._samples or 1
+        edges = np.clip(np.arange(s + 1) - s / 2, *(np.array([-0.5, 0.5]) * s * np.sqrt(self.truth.fill_factor)))
+        down, across = (np.tile(np.diff(edges), n) for n in still.shape)
+        return np.kron(still, np.ones((s, s))) + np.outer(down, across) * modulated
+
+    def _averaged(self, light: np.ndarray, pitch: float) -> tuple[np.ndarray, float]:
+        """Return an intensity averaged over the pixels of the camera, and the pitch of its samples."""
         frequencies = fft.fftfreq(light.shape[0], pitch)[:, None], fft.rfftfreq(light.shape[1], pitch)[None]
         response = np.prod(np.broadcast_arrays(*(np.sinc(f * self.camera.pitch) for f in frequencies)), axis=0)
         return fft.irfft2(fft.rfft2(light) * response.astype(np.float32), s=light.shape), pitch

@@ -4,6 +4,9 @@ Each pixel of the panel is a square that sends a spherical wave within the envel
 direction's sines (Goodman, Introduction to Fourier Optics, eq. 4-28). Only pixels of the camera that are read are
 computed, by products of matrices, because the path √(d² + x² + y²) is that of rows and that of columns up to a small
 product of the two, which is expanded. All orders of diffraction are there, and nothing wraps around.
+
+With a `focal_length`, a lens stands at that distance from panel and camera: the light is the Fourier sum of the pixels
+within the same envelope (eq. 5-20), with the light of the gaps around them, which has phase 0.
 """
 
 import numpy as np
@@ -14,7 +17,7 @@ FINE = 300
 
 
 class Laboratory:
-    """Panel and camera behind it, without a lens, with the members of the protocols.
+    """Panel and camera behind it, without a lens or at its two focal planes, with the members of the protocols.
 
     `offset` (x, y in metres) and `signs` place and mirror the camera; `wavefront` and `amplitude` are maps or numbers;
     `phases` are those of the levels. An intensity of 1 is that of the illumination on the panel.
@@ -23,9 +26,10 @@ class Laboratory:
     def __init__(
         self, shape=(1080, 1920), pitch=8e-6, distance=0.1, wavelength=532e-9, camera_shape=(1200, 1920),
         camera_pitch=5e-6, bits=12, fill=1.0, phases=None, wavefront=0.0, amplitude=1.0, offset=(0.0, 0.0),
-        signs=(1, 1), seed=0, terms=2,
+        signs=(1, 1), seed=0, terms=2, focal_length=None,
     ):  # fmt: skip
         self.wavelength, self.distance, self.fill, self.terms = wavelength, distance, fill, terms
+        self.focal_length = focal_length
         self.phases = 2 * np.pi * np.arange(256) / 256 if phases is None else phases
         self.wavefront = wavefront
         self.illumination = np.broadcast_to(amplitude * np.exp(1j * np.asarray(wavefront)), shape)
@@ -57,17 +61,25 @@ class Laboratory:
         middle = self.camera.shape[axis] / 2
         return self.signs[1 - axis] * (pixels - middle) * self.camera.pitch + self.offset[1 - axis]
 
-    def spherical(self, first, count, axis):
-        """Return the waves ``[term, pixels of the camera, pixels of the panel]`` along an axis."""
-        key = (first, count, axis)
+    def spherical(self, first, count, axis, whole=False):
+        """Return the waves ``[term, pixels of the camera, pixels of the panel]`` along an axis.
+
+        `whole` is for squares without gaps.
+        """
+        key = (first, count, axis, whole)
         if key not in self.waves:
             panel, p, d = self.modulator.shape[axis], self.modulator.pitch, self.distance
             # A pixel of the camera averages over its area: two points along each axis, but one of large images.
             offsets = np.array([-1, 1]) / np.sqrt(12) if count <= FINE else np.zeros(1)
             places = self.points(np.add.outer(np.arange(first, first + count), offsets).ravel(), axis)
-            away = places[:, None] - (np.arange(panel) - panel // 2) * p
+            width = p * np.sqrt(1.0 if whole else self.fill)
+            at = (np.arange(panel) - panel // 2) * p
+            if self.focal_length is not None:
+                sines = places[:, None] / (self.wavelength * self.focal_length)
+                wave = np.sinc(width * sines) * width / np.sqrt(self.wavelength * self.focal_length)
+                return (wave * np.exp(-2j * np.pi * sines * at)).astype(np.complex64)[None]
+            away = places[:, None] - at
             path = np.hypot(d, away)
-            width = p * np.sqrt(self.fill)
             wave = np.sinc(width * away / (self.wavelength * path)) * width / np.sqrt(self.wavelength * d)
             wave = wave * np.exp(2j * np.pi * np.remainder((path - d) / self.wavelength, 1))
             if len(self.waves) > 4:
@@ -86,6 +98,10 @@ class Laboratory:
             # The narrow side first.
             product = left @ self.field @ right.T if rows <= columns else left @ (self.field @ right.T)
             seen = seen + np.complex64(factor) * product
+        if self.focal_length is not None and self.fill < 1:
+            for sign, whole in ((1, True), (-1, False)):
+                down, across = (self.spherical(*line, whole)[0] for line in ((row, rows, 0), (column, columns, 1)))
+                seen = seen + sign * (down @ self.illumination.astype(np.complex64) @ across.T)
         finely = (rows, len(seen) // rows, columns, seen.shape[1] // columns)
         return self.power * (seen.real**2 + seen.imag**2).reshape(finely).mean((1, 3))
 

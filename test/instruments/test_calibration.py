@@ -442,6 +442,31 @@ def test_first_registration_of_an_independent_table_with_orders_in_view():
 
 
 @pytest.mark.slow
+def test_registration_and_wavefront_through_a_lens():
+    """On an independent table at the focal planes of a lens, with gaps whose light is the zero order."""
+    focal, panel = 20e-3, (96, 96)
+    y, x = ((np.arange(n) - n // 2) / 48 for n in panel)
+    y = y[:, None]
+    surface = 0.8 * (x**2 + y**2) + x * y - 0.6 * (x**2 - y**2) + x**3 - 0.4 * y * (x**2 + y**2) + 0.3 * (x - y)
+    options = {"camera_shape": (220, 240), "camera_pitch": 4e-6, "fill": 0.9, "offset": (3e-5, -2e-5), "signs": (-1, 1)}
+    table = Laboratory(panel, wavefront=surface, focal_length=focal, **options)
+    there = (*instruments_of(table), 532e-9, instruments.Lens(focal), table.phases)
+    registration = instruments.register_camera(*there, middle=True)
+    wavefront = instruments.measure_wavefront(*there, registration, iterations=4, captures=1)
+    registration = instruments.register_camera(*there, wavefront=wavefront)
+    wavefront = instruments.measure_wavefront(*there, registration, iterations=2, start=wavefront)
+    # Tilts belong to the registration; the defocus, of a camera beside the focus, does not.
+    tilts = calibrating._modes(table.modulator, 1)
+    assert rms(calibrating.without(wavefront - surface, tilts)) < 2 * np.pi / 200
+    left = calibrating.without(surface - wavefront, calibrating._modes(table.modulator, 4)[2:])
+    by_tilt = [np.gradient(left, table.modulator.pitch)[axis].mean() * 532e-9 * focal / (2 * np.pi) for axis in (1, 0)]
+    points = np.random.default_rng(0).uniform(-3e-4, 3e-4, (100, 2))
+    pixels = registration.camera_pixels(points)
+    seen = np.stack([table.points(pixels[:, 0], 1), table.points(pixels[:, 1], 0)], axis=-1)
+    assert np.abs(seen - points - by_tilt).max() < 0.1 * table.camera.pitch
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [fresh_seed(21), 3, 5])
 def test_an_aberration_of_a_wavelength_and_a_response_that_varies(seed):
     """Registration 0.1 pixels, wavefront λ/100, phases 0.02 rad; the illumination is not measured."""

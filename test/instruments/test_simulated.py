@@ -186,3 +186,61 @@ def test_colours_scale_phases_with_the_inverse_of_the_wavelength():
 def test_realistic_tables_have_all_faults():
     truth = instruments.SimulatedTable.realistic(1, shape=(16, 16), camera_shape=(16, 16), dust=2).truth
     assert truth.flicker and truth.fringing and truth.fill_factor < 1 and truth.response.std() > 0.04
+
+
+def through_a_lens(path, **options):
+    """Return a table of 64 x 64 pixels behind which a lens is, its intensity and the pitch, of even light."""
+    ideal = {"misalignment": False, "aberration": 0.0, "nonlinearity": False, "distance_error": 0.0, "reflection": 0.0}
+    table = instruments.SimulatedTable(
+        1, shape=(64, 64), distance=path, camera_shape=(600, 600), camera_pitch=4e-5, **(ideal | options)
+    )
+    table.truth.amplitude[:] = 1.0
+    table.truth.phases[128] = np.pi
+    table.camera.pitch = 1e-9
+    return table
+
+
+@pytest.mark.parametrize("fill", [1.0, 0.64])
+def test_orders_of_a_grating_at_the_focal_plane_of_a_lens(fill):
+    """Sines of the directions over λ are the frequencies; the envelope is sinc²; gaps send their light to the axis."""
+    focal = 0.2
+    table = through_a_lens(instruments.Lens(focal), fill_factor=fill)
+    table.modulator.show(np.tile(np.where(np.arange(64) // 2 % 2, 128, 0), (64, 1)))
+    light, pitch = table.intensity()
+    middle, reach = light.shape[0] // 2, 532e-9 * focal / 8e-6 / pitch
+    assert middle > 0.75 * reach
+    whole = (64**2 * (8e-6) ** 2 / (532e-9 * focal)) ** 2
+    for order in range(-3, 4):
+        cell = abs(np.exp(-0.5j * np.pi * order * np.arange(4)) @ [1, 1, -1, -1]) / 4
+        expected = (fill * np.sinc(np.sqrt(fill) * order / 4) * cell) ** 2 if order else (1 - fill) ** 2
+        assert light[middle, middle + round(order * reach / 4)] / whole == pytest.approx(expected, abs=2e-6)
+
+
+def test_light_of_a_lens_at_other_distances_is_collins_integral():
+    """Against the sum over fine parts of pixels; a block and an iris leave a ring."""
+    path = instruments.Lens(0.02, before=0.03, after=0.0206, block=1e-5)
+    table = through_a_lens(path, fill_factor=0.81, iris=0.5)
+    levels = np.random.default_rng(0).integers(256, size=(64, 64))
+    table.modulator.show(levels)
+    light, pitch = table.intensity()
+    a, b = 1 - 0.0206 / 0.02, 0.03 + 0.0206 - 0.03 * 0.0206 / 0.02
+    parts = 20
+    at = ((np.arange(64 * parts) + 0.5) / parts - 32.5) * 8e-6
+    inside = np.abs(np.mod(at / 8e-6 + 0.5, 1) - 0.5) < 0.45
+    inside = np.outer(inside, inside)
+    field = np.where(inside, np.kron(np.exp(1j * table.truth.phases[levels]), np.ones((parts, parts))), 1.0)
+    for row, column in ((3, 5), (-40, 22), (7, -55), (1, 1), (60, 60)):
+        y, x = row * pitch, column * pitch
+        down, across = (np.exp(1j * np.pi / (532e-9 * b) * (a * at**2 - 2 * at * place)) for place in (y, x))
+        expected = abs(down @ field @ across * (8e-6 / parts) ** 2 / (532e-9 * b)) ** 2
+        if not 1e-5 <= np.hypot(y, x) <= 0.5 * 532e-9 * b / 16e-6:
+            expected = 0.0
+        found = light[light.shape[0] // 2 + row, light.shape[1] // 2 + column]
+        assert found == pytest.approx(expected, abs=1e-4 * light.max())
+
+
+def test_lenses_that_image_the_panel_or_are_far_from_focus_are_refused():
+    with pytest.raises(ValueError, match="before and after must not image the modulator"):
+        instruments.Lens(0.1, before=0.2, after=0.2)
+    with pytest.raises(ValueError, match="distance must be a lens near whose back focal plane"):
+        instruments.SimulatedTable(1, distance=instruments.Lens(2e-3, before=2e-3, after=6e-3))
