@@ -1399,13 +1399,13 @@ def wavefront_with_uncertainty(
     if isinstance(distance, Lens):
         farthest = wavelength * abs(b) / (2 * modulator.pitch)
         wide = np.minimum(FIELD * np.array(camera.shape) * camera.pitch, 2 * SPREAD * farthest)
-    if cells is None and isinstance(distance, Lens):
+    if cells is not None:
+        fine = np.full(2, _validate.integer("cells", cells, minimum=3))
+    elif isinstance(distance, Lens):
         # An even number has no spot on the axis, where the light is that is not modulated.
         fine = 2 * np.clip(np.sqrt(0.8 * wide * size / (wavelength * abs(b))) / 2, 2, 3).astype(int)
-    elif cells is None:
-        fine = _lenslets(modulator.shape, wavelength, distance, modulator.pitch)
     else:
-        fine = np.full(2, _validate.integer("cells", cells, minimum=3))
+        fine = _lenslets(modulator.shape, wavelength, distance, modulator.pitch)
 
     y, x = _axes(modulator)
 

@@ -245,7 +245,7 @@ class SimulatedTable:
             homography[2, :2] = draw.uniform(-1, 1, 2) * 1e-2 / max(camera_rows, camera_columns)
             distortion = draw.uniform(-0.02, 0.02)
         wrong = draw.uniform(-1, 1) * float(_validate.number("distance_error", distance_error))
-        path = distance.moved(wrong * distance.after) if isinstance(distance, Lens) else nominal * (1 + wrong)
+        path = distance.moved(wrong * (distance.after or 0.0)) if isinstance(distance, Lens) else nominal * (1 + wrong)
         if isinstance(path, Lens):
             a, b = path.ray_matrix
             turns = abs(a / (self.wavelength * b)) * pitch**2 * max(rows, columns) / 2
