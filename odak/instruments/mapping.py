@@ -65,7 +65,7 @@ class Lens:
     def ray_matrix(self) -> tuple[float, float]:
         """The place x of a ray on the camera is A·x + B·angle of the ray at the modulator."""
         before, after = float(self.before or 0.0), float(self.after or 0.0)
-        return 1 - after / self.focal_length, before + after - before * after / self.focal_length
+        return 1 - after / self.focal_length, before + after * (1 - before / self.focal_length)
 
     def moved(self, position: float) -> "Lens":
         """Return the path to a camera that is farther from the lens by a length in metres."""
