@@ -68,7 +68,7 @@ class Lens:
         return 1 - after / self.focal_length, before + after * (1 - before / self.focal_length)
 
     def moved(self, position: float) -> "Lens":
-        """Return the path to a camera that is farther from the lens by a length in metres."""
+        """Return the path to a camera that is farther from the lens by a position of a stage in metres."""
         return replace(self, after=float(self.after or 0.0) + position)
 
 
