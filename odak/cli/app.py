@@ -831,24 +831,22 @@ def trace(
     ] = "paraxial",
     glasses: Glasses = None,
     figures: Annotated[str, typer.Option(metavar="png|svg|pdf", help="File format of the figures.")] = "png",
+    focus: Annotated[
+        str,
+        typer.Option(metavar="as-drawn|best", help="Where the image is: as drawn, or in the plane of the least spots."),
+    ] = "as-drawn",
     quiet: Quiet = False,
     again: Again = False,
 ) -> None:
     """Trace a system; see :mod:`odak.cli.trace`."""
     with _messages():
-        from odak.cli.trace import run
+        from odak.cli.trace import run, summary
 
-        report = run(system, output, rings, aim, glasses or (), figures, _notices(again, quiet))
+        report = run(system, output, rings, aim, glasses or (), figures, focus, _notices(again, quiet))
     if quiet:
         return
-    unit, found = report["system"]["unit"], report["first_order"]
-    if found["focal_length"] is None:
-        typer.echo("afocal: no focal length")
-    else:
-        typer.echo(f"focal length {found['focal_length']:.6g} {unit}, F/{found['f_number']:.3g}")
-    for field in report["fields"]:
-        spot = "no rays" if field["rms_spot"] is None else f"RMS spot {field['rms_spot']:.3g} {unit}"
-        typer.echo(f"field {field['field'][0]:g}, {field['field'][1]:g}: {spot}")
+    for line in summary(report):
+        typer.echo(line)
     for line in report["ignored"]:
         typer.echo(f"ignored: {line}", err=True)
     typer.echo(f"{', '.join(report['figures'])}, report.html, report.json in {output}")

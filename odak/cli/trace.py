@@ -12,6 +12,7 @@ from odak.cli.job import InputError, did_you_mean
 from odak.cli.report import finite, versions
 from odak.learn.raytracing.system import (
     FieldQuality,
+    best_focus,
     distortion,
     field_modulation,
     field_quality,
@@ -33,8 +34,9 @@ from odak.learn.raytracing.system import (
     tolerance_figure,
     tolerances_for_yield,
 )
-from odak.learn.raytracing.system.drawing import image_aperture, modulation_frequencies
+from odak.learn.raytracing.system.drawing import MICROMETRES, field_label, image_aperture, modulation_frequencies
 from odak.learn.raytracing.system.system_files import load_materials
+from odak.learn.raytracing.system.zooms import replaced
 from odak.raytracing.intersections import RayStatus
 from odak.tools.paths import replacing
 
@@ -44,6 +46,8 @@ DEFINITIONS = {
     "lengths": "In the system's unit; angles in degrees; wavefronts in wavelengths.",
     "rms_spot": "Root mean square distance of the rays from their centroid in the image plane over the area of the "
     "pupil, per field: all wavelengths together, with the weights of the system.",
+    "best_focus": "Distance along z from the image surface as drawn to the plane in which the mean over the fields of "
+    "the mean square spots is least.",
     "largest_spot": "Largest distance from the centroid, of the rays of the rings.",
     "distortion": "Chief ray's image height at the reference wavelength over the paraxial one, less 1.",
     "wavefront_rms": "Standard deviation of the path to the reference sphere over the area of the pupil, at the "
@@ -125,6 +129,7 @@ def run(
     aim: str,
     glasses: Sequence[Path] = (),
     figures: str = "png",
+    focus: str = "as-drawn",
     notices: files.Notices = files.SILENT,
 ) -> dict:
     """Trace a system and write its figures, report.html and report.json.
@@ -143,6 +148,8 @@ def run(
         Glass catalogues (.agf), materials (.json) or entries of refractiveindex.info (.yml) to be read first.
     figures : str
         Kind of the figures' files, "png", "svg" or "pdf".
+    focus : str
+        "as-drawn", or "best": the image surface moves to the plane of the smallest spots.
     notices : files.Notices
         What to do about results of earlier runs.
 
@@ -160,21 +167,31 @@ def run(
         raise InputError(f"--rings must be 1 to {MAXIMUM_RINGS}, got {rings}")
     if aim not in ("paraxial", "real"):
         raise InputError(f"--aim must be paraxial or real, got {aim!r}")
+    if focus not in ("as-drawn", "best"):
+        raise InputError(f"--focus must be as-drawn or best, got {focus!r}")
     if figures not in FORMATS:
         raise InputError(f"--figures must be one of {', '.join(FORMATS)}, got {figures!r}")
     read_glasses(glasses)
     system, ignored = read_system(name)
     folder = writable_folder(Path(output))
     values = {"command": "trace", "system": Path(name).name, "rings": rings, "aim": aim, "figures": figures}
-    mark = files.fingerprint(values, [path for path in (Path(name), *glasses) if path.is_file()])
+    mark = files.fingerprint(values | {"focus": focus}, [path for path in (Path(name), *glasses) if path.is_file()])
     if (kept := files.kept_report(folder, mark, notices)) is not None:
         return kept
+    with torch.no_grad():
+        shift = None if system.afocal else best_focus(system, aim=aim)
+        if focus == "best":
+            if shift is None or not bool(torch.isfinite(shift)):
+                raise InputError("--focus best needs a lens that focuses rays")
+            last = system.surfaces[-1]
+            replaced(last, "thickness", last.thickness + shift)
     quality = field_quality(system, aim)
     drawn = report_figures(system, aim, quality)
     names = [*(f"{title}.{figures}" for title in drawn), "report.html"]
     files.announce(folder, [*names, files.REPORT], notices)
     with torch.no_grad():
-        report = describe(system, rings, aim, quality) | {"ignored": ignored}
+        report = describe(system, rings, aim, quality) | {"ignored": ignored, "focus": focus}
+        report["best_focus"] = None if shift is None else finite(shift)
     for title, figure in drawn.items():
         # The layout serves both files of a figure; each saving would find it twice again.
         figure.draw_without_rendering()
@@ -196,6 +213,7 @@ def describe(system, rings: int, aim: str, quality: FieldQuality) -> dict:
     fields = [
         {
             "field": list(field),
+            "label": field_label(system, i),
             "rms_spot": finite(quality.rms_spot[i]),
             "largest_spot": finite(spots.largest[i]),
             "centroid": [finite(value) for value in spots.center[i]],
@@ -227,6 +245,27 @@ def describe(system, rings: int, aim: str, quality: FieldQuality) -> dict:
         "versions": versions(),
         "definitions": DEFINITIONS,
     }
+
+
+def summary(report: dict) -> list[str]:
+    """Return what the command prints of a report: focal length, spots of the fields, and where they are least."""
+    unit, found = report["system"]["unit"], report["first_order"]
+    afocal = found["focal_length"] is None
+    lines = ["afocal: no focal length"]
+    if not afocal:
+        lines = [f"focal length {found['focal_length']:.6g} {unit}, F/{found['f_number']:.3g}"]
+    for field in report["fields"]:
+        size = "no rays"
+        if field["rms_spot"] is not None:
+            size = f"RMS spot {field['rms_spot'] * MICROMETRES[unit]:.3g} {'µrad' if afocal else 'µm'}"
+        lines.append(f"field {field['label']}: {size}")
+    shift = report["best_focus"] or 0.0
+    if report["focus"] == "best":
+        lines.append(f"the image has moved by {shift:+.3g} {unit}, to the least spots")
+    elif not afocal and abs(shift) > 5e-4 * abs(found["focal_length"]):
+        where = "in front of" if shift < 0 else "behind"
+        lines.append(f"the spots are least {abs(shift):.3g} {unit} {where} the image: --focus best moves it there")
+    return lines
 
 
 @files.claiming

@@ -202,3 +202,21 @@ def test_a_lens_is_toleranced(tmp_path, capsys):
     assert (tmp_path / "report.html").read_text().count("<svg") == 3 and (tmp_path / "tolerance.png").stat().st_size
     assert main(["tolerance", "singlet", "--yield", "1.5"]) == 2
     assert "--yield must be between 0 and 1" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_image_moves_to_the_best_focus(tmp_path, capsys):
+    assert main(["trace", "double_gauss", "--output", str(tmp_path / "drawn"), "--rings", "3"]) == 0
+    assert "0.379 mm in front of the image: --focus best" in capsys.readouterr().out
+    assert main(["trace", "double_gauss", "--output", str(tmp_path / "best"), "--rings", "3", "--focus", "best"]) == 0
+    out = capsys.readouterr().out
+    assert "the image has moved by -0.379 mm" in out and "field 14°: RMS spot" in out and "µm" in out
+    drawn, best = (json.loads((tmp_path / name / "report.json").read_text()) for name in ("drawn", "best"))
+    moved = best["system"]["surfaces"][-1]["thickness"] - drawn["system"]["surfaces"][-1]["thickness"]
+    assert moved == pytest.approx(drawn["best_focus"], rel=1e-9)
+    assert max(f["rms_spot"] for f in best["fields"]) < 0.5 * min(f["rms_spot"] for f in drawn["fields"])
+
+
+def test_a_focus_that_is_not_known_is_named(tmp_path, capsys):
+    assert main(["trace", "singlet", "--output", str(tmp_path), "--focus", "sharp"]) == 2
+    assert "--focus must be as-drawn or best, got 'sharp'" in capsys.readouterr().err

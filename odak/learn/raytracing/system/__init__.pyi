@@ -4,6 +4,7 @@ from .analysis import QFit as QFit
 from .analysis import Spots as Spots
 from .analysis import Wavefront as Wavefront
 from .analysis import axial_color as axial_color
+from .analysis import best_focus as best_focus
 from .analysis import distortion as distortion
 from .analysis import distortion_grid as distortion_grid
 from .analysis import encircled_energy as encircled_energy

@@ -631,6 +631,43 @@ def through_focus(system: Any, shifts: Any, pupil: Any = "rings", count: int = 6
     return torch.where(number > 0, safe_sqrt(total / number), torch.nan)
 
 
+def best_focus(system: Any, pupil: str | torch.Tensor = "rings", count: int = 6, **options: Any) -> torch.Tensor:
+    """Return where the plane of the smallest spots lies, from the image surface along z.
+
+    Move the image there to judge a lens rather than its focus; :func:`through_focus` gives what lies between.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    pupil : str or torch.Tensor
+        Pattern of :func:`pupil_samples`, or points ``[P, 2]`` in units of the pupil's radius.
+    count : int
+        Count of :func:`pupil_samples`.
+    **options : Any
+        Of :func:`trace_fields`.
+
+    Returns
+    -------
+    torch.Tensor
+        Distance of the plane in which the mean over the fields of the mean square radii is least, ``[...]``; NaN where
+        no field arrives. Differentiable.
+
+    Examples
+    --------
+    The parabolic mirror of :func:`through_focus` with its image plane 0.2 too far from it:
+
+    >>> from odak.learn.raytracing.system import best_focus, optical_system, surface
+    >>> parabola = surface(radius=-200.0, conic=-1.0, thickness=-100.2, material="mirror")
+    >>> round(float(best_focus(optical_system([parabola], aperture=20.0))), 9)
+    0.2
+    """
+    # The mean square radius is a parabola in the distance, which three planes determine.
+    sizes = through_focus(system, [-1.0, 0.0, 1.0], pupil, count, **options)
+    before, here, behind = sizes.square().nanmean(-2).unbind(-1)
+    return (before - behind) / (2 * (before - 2 * here + behind))
+
+
 def encircled_energy(
     found: Any, radii: Any = None, wavelength_weights: Sequence[float] | None = None
 ) -> tuple[torch.Tensor, torch.Tensor]:

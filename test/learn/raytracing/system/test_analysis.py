@@ -9,6 +9,7 @@ from odak.catalog import material
 from odak.learn.raytracing.system import (
     Perturbation,
     axial_color,
+    best_focus,
     coordinate_break,
     distortion,
     distortion_grid,
@@ -543,3 +544,19 @@ def test_figures_show_the_numbers_of_the_analyses():
     places = through_focus_figure(lens, [-1.0, 0.0, 1.0]).axes
     sizes = next(axes for axes in places if axes.get_ylabel().startswith("RMS")).lines[0].get_ydata()
     assert sizes[1] == pytest.approx(1000 * float(rms_spot(lens, "rings", 5)[0]))
+
+
+def test_best_focus_is_the_least_of_the_spots():
+    from scipy.optimize import minimize_scalar
+
+    lens = load_system("double_gauss")
+    found = float(best_focus(lens))
+
+    def size(shift):
+        return float(through_focus(lens, [shift]).square().mean())
+
+    assert abs(found - minimize_scalar(size, bounds=(-1, 1), method="bounded", options={"xatol": 1e-9}).x) < 1e-7
+    # A thin parabola's focus is its focal plane; a shift of the image by any distance is found.
+    for off in (-3.0, 0.4):
+        parabola = surface(radius=-200.0, conic=-1.0, thickness=-100.0 - off, material="mirror")
+        assert abs(float(best_focus(optical_system([parabola], aperture=20.0))) - off) < 1e-9
