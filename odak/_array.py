@@ -74,6 +74,7 @@ ArrayT = TypeVar("ArrayT", bound=Array)
 # It takes over what NumPy has at run time, unseen by a type checker.
 numpy_namespace: Any = array_api_compat.numpy
 _PLAIN = (int, float, complex, bool, str, list, tuple, type(None))
+_COMPLEX = ("torch.complex64", "torch.complex128", "complex64", "complex128")
 
 
 def is_array(value) -> bool:
@@ -86,11 +87,16 @@ def is_array(value) -> bool:
 
 def namespace(*values) -> ModuleType:
     """Return the array namespace of the arrays among `values`, NumPy's when there is none."""
-    arrays = [value for value in values if is_array(value)]
-    if arrays and all(is_torch(value) for value in arrays):
-        import array_api_compat.torch as torch_namespace
+    tensor = getattr(sys.modules.get("torch"), "Tensor", ())
+    arrays = [value for value in values if isinstance(value, tensor) or is_array(value)]
+    for value in arrays:
+        if not isinstance(value, tensor):
+            break
+    else:
+        if arrays:
+            import array_api_compat.torch as torch_namespace
 
-        return torch_namespace
+            return torch_namespace
     return array_api_compat.array_namespace(*arrays) if arrays else numpy_namespace
 
 
@@ -259,10 +265,10 @@ def real_dtype(value):
 
 def to_complex(field):
     """Return `field` as complex64 or complex128, after its own precision."""
+    if str(field.dtype) in _COMPLEX:
+        return field
     xp = namespace(field)
     dtype = complex_dtype(field)
-    if field.dtype == dtype:
-        return field
     if "complex" not in str(field.dtype) and not xp.isdtype(field.dtype, "real floating"):
         field = xp.astype(field, real_dtype(field))
     return xp.astype(field, dtype)

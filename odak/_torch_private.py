@@ -2,8 +2,10 @@
 
 import sys
 import warnings
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from functools import cache
+from typing import Any
 
 import torch
 
@@ -15,7 +17,7 @@ def has_compiler() -> bool:
 
 def is_wrapped(*tensors: torch.Tensor) -> bool:
     """Return whether torch.func (vmap, grad, jvp, …) wraps any of the tensors, whose values cannot be read then."""
-    return any(torch._C._functorch.is_functorch_wrapped_tensor(tensor) for tensor in tensors)
+    return any(map(torch._C._functorch.is_functorch_wrapped_tensor, tensors))
 
 
 def in_functional_transform() -> bool:
@@ -53,6 +55,29 @@ def is_transformed(*tensors: torch.Tensor) -> bool:
     Operators with a custom autograd.Function, and cached values, cannot be used there.
     """
     return torch.compiler.is_compiling() or in_forward_mode() or is_wrapped(*tensors)
+
+
+def operator(function: type[torch.autograd.Function]) -> Callable:
+    """Return ``function.apply``, without what only torch.func and forward mode ask for where neither is running.
+
+    There torch looks up the signature of `function.forward` at each call, since its context is set up apart: longer
+    than the transforms of a small field.
+    """
+
+    def forward(ctx, *inputs):
+        output = function.forward(*inputs)
+        function.setup_context(ctx, inputs, output)
+        return output
+
+    rules = {"forward": staticmethod(forward), "backward": staticmethod(function.backward)}
+    recorded: Any = type(function.__name__, (torch.autograd.Function,), rules)
+
+    def apply(*inputs):
+        if torch.compiler.is_compiling() or in_forward_mode() or in_functional_transform():
+            return function.apply(*inputs)
+        return recorded.apply(*inputs)
+
+    return apply
 
 
 def is_plain_on_cpu(tensor: torch.Tensor) -> bool:

@@ -478,26 +478,27 @@ def takes_units(*lengths: str, degrees: Sequence[str] = ()) -> Callable[[F], F]:
         places += [(name, own.index(name), in_degrees) for name in degrees]
         told = tuple(next((n for n in lengths if n in names), "") for names in _ROLES)
         compared = bool(told[0])
-        usual = {name: parameters[name].default for name in told if name}
+        (wave, pitch, distance), usual = told, {name: parameters[name].default if name else None for name in told}
 
         @functools.wraps(function)
         def run(*args, **options):
             if keywords is not None and not keywords.issuperset(options):
                 raise _unknown_keyword(function, own, options)
-            found = {}
+            found = usual.copy()
             for name, place, converted_by in places:
-                if place < len(args):
-                    value = args[place]
-                    made = converted_by(name, value)
-                    if made is not value:
+                if name in options:
+                    made = value = options[name]
+                    if type(value) is not float or converted_by is in_degrees:
+                        made = options[name] = converted_by(name, value)
+                elif place < len(args):
+                    made = converted_by(name, args[place])
+                    if made is not args[place]:
                         args = (*args[:place], made, *args[place + 1 :])
-                elif name in options:
-                    made = options[name] = converted_by(name, options[name])
                 else:
                     continue
                 found[name] = made
             if compared:
-                lengths_together(*(found.get(name, usual.get(name)) for name in told), names=told)
+                lengths_together(found[wave], found[pitch], found[distance], names=told)
             return function(*args, **options)
 
         run.__units__ = {name: converted_by for name, _, converted_by in places}
@@ -593,6 +594,9 @@ def likely_length(value: float, least: float, most: float, unit: str) -> str:
 
 def lengths_together(wave, pitch, distance=None, *, names=("wavelength", "dx", "distance")) -> None:
     """Raise ValueError for lengths that cannot belong to one propagation; warn of those that rarely do."""
+    numbers = type(wave) is type(pitch) is type(distance) is float
+    if numbers and 0 < _FINE * wave <= pitch <= _COARSE * wave and pitch <= abs(distance):
+        return
     message = _doubt(names, wave, pitch, distance)
     if message is not None:
         warn(message, ArgumentWarning)

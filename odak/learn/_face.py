@@ -104,7 +104,7 @@ def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None, 
         The function; a type checker sees the core's parameters.
     """
     signature = _signature(core, defaults or {})
-    named = tuple(signature.parameters)
+    named, keywords = tuple(signature.parameters), frozenset(signature.parameters)
     positional = [name for name, p in signature.parameters.items() if p.kind is p.POSITIONAL_OR_KEYWORD]
     preset = dict(defaults or {})
     fixed = {"xp": torch_namespace} if "xp" in inspect.signature(core).parameters else {}
@@ -117,20 +117,23 @@ def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None, 
     }
 
     def face(*args, **options):
-        if len(args) > len(positional) or any(name not in named or name in positional[: len(args)] for name in options):
+        placed = dict(zip(positional, args, strict=False))
+        if len(args) > len(positional) or not (keywords.issuperset(options) and placed.keys().isdisjoint(options)):
             unknown = [name for name in options if name not in named]
             if unknown:
                 nearest = _validate.did_you_mean(unknown[0], named)
                 raise TypeError(f"{face.__name__} has no argument {unknown[0]!r}.{nearest}")
             signature.bind(*args, **options)  # raises the error that Python gives for such a call
-        options = {**preset, **dict(zip(positional, args, strict=False)), **options}
-        options.update({name: take_off(name, options[name]) for name, take_off in units.items() if name in options})
+        options = {**fixed, **preset, **placed, **options}
+        for name, take_off in units.items():
+            if name in options:
+                options[name] = take_off(name, options[name])
         if converted:
             given = {name: options[name] for name in converted if options.get(name) is not None}
             options.update(zip(given, tensors_of(**given), strict=True))
         if "device" in options:
             options["device"] = checked_device("device", options["device"])
-        return through(core, **fixed, **options) if through is not None else core(**fixed, **options)
+        return core(**options) if through is None else through(core, **options)
 
     face.__name__ = face.__qualname__ = name or core.__name__
     face.__module__ = sys._getframe(1).f_globals["__name__"]

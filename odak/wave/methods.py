@@ -1,6 +1,7 @@
 """Table of the propagation methods: names, aliases, ranges of validity, capabilities and implementations."""
 
 import difflib
+import functools
 import logging
 import math
 from collections.abc import Callable, Iterator
@@ -79,17 +80,11 @@ def _filter(build: Callable) -> Callable:
 
     def apply(field, request: Request):
         field = spread(field, request.scale)
-        size = tuple((2 if request.window else 1) * n for n in field.shape[-2:])
-        return convolve(field, _times_aperture(_kernel_for(field, request, build, size), request.aperture, field))
+        rows, columns = field.shape[-2:]
+        size = (2 * rows, 2 * columns) if request.window else (rows, columns)
+        return convolve(field, _times_aperture(request.kernel_for(field, build, size), request.aperture, field))
 
     return apply
-
-
-def _kernel_for(field, request: Request, build: Callable, size: tuple[int, int]):
-    """Return the transfer function `build` for a field, in chunks for a field in chunks."""
-    if _array.is_chunked(field):
-        return tf.transfer_function_in_chunks(request, build, size, field.dtype)
-    return request.kernel_for(field, build, size)
 
 
 def spread(field, scale: int):
@@ -151,10 +146,16 @@ def _convolve_linearly(build_for: Callable) -> Callable:
     """Return an `apply` by linear convolution, on twice the field's grid, with the kernel ``build_for(request)``."""
 
     def apply(field, request: Request):
-        kernel = _kernel_for(field, request, build_for(request), tuple(2 * n for n in field.shape[-2:]))
+        rows, columns = field.shape[-2:]
+        kernel = request.kernel_for(field, build_for(request), (2 * rows, 2 * columns))
         return convolve(field, _times_aperture(kernel, request.aperture, field))
 
     return apply
+
+
+@functools.lru_cache(maxsize=16)
+def _linear_angular_spectrum(tolerance: float) -> linear_kernel:
+    return linear_kernel(tf.angular_spectrum, tolerance=tolerance)
 
 
 def _fraunhofer(field, request: Request):
@@ -364,7 +365,7 @@ METHODS = (
     Method(
         "Linear Angular Spectrum",
         ("LAS",),
-        _convolve_linearly(lambda request: linear_kernel(tf.angular_spectrum, tolerance=request.tolerance)),
+        _convolve_linearly(lambda request: _linear_angular_spectrum(request.tolerance)),
         _never,
     ),
     Method(

@@ -128,8 +128,8 @@ def propagate_beam(
     >>> bool(np.allclose(result, np.exp(2j * np.pi * 1e-3 / 532e-9)))
     True
     """
-    missing = [n for n, v in (("distance", distance), ("dx", dx), ("wavelength", wavelength)) if v is REQUIRED]
-    if missing:
+    if distance is REQUIRED or dx is REQUIRED or wavelength is REQUIRED:
+        missing = [n for n, v in (("distance", distance), ("dx", dx), ("wavelength", wavelength)) if v is REQUIRED]
         raise TypeError(f"propagate_beam needs distance, dx and wavelength; missing: {', '.join(missing)}")
     # Kernels are looked up and warnings issued: no graph of torch.compile can hold that.
     if axes != (-2, -1) and axes != [-2, -1]:
@@ -154,7 +154,7 @@ def _propagate(
         raise ValueError(f"field must contain at least one field, got the shape {tuple(field.shape)}")
     geometry = (k, distance, _plain_pair(dx), wavelength, propagation_type, aperture, scale, tolerance)
     arguments = (tuple(field.shape), *geometry, _plain_pair(zero_padding), _plain_pair(samples))
-    plain = kernel is None and all(type(value) in _PLAIN for value in arguments[1:])
+    plain = kernel is None and _PLAIN.issuperset(map(type, arguments))
     method, request, (pad, fine, crop), warnings, error = (
         _cached_plan(*arguments) if plain else _plan(*arguments, kernel)
     )
@@ -173,7 +173,7 @@ def _propagate(
     if fine and not method.sets_own_pitch:
         result = upsample(_array.to_complex(result))
     result = crop_center(result) if crop and not request.window else result
-    if 1 in result.shape[-2:] and math.prod(result.shape[-2:]) > 1 and not (fine or method.sets_own_pitch):
+    if 1 in result.shape[-2:] != (1, 1) and not (fine or method.sets_own_pitch):
         _warn_of_line(field, result)
     return result
 
@@ -288,12 +288,14 @@ def _plan(
 # Checks, criteria and the choice of a method take longer than the transforms of a small field: they are done once for
 # each set of plain arguments. Errors are not kept.
 _cached_plan = functools.lru_cache(maxsize=256, typed=True)(_plan)
-_PLAIN = (int, float, complex, bool, str, tuple, type(None))
+_cached_request = functools.lru_cache(maxsize=256, typed=True)(Request)
+_PLAIN = frozenset((int, float, complex, bool, str, tuple, type(None)))
+_NUMBERS = frozenset((int, float, bool))
 
 
 def _plain_pair(value):
     """Return a short list or tuple of plain numbers as a tuple, which can be looked up; anything else as it is."""
-    if type(value) in (list, tuple) and len(value) <= 4 and all(type(entry) in (int, float, bool) for entry in value):
+    if type(value) in (list, tuple) and len(value) <= 4 and _NUMBERS.issuperset(map(type, value)):
         return tuple(value)
     return list(value) if type(value) is tuple else value
 
@@ -340,7 +342,9 @@ def propagate_within_window(
         return propagate_beam(field, None, distance, dx, wavelength, name, zero_padding=padded)
     build = linear_kernel_of(name, cutoff, pixel_fill)
     size = (2 * shape[0], 2 * shape[1])
-    result = convolve(field, Request(dx, wavelength, distance).kernel_for(field, build, size))
+    lengths: tuple[Any, ...] = (_plain_pair(dx), wavelength, distance)
+    request = (_cached_request if _PLAIN.issuperset(map(type, lengths)) else Request)(*lengths)
+    result = convolve(field, request.kernel_for(field, build, size))
     note_loss(name, field, result)
     return result
 

@@ -240,7 +240,8 @@ def recommend(geometries: tuple[tuple[Axis, Axis], ...], tolerance: float) -> tu
     return LINEAR, linear
 
 
-def linear_error(geometries, tolerance: float) -> float:
+@lru_cache(maxsize=256)
+def linear_error(geometries: tuple[tuple[Axis, Axis], ...], tolerance: float) -> float:
     """Return a bound on the error that the linear angular spectrum makes on fields of flat spectrum."""
     return _largest(predicted_white_error(axes, _rules(axes, tolerance)) for axes in geometries if axes[0].distance)
 

@@ -20,9 +20,10 @@ from odak import _array, _torch_private
 from odak._array import convolve_plainly
 from odak._threads import each
 
-# From this many samples on, a spectrum is computed in blocks. Smaller ones stay in the cache, where one call for all
-# lines of an axis is quicker.
-BLOCKED_FROM = 1 << 20
+# From this many samples on, spectra are computed in blocks, that of one field from the second number on. Smaller ones
+# stay in the cache, where one call for all lines of an axis is quicker. Between the two that call is as quick as blocks
+# at best, and twice as slow where columns of a power of two collide in the cache or the cores are busy.
+BLOCKED_FROM, ONE_BLOCKED_FROM = 1 << 20, 1 << 18
 # What a thread takes at once: it stays in the cache, and the system's allocator gives its memory out again without
 # returning it first. Columns are copied in pieces of the block's width, which must not be less than some cache lines.
 _BLOCK_BYTES = 3 << 19
@@ -74,8 +75,8 @@ def convolve(field: torch.Tensor, kernel: torch.Tensor, workspace: Workspace | N
 def _convolve(field, kernel, workspace):
     if kernel.requires_grad or _torch_private.is_wrapped(kernel):
         return convolve_plainly(field, kernel)
-    batch = kernel.shape[:-2]
-    batch = field.shape[:-2] if not batch else np.broadcast_shapes(field.shape[:-2], batch)
+    batch = field.shape[:-2]
+    batch = batch if kernel.ndim == 2 else np.broadcast_shapes(batch, kernel.shape[:-2])
     return _apply(field, kernel, False, batch, workspace)
 
 
@@ -85,42 +86,21 @@ def _apply(field, kernel, adjoint, batch, workspace):
     `batch` are the leading axes of the result: all of those of field and kernel together, or fewer, and then the
     result is a sum. Spectra are summed, not fields, so that the adjoint of one-to-many takes one transform back.
     """
-    if _torch_private.is_transformed(field, kernel):
-        return _Convolution.apply(field, kernel, adjoint, batch, workspace)
-    if torch.is_grad_enabled() and field.requires_grad:
-        return _RecordedConvolution.apply(field, kernel, adjoint, batch, workspace)
+    if (field.requires_grad and torch.is_grad_enabled()) or _torch_private.is_transformed(field, kernel):
+        return _convolved(field, kernel, adjoint, batch, workspace)
     return _filtered(field, kernel, adjoint, batch, workspace)
 
 
 def _filtered(field, kernel, adjoint, batch, workspace):
-    size = kernel.shape[-2] * kernel.shape[-1]
-    if field.device.type != "cpu":
+    count, size = math.prod(batch), math.prod(kernel.shape[-2:])
+    one = kernel.ndim == 2 or kernel.numel() == size
+    if not field.is_cpu:
         return _convolve_whole(field, kernel, adjoint, batch)
-    if size >= BLOCKED_FROM:
+    if size >= (ONE_BLOCKED_FROM if one and count == 1 else BLOCKED_FROM):
         return _convolve_in_blocks(field, kernel, adjoint, batch, workspace)
-    count = math.prod(batch)
-    if kernel.numel() > size or count == 1 or count * size * field.element_size() <= 2 * _BLOCK_BYTES:
+    if not one or count == 1 or count * size * field.element_size() <= 2 * _BLOCK_BYTES:
         return _convolve_whole(field, kernel, adjoint, batch)
     return _convolve_by_fields(field, kernel.reshape(kernel.shape[-2:]), adjoint, batch)
-
-
-class _RecordedConvolution(torch.autograd.Function):
-    """The linear operator for the usual backward pass.
-
-    A function whose context is set up apart, which torch.func needs, costs more than the transforms of a small field.
-    """
-
-    @staticmethod
-    def forward(ctx, field, kernel, adjoint, batch, workspace):
-        ctx.adjoint, ctx.batch = adjoint, field.shape[:-2]
-        # Kernels are shared between calls and never written to, so keeping a reference is safe.
-        ctx.save_for_backward(kernel)
-        return _filtered(field, kernel, adjoint, batch, workspace)
-
-    @staticmethod
-    def backward(ctx, gradient):
-        (kernel,) = ctx.saved_tensors
-        return _apply(gradient, kernel, not ctx.adjoint, ctx.batch, None), None, None, None, None
 
 
 class _Convolution(torch.autograd.Function):
@@ -141,12 +121,12 @@ class _Convolution(torch.autograd.Function):
     @staticmethod
     def backward(ctx, gradient):
         (kernel,) = ctx.saved_tensors
-        return _Convolution.apply(gradient, kernel, not ctx.adjoint, ctx.batch, None), None, None, None, None
+        return _apply(gradient, kernel, not ctx.adjoint, ctx.batch, None), None, None, None, None
 
     @staticmethod
     def jvp(ctx, tangent, *_):
         (kernel,) = ctx.saved_tensors
-        return _Convolution.apply(tangent, kernel, ctx.adjoint, ctx.result_batch, None)
+        return _apply(tangent, kernel, ctx.adjoint, ctx.result_batch, None)
 
     @staticmethod
     def vmap(info, in_dims, field, kernel, adjoint, batch, workspace):
@@ -154,8 +134,11 @@ class _Convolution(torch.autograd.Function):
         rank = max(len(batch), *ranks)
         field, kernel = (_batch_first(array, dim, rank) for array, dim in zip((field, kernel), in_dims, strict=False))
         batches = (info.batch_size, *(1,) * (rank - len(batch)), *batch)
-        result = _Convolution.apply(field, kernel, adjoint, batches, None)
+        result = _apply(field, kernel, adjoint, batches, None)
         return result.reshape(info.batch_size, *batch, *result.shape[-2:]), 0
+
+
+_convolved = _torch_private.operator(_Convolution)
 
 
 def _batch_first(array, dim, rank: int):
@@ -173,25 +156,31 @@ def _convolve_whole(field, kernel, adjoint, batch):
     copies that continue and cut the field conjugate it on its way.
     """
     (rows, columns), (height, width) = field.shape[-2:], kernel.shape[-2:]
-    on_cpu, field = field.device.type == "cpu", field.conj() if adjoint else field
+    dtype, on_cpu, field = field.dtype, field.is_cpu, field.conj() if adjoint else field
     forth, back = (fft.ifft, fft.fft) if adjoint else (fft.fft, fft.ifft)
     if on_cpu:
         # Only rows that are not zero are transformed going in, and only those kept coming out.
         spectrum = forth(forth(field, n=width), n=height, dim=-2)
     else:
         spectrum = (fft.ifft2 if adjoint else fft.fft2)(field, s=(height, width))
-    # By the leading axes alone: np.broadcast_shapes takes as long as the product of a small field.
-    ours, theirs = spectrum.shape[-3::-1], kernel.shape[-3::-1]
-    fits = len(theirs) <= len(ours) and all(n in (1, m) for n, m in zip(theirs, ours, strict=False))
-    spectrum = spectrum.mul_(kernel) if fits and kernel.dtype == spectrum.dtype else spectrum * kernel
-    spectrum = spectrum.sum_to_size(*batch, height, width)
+    spectrum = spectrum.mul_(kernel) if kernel.dtype == dtype and _fits(kernel, spectrum) else spectrum * kernel
+    if spectrum.shape[:-2] != batch:
+        spectrum = spectrum.sum_to_size(*batch, height, width)
     if on_cpu:
         window = back(back(spectrum, dim=-2)[..., :rows, :])[..., :columns]
     else:
         window = (fft.fft2 if adjoint else fft.ifft2)(spectrum)[..., :rows, :columns]
-    window = window.conj().resolve_conj() if adjoint else window
     # A copy: a view would keep the padded field.
-    return window.to(field.dtype).contiguous()
+    window = (window.conj_physical() if adjoint else window).contiguous()
+    return window if window.dtype == dtype else window.to(dtype)
+
+
+def _fits(kernel, spectrum) -> bool:
+    """Return whether a kernel broadcasts to a spectrum by its leading axes; np.broadcast_shapes takes longer."""
+    if kernel.ndim == 2:
+        return True
+    ours, theirs = spectrum.shape[-3::-1], kernel.shape[-3::-1]
+    return len(theirs) <= len(ours) and all(n in (1, m) for n, m in zip(theirs, ours, strict=False))
 
 
 def _convolve_by_fields(field, kernel, adjoint, batch):

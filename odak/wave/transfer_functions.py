@@ -362,12 +362,14 @@ class KernelCache:
     def get(self, key: Hashable, build: Callable):
         """Return the entry of `key`, calling `build` for it when it is not held."""
         with self._lock:
-            if key in self._once:
-                self._again[key] = self._once.pop(key)
-                self._once_bytes -= _bytes_of(self._again[key])
-            if key in self._again:
+            held = self._again.get(key)
+            if held is not None:
                 self._again.move_to_end(key)
-                return self._again[key]
+                return held
+            if key in self._once:
+                held = self._again[key] = self._once.pop(key)
+                self._once_bytes -= _bytes_of(held)
+                return held
         kernel = build()
         size = _bytes_of(kernel)
         with self._lock:
@@ -583,28 +585,30 @@ class Request:
         return bool(np.max(_numbers(self.wavelength)) * math.hypot(*highest) >= 1)
 
     @functools.cached_property
-    def geometry(self) -> tuple | None:
+    def geometry(self) -> bytes | None:
         """Return the lengths in a form that can be looked up, None if they are not known as numbers."""
         if not self.is_plain():
             return None
-        return tuple((_numbers(v).shape, _numbers(v).tobytes()) for v in self._lengths())
+        lengths = [_numbers(value) for value in self._lengths()]
+        return repr([value.shape for value in lengths]).encode() + b"".join(value.tobytes() for value in lengths)
 
     def transfer_function(self, build: Callable, shape: tuple[int, int], xp, device, dtype):
         """Return `build(grid)`, kept for the next call when the geometry is known as numbers."""
         if self.geometry is None:
             return build(self.grid(shape, xp, device, dtype))
-        key = (build, shape, self.geometry, self.scale, self.samples, xp.__name__, str(device), str(dtype))
 
         def fresh():
             with outside_inference(xp):
                 return build(self.grid(shape, xp, device, dtype))
 
+        key = (build, shape, self.geometry, self.scale, self.samples, xp, device, dtype)
         return kernels.on(device).get(key, fresh)
 
     def kernel_for(self, field, build: Callable, shape: tuple[int, int]):
-        """Return the transfer function in the field's library, device and precision."""
-        xp = _array.namespace(field)
-        return self.transfer_function(build, shape, xp, _array.device_of(field), field.dtype)
+        """Return the transfer function in the field's library, device and precision, and in chunks as the field is."""
+        if _array.is_chunked(field):
+            return transfer_function_in_chunks(self, build, shape, field.dtype)
+        return self.transfer_function(build, shape, _array.namespace(field), _array.device_of(field), field.dtype)
 
 
 def _numbers(value) -> np.ndarray:
@@ -766,9 +770,9 @@ def convolve(field, kernel):
         Complex ``[..., m, n]``, in the field's dtype.
     """
     if _array.is_torch(field):
-        from odak.wave import torch_convolution
+        import odak.wave.torch_convolution as operator
 
-        return torch_convolution.convolve(field, kernel)
+        return operator.convolve(field, kernel)
     return (convolve_in_chunks if _array.is_chunked(field) else convolve_plainly)(field, kernel)
 
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from odak._array import convolve_plainly
-from odak.learn.wave import propagate_beam
+from odak.learn.wave import intensity, propagate_beam
 from odak.wave import torch_convolution as convolution
 from odak.wave.torch_convolution import Workspace
 
@@ -19,6 +19,7 @@ from odak.wave.torch_convolution import Workspace
 def blocked(monkeypatch):
     """Send even small fields through the blocked path, in blocks of a few columns."""
     monkeypatch.setattr(convolution, "BLOCKED_FROM", 0)
+    monkeypatch.setattr(convolution, "ONE_BLOCKED_FROM", 0)
     monkeypatch.setattr(convolution, "_BLOCK_BYTES", 700)
     monkeypatch.setattr(convolution, "_COLUMNS", 3)
 
@@ -184,6 +185,19 @@ def test_parts_on_several_threads(blocked, kernel, mode):
     with mode():
         result = convolution.convolve(field.clone().requires_grad_(mode is torch.enable_grad), factor)
     torch.testing.assert_close(result.detach(), expected, rtol=0, atol=1e-13)
+
+
+def test_a_constant_beside_mapped_tensors_keeps_its_gradient():
+    field, factor = pair(12, 15)
+    field.requires_grad_()
+
+    def powers(weights):
+        return torch.func.vmap(lambda weight: intensity(weight * convolution.convolve(field, factor)).sum())(weights)
+
+    weights = torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)
+    (found,) = torch.autograd.grad(powers(weights).sum(), field)
+    (expected,) = torch.autograd.grad(14 * intensity(convolve_plainly(field, factor)).sum(), field)
+    torch.testing.assert_close(found, expected)
 
 
 def test_a_part_that_fails_ends_the_call(blocked, monkeypatch):

@@ -20,7 +20,7 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _array, _validate
-from odak._torch_private import is_plain_on_cpu
+from odak._torch_private import is_plain_on_cpu, operator
 from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, checked_device, checked_dtype
 
@@ -589,7 +589,7 @@ class Sampler:
         """Return the sampled pictures ``[B, C, H, W]``; differentiable any number of times."""
         if not self.levels or not is_plain_on_cpu(image):
             return self.plainly(image)
-        return _Sampled.apply(image.flatten(0, 1).movedim(0, 1), self, False).movedim(1, 0).reshape(image.shape)
+        return _sampled(image.flatten(0, 1).movedim(0, 1), self, False).movedim(1, 0).reshape(image.shape)
 
     def plainly(self, image: torch.Tensor) -> torch.Tensor:
         """Return the sampled pictures by differentiable operations of torch."""
@@ -787,7 +787,10 @@ class _Sampled(torch.autograd.Function):
 
     @staticmethod
     def backward(context, gradient):
-        return _Sampled.apply(gradient, context.sampler, not context.adjoint), None, None
+        return _sampled(gradient, context.sampler, not context.adjoint), None, None
+
+
+_sampled = operator(_Sampled)
 
 
 def _halved(size):

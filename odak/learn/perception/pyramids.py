@@ -18,7 +18,7 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _validate
-from odak._torch_private import is_plain_on_cpu
+from odak._torch_private import is_plain_on_cpu, operator
 from odak.learn._tensors import checked_device, checked_dtype, in_own_precision, kind_of
 
 FILTER_TYPES = ("full", "cropped", "trained")
@@ -788,7 +788,7 @@ def correlate(image: torch.Tensor, taps: torch.Tensor, stride: int = 1) -> torch
     several times less time.
     """
     if is_plain_on_cpu(image) and image.dtype in (torch.float32, torch.float64) and not taps.requires_grad:
-        return _Correlation.apply(image, taps, stride)
+        return _correlated(image, taps, stride)
     padded = functional.pad(image, (taps.shape[-1] // 2,) * 4, mode="reflect")
     planes = functional.conv2d(padded.flatten(0, 1)[:, None], taps[:, None], stride=stride)
     return planes.unflatten(0, image.shape[:2])
@@ -818,7 +818,10 @@ class _Correlation(torch.autograd.Function):
 
     @staticmethod
     def backward(context, gradient):
-        return _Adjoint.apply(gradient, context.taps, context.stride, context.size), None, None
+        return _adjoint(gradient, context.taps, context.stride, context.size), None, None
+
+
+_correlated = operator(_Correlation)
 
 
 class _Adjoint(torch.autograd.Function):
@@ -849,7 +852,10 @@ class _Adjoint(torch.autograd.Function):
 
     @staticmethod
     def backward(context, gradient):
-        return _Correlation.apply(gradient, context.taps, context.stride), None, None, None
+        return _correlated(gradient, context.taps, context.stride), None, None, None
+
+
+_adjoint = operator(_Adjoint)
 
 
 def _as_channels_last(planes):

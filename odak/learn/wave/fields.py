@@ -8,6 +8,7 @@ import torch
 from torch.autograd.function import once_differentiable
 
 from odak import _array, _validate
+from odak._torch_private import operator
 from odak.learn._face import torch_face
 from odak.learn._tensors import kind_of, tensor, trainable
 from odak.wave import fields
@@ -46,7 +47,7 @@ def unit_phasor(phase: torch.Tensor) -> torch.Tensor:
     if not isinstance(phase, torch.Tensor) or phase.is_complex():
         raise TypeError(f"phase must be a real tensor, got {kind_of(phase)}")
     # There are no complex dtypes of half precision.
-    return _UnitPhasor.apply(phase.float() if phase.dtype in _HALVES else phase)
+    return _unit_phasor(phase.float() if phase.dtype in _HALVES else phase)
 
 
 def intensity(field: torch.Tensor) -> torch.Tensor:
@@ -71,7 +72,7 @@ def intensity(field: torch.Tensor) -> torch.Tensor:
     """
     if not isinstance(field, torch.Tensor):
         raise TypeError(f"field must be a complex tensor, got {type(field).__name__}")
-    return _Intensity.apply(_array.to_complex(field).resolve_conj())
+    return _intensity(_array.to_complex(field).resolve_conj())
 
 
 def mean_intensity(field: torch.Tensor, frames: int) -> torch.Tensor:
@@ -125,7 +126,7 @@ def exposure(
     _validate.one_device(field=field, power=power)
     if workspace is not None and not isinstance(workspace, Workspace):
         raise TypeError(f"workspace must be a Workspace or None, got {type(workspace).__name__}")
-    return _Exposure.apply(trainable(field.resolve_conj()), trainable(power), one_each, workspace)
+    return _exposure(trainable(field.resolve_conj()), trainable(power), one_each, workspace)
 
 
 def squared_error(image: torch.Tensor, target: torch.Tensor, workspace: Workspace | None = None) -> torch.Tensor:
@@ -257,6 +258,9 @@ class _UnitPhasor(torch.autograd.Function):
         return 1j * field * tangent
 
 
+_unit_phasor = operator(_UnitPhasor)
+
+
 class _Intensity(torch.autograd.Function):
     """d|u|² = 2·Re(conj(u)·du)."""
 
@@ -280,6 +284,9 @@ class _Intensity(torch.autograd.Function):
     def jvp(ctx, tangent):
         (field,) = ctx.saved_tensors
         return 2 * (field.real * tangent.real + field.imag * tangent.imag)
+
+
+_intensity = operator(_Intensity)
 
 
 class _SquaredError(torch.autograd.Function):
@@ -341,6 +348,9 @@ class _Exposure(torch.autograd.Function):
         if ctx.needs_input_grad[0]:
             to_field = _slope(field, gradient, power, ctx.one_each, None if saved else field)
         return to_field, to_power, None, None
+
+
+_exposure = operator(_Exposure)
 
 
 def _slope(field, gradient, power, one_each, result=None):
