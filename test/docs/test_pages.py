@@ -79,6 +79,9 @@ def test_agreement_of_numbers():
     assert agrees("PSNR 30.1 dB\n", "PSNR 30.3 dB\n")
     assert not agrees("PSNR 30.1 dB\n", "PSNR 33.0 dB\n")
     assert not agrees("PSNR 30.1 dB\n", "SSIM 30.1 dB\n")
+    assert agrees("PSNR ≈ 30.1 dB\n", "PSNR ≈ 33.0 dB\n") and not agrees("PSNR ≈ 30 dB\n", "PSNR ≈ 20 dB\n")
+    assert agrees("error ≈ 3e-16", "error ≈ 4e-15") and not agrees("error ≈ 3e-16", "error ≈ 3e-12")
+    assert not agrees("error 3e-16", "error ≈ 3e-16") and not agrees("error ≈ 3e-5", "error ≈ 3e-3")
 
 
 def test_blocks_are_read_with_their_output(tmp_path):
