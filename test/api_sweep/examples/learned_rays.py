@@ -9,6 +9,7 @@ from odak.learn.raytracing import Conic, define_circle, define_cylinder, light_s
 from odak.learn.raytracing.system import (
     Perturbation,
     Variable,
+    configurations,
     first_order,
     huygens_point_spread_function,
     launch,
@@ -33,6 +34,10 @@ RAY = torch.tensor([[0.125, 0.25, -5.0], [0.0, 0.0, 1.0]])
 RAYS = torch.stack([RAY, RAY + torch.tensor([[0.5, 0.0, 0.0], [0.0, 0.0, 0.0]])])
 TRIANGLE = torch.tensor([[-5.0, -5.0, 0.0], [5.0, -5.0, 0.0], [0.0, 5.0, 0.0]])
 VERTICES = torch.tensor([[-5.0, -5.0, 0.0], [5.0, -5.0, 0.0], [0.0, 5.0, 0.0], [0.0, -9.0, 1.0]])
+
+
+def _zoom():
+    return configurations(_lens(), [("thickness", -1, [97.0, 96.0])])
 
 
 def _lens():
@@ -251,6 +256,14 @@ BY_CALL = {
     f"{HERE}.system.lens_design.linearised": {"values": torch.tensor([0.02], dtype=torch.float64)},
     f"{HERE}.system.lens_design.view": {"values": torch.tensor([0.02], dtype=torch.float64)},
     f"{HERE}.system.lens_design.clear_heights": {"values": torch.tensor([0.02], dtype=torch.float64)},
+    f"{HERE}.system.zoom_design": DESIGN | {"zoom": Build(lambda _: _zoom())},
+    f"{HERE}.system.zoom_design.optimise": {"iterations": 1},
+    f"{HERE}.system.zoom_design.restarts": {"count": 2, "spread": 0.2, "iterations": 1},
+    f"{HERE}.system.zoom_design.substitute_glasses": {"candidates": 1, "iterations": 1},
+    **{
+        f"{HERE}.system.zoom_design.{name}": {"values": torch.tensor([0.02], dtype=torch.float64)}
+        for name in ("apply", "prescription", "residuals", "linearised", "view", "clear_heights")
+    },
     f"{HERE}.system.huygens_point_spread_function": {"samples": 8, "size": 16},
     f"{HERE}.system.modulation_at": {
         "spread": Build(lambda _: huygens_point_spread_function(_lens(), 8, 16)),

@@ -31,6 +31,7 @@ from .design import Pickup as Pickup
 from .design import Solve as Solve
 from .design import Variable as Variable
 from .design import lens_design as lens_design
+from .design import zoom_design as zoom_design
 from .drawing import draw_layout as draw_layout
 from .drawing import draw_spots as draw_spots
 from .drawing import fans_figure as fans_figure

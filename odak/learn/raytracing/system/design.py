@@ -23,6 +23,7 @@ from odak.learn.raytracing.system.optimise import LADDER, least_squares, lineari
 from odak.learn.raytracing.system.paraxial import check_media, entrance_pupil, matrix, signed_indices
 from odak.learn.raytracing.system.pupils import AIMS, pupil_of
 from odak.learn.raytracing.system.surfaces import Prescription, checked_system, is_break
+from odak.learn.raytracing.system.zooms import configurations
 
 VARIED = ("curvature", "conic", "thickness", "coefficients", "index", "shift", "tilt", "glass")
 COPIED = ("curvature", "conic", "thickness", "coefficients")
@@ -741,6 +742,185 @@ class lens_design:
         self.values, self.lower, self.upper = (v[kept] for v in (self.values, self.lower, self.upper))
         self.operands = [item for item in self.operands if item.kind != "glass"]
         return kept
+
+
+class zoom_design(lens_design):
+    """Optimisation over all configurations of a system: one merit, shared numbers, and numbers of each configuration.
+
+    Parameters
+    ----------
+    zoom : configurations
+        The configurations; :meth:`optimise` and :meth:`apply` change them and their system in place.
+    operands : sequence of Operand or str
+        Operands, which count in every configuration. `target`, `lower`, `upper` and `weight` may be sequences of one
+        number for each.
+    variables : sequence of Variable
+        What may change. Numbers that the settings of the configurations have, and differences from solves, are
+        variables of each configuration; all others are shared.
+    pickups : sequence of Pickup
+        Numbers that follow others.
+    solves : sequence of Solve
+        Solves of numbers that the settings have.
+    pupil : str or torch.Tensor
+        Pattern of :func:`pupil_samples`, or points; of :class:`lens_design`.
+    count : int
+        Count of :func:`pupil_samples`.
+    aim : str
+        "paraxial" or "real", how :func:`launch` aims.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a description is malformed, names what the system does not have, or solves for a shared number.
+
+    Notes
+    -----
+    Fields, apertures and distances of the object may differ between the configurations. The columns of the variables
+    in `values` are those of the first configuration, each of its own ones followed by those of the others.
+
+    Examples
+    --------
+    Two ideal lenses whose distances give focal lengths of 150 and 100 and a sharp image:
+
+    >>> from odak.learn.raytracing.system import Operand, Variable, configurations, optical_system, surface, zoom_design
+    >>> from odak.raytracing.interfaces import IdealLens
+    >>> lenses = [surface(phase=IdealLens(50.0), thickness=32.0), surface(phase=IdealLens(-30.0), thickness=50.0)]
+    >>> zoom = configurations(
+    ...     optical_system(lenses, 10.0), [("thickness", 0, [31.0, 34.0]), ("thickness", 1, [50.0, 40.0])]
+    ... )
+    >>> wanted = Operand("focal_length", target=[150.0, 100.0])
+    >>> found = zoom_design(zoom, [wanted, "spot"], Variable("thickness", [0, 1])).optimise()
+    >>> [round(value, 3) for value in found.values.tolist()]
+    [30.0, 35.0, 60.0, 30.0]
+    """
+
+    def __init__(
+        self,
+        zoom: Any,
+        operands: Any,
+        variables: Any,
+        *,
+        pickups: Sequence[Pickup] = (),
+        solves: Sequence[Solve] = (),
+        pupil: Any = "rings",
+        count: int = 4,
+        aim: str = "paraxial",
+    ):
+        if not isinstance(zoom, configurations):
+            raise TypeError(f"zoom must be configurations of a system, got {type(zoom).__name__}")
+        self.zoom = zoom
+        options = {"pickups": pickups, "solves": solves, "pupil": pupil, "count": count, "aim": aim}
+        listed = _listed(operands) if not isinstance(operands, (str, Operand)) else [operands]
+        with torch.no_grad():
+            self.each = [
+                lens_design(
+                    zoom.view(c), [_of_configuration(item, c, zoom.count) for item in listed], variables, **options
+                )
+                for c in range(zoom.count)
+            ]
+        first = self.each[0]
+        self.__dict__.update({name: value for name, value in first.__dict__.items() if name not in self.__dict__})
+        self.system, self.heights = zoom.system, None
+        own = {(name, place) for name, place, _ in zoom.settings}
+        for name, place in sorted(self.solved - own):
+            raise ValueError(f"solves must be for what the settings have, got one for the {name} of surface {place}")
+        values: list[tuple] = []
+        self.columns, self.rows = {}, [[0] * len(first.values) for _ in self.each]
+        for name, places in self.places.items():
+            for (place, _), column in zip(places, first.columns[name], strict=True):
+                for design, row in zip(self.each, self.rows, strict=True):
+                    if design is first or (name, place) in own:
+                        self.columns.setdefault(name, []).append(len(values))
+                        values.append((design.values[column], design.lower[column], design.upper[column]))
+                    row[column] = len(values) - 1
+        self.values, self.lower, self.upper = (torch.stack(part) for part in zip(*values, strict=True))
+
+    def prescription(self, values: torch.Tensor) -> Prescription:
+        """Return the numbers of all configurations for values of the variables.
+
+        Parameters
+        ----------
+        values : torch.Tensor
+            ``[..., V]``.
+
+        Returns
+        -------
+        Prescription
+            With the axes ``[..., C]`` as a batch of systems.
+        """
+        values = self._checked(values)
+        parts = [design.prescription(values[..., row]) for design, row in zip(self.each, self.rows, strict=True)]
+
+        def stacked(column: tuple) -> Any:
+            if not isinstance(column[0], torch.Tensor):
+                return column[0]
+            return torch.stack(torch.broadcast_tensors(*column), min(values.ndim - 1, column[0].ndim - 1))
+
+        waves = parts[0].wavelengths
+        return Prescription(*map(stacked, zip(*parts, strict=True)))._replace(wavelengths=waves)
+
+    def residuals(self, values: torch.Tensor) -> torch.Tensor:
+        """Return the residuals of all configurations ``[..., R]`` at values ``[..., V]``; NaN where a ray is lost."""
+        values = self._checked(values)
+        parts = [design.residuals(values[..., row]) for design, row in zip(self.each, self.rows, strict=True)]
+        return torch.cat(parts, -1)
+
+    def refresh(self) -> None:
+        """Compute the clear semi-diameters of each configuration from its rays."""
+        for design in self.each:
+            design.refresh()
+
+    def report(self) -> list[tuple[Operand, torch.Tensor, float]]:
+        """Return the reports of the configurations one after the other."""
+        return [row for design in self.each for row in design.report()]
+
+    def apply(self, values: torch.Tensor) -> None:
+        """Write values of the variables, and what follows from them, to the system and its settings.
+
+        Parameters
+        ----------
+        values : torch.Tensor
+            ``[V]``.
+        """
+        self.values = self._checked(values).detach().clone()
+        for design, row in zip(self.each, self.rows, strict=True):
+            design.apply(self.values[row])
+        self._share_glasses([place for place, _ in self.places.get("glass", ())])
+
+    def _share_glasses(self, places: Iterable[int]) -> None:
+        """Give the system the glasses that the configurations have behind some surfaces."""
+        for place in places:
+            item, held = (system.surfaces[place] for system in (self.system, self.each[0].system))
+            item.material = held.material  # type: ignore[union-attr]
+
+    def _with_glasses(self, rows: Sequence[Sequence[str | None]]) -> "lens_design":
+        found = copy.copy(self)
+        found.each = [design._with_glasses(rows) for design in self.each]
+        return found
+
+    def _settle(self, names: Sequence[str]) -> list[int]:
+        taken, places = self.columns["glass"], [place for place, _ in self.places["glass"]]
+        kept = [c for c in range(len(self.values)) if c not in taken]
+        for k, design in enumerate(self.each):
+            self.rows[k] = [kept.index(self.rows[k][c]) for c in design._settle(names)]
+        self.places, self.operands = self.each[0].places, self.each[0].operands
+        self.columns = {
+            key: [kept.index(c) for c in columns] for key, columns in self.columns.items() if key != "glass"
+        }
+        self.values, self.lower, self.upper = (v[kept] for v in (self.values, self.lower, self.upper))
+        self._share_glasses(places)
+        return kept
+
+
+def _of_configuration(item: Any, place: int, count: int) -> Any:
+    """Return an operand with its numbers for one of several configurations."""
+    if not isinstance(item, Operand):
+        return item
+    numbers = {name: getattr(item, name) for name in ("target", "weight", "lower", "upper")}
+    for name, value in numbers.items():
+        if isinstance(value, Iterable):
+            numbers[name] = _validate.several(f"{name} of an operand", value, count)[place]
+    return item._replace(**numbers)
 
 
 def _published(name: str) -> tuple[float, float]:

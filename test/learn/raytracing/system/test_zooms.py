@@ -6,6 +6,9 @@ import pytest
 import torch
 
 from odak.learn.raytracing.system import (
+    Operand,
+    Solve,
+    Variable,
     configurations,
     first_order,
     load_system,
@@ -17,6 +20,7 @@ from odak.learn.raytracing.system import (
     system_to_dict,
     trace_fields,
     write_zmx,
+    zoom_design,
 )
 from odak.raytracing.interfaces import IdealLens
 
@@ -142,3 +146,72 @@ def test_configurations_travel_in_files(tmp_path):
 def test_settings_that_are_none_are_refused(settings, message):
     with pytest.raises((ValueError, TypeError), match=message):
         configurations(two_lenses(), settings)
+
+
+def two_singlets():
+    """Two lenses of glass with three distances between them, and fields that become smaller."""
+    rows = [(60.0, 4.0, "N-BK7"), (-90.0, 30.0, "air"), (-40.0, 2.0, "N-SF5"), (200.0, 60.0, "air")]
+    lens = optical_system([surface(r, thickness=t, material=m) for r, t, m in rows], 6.0, fields=[0.0, 2.0])
+    return configurations(lens, [("thickness", 1, GAPS), ("fields", None, [[0.0, 3.0], [0.0, 2.0], [0.0, 1.0]])])
+
+
+def test_a_zoom_design_finds_the_positions_of_two_ideal_lenses():
+    """Distances for three focal lengths, by Gauss's formulas."""
+    whole, behind = images()
+    zoom = configurations(two_lenses(), [("thickness", 0, [30.5, 37.5, 45.5]), ("thickness", 1, [90.0, 50.0, 30.0])])
+    wanted = [Operand("focal_length", target=whole), "spot"]
+    result = zoom_design(zoom, wanted, [Variable("thickness", 0)], solves=[Solve("marginal_height", 1)]).optimise()
+    assert result.values.tolist() == pytest.approx(GAPS, rel=1e-7)
+    found = [list(values) for _, _, values in zoom.settings]
+    assert found[0] == pytest.approx(GAPS, rel=1e-7) and found[1] == pytest.approx(behind, rel=1e-7)
+
+
+def test_a_merit_of_all_configurations_is_the_sum_of_theirs():
+    """Shared curvatures are one variable, distances three; the Jacobian is that of central differences."""
+    zoom = two_singlets()
+    operands = ["spot", Operand("focal_length", target=[70.0, 80.0, 90.0], weight=0.1)]
+    design = zoom_design(zoom, operands, [Variable("curvature", [0, 2]), Variable("thickness", 1)], count=2)
+    assert design.values.tolist() == pytest.approx([1 / 60, -1 / 40, *GAPS], rel=1e-12)
+    value, jacobian = design.linearised(design.values)
+    own = 0.0
+    for i, target in enumerate((70.0, 80.0, 90.0)):
+        with torch.no_grad():
+            view = zoom.view(i)
+            spots = rms_spot(view, "rings", 2, vignetting=False).square().sum()
+            own += float(spots + 0.01 * (first_order(view).focal_length - target) ** 2)
+    assert float(value.square().sum()) == pytest.approx(own, rel=1e-10)
+    for j, size in enumerate((1e-6, 1e-6, 1e-3, 1e-3, 1e-3)):
+        step = torch.zeros_like(design.values)
+        step[j] = size
+        slope = (design.residuals(design.values + step) - design.residuals(design.values - step)) / (2 * size)
+        torch.testing.assert_close(slope, jacobian[:, j], rtol=1e-5, atol=1e-6 * float(jacobian[:, j].abs().amax()))
+    several = design.prescription(design.values.expand(2, -1))
+    assert several.thickness.shape == (2, 3, 4) and several.thickness[0, :, 1].tolist() == list(GAPS)
+    design.optimise(2)
+    shared = float(zoom.system.surfaces[0].curvature)
+    assert float(design.values[0]) == pytest.approx(shared, rel=1e-14) and shared != pytest.approx(1 / 60, rel=1e-3)
+    assert all(float(zoom.view(i).surfaces[0].curvature) == shared for i in range(3))
+
+
+def test_real_glasses_of_a_zoom_are_the_same_in_all_positions():
+    zoom = two_singlets()
+    variables = [Variable("curvature", range(4)), Variable("glass", [0, 2])]
+    operands = ["spot", Operand("focal_length", target=[70.0, 80.0, 90.0], weight=0.1)]
+    design = zoom_design(zoom, operands, variables, count=1)
+    names = design.substitute_glasses(["schott"], candidates=1, iterations=1)
+    for system in (zoom.system, *(zoom.view(i) for i in range(3))):
+        assert tuple(system.surfaces[i].material.name for i in (0, 2)) == names
+    own = sum(share for _, _, share in design.report())
+    assert own == pytest.approx(0.5 * float(design.residuals(design.values).square().sum()), rel=1e-12)
+    fresh = zoom_design(zoom, operands, variables[:1], count=1)
+    assert float(fresh.residuals(fresh.values).square().sum()) == pytest.approx(2 * own, rel=1e-9)
+
+
+def test_zoom_designs_that_make_no_sense_are_refused():
+    zoom = two_singlets()
+    with pytest.raises(TypeError, match="zoom must be configurations"):
+        zoom_design(zoom.system, "spot", Variable("curvature", 0))
+    with pytest.raises(ValueError, match="solves must be for what the settings have, got one for the curvature"):
+        zoom_design(zoom, "spot", Variable("thickness", 1), solves=[Solve("focal_length", 3, 80.0)])
+    with pytest.raises(ValueError, match="target of an operand must have 3 numbers, got 2"):
+        zoom_design(zoom, Operand("focal_length", target=[1.0, 2.0]), Variable("thickness", 1))
