@@ -50,6 +50,7 @@ UNITS = {
     "wavelength": "m",
     "pitch": "m",
     "distance": "m",
+    "lens": "m",
     "phases": "rad",
     "amplitude": "fraction of the largest",
     "wavefront": "rad",
@@ -132,8 +133,9 @@ class Calibration:
         Vacuum wavelength in metres.
     pitch : float
         Distance between pixels of the modulator in metres.
-    distance : float
-        From the modulator to the plane of the camera in metres.
+    distance : float or Lens
+        From the modulator to the plane of the camera in metres, or the lens between them, whose errors are in the
+        registration and in the wavefront.
     phases : numpy.ndarray
         Phase of each level in radians, less that of level 0.
     amplitude : numpy.ndarray
@@ -164,7 +166,7 @@ class Calibration:
 
     wavelength: float
     pitch: float
-    distance: float
+    distance: float | Lens
     phases: np.ndarray
     amplitude: np.ndarray
     wavefront: np.ndarray
@@ -175,7 +177,7 @@ class Calibration:
     __repr__ = _show.one_line
 
     @classmethod
-    def nominal(cls, modulator: Modulator, camera: Camera, wavelength: float, distance: float) -> "Calibration":
+    def nominal(cls, modulator: Modulator, camera: Camera, wavelength: float, distance: float | Lens) -> "Calibration":
         """Return the nominal properties of a table, without faults.
 
         Parameters
@@ -186,8 +188,8 @@ class Calibration:
             The camera, taken to be aligned.
         wavelength : float
             Vacuum wavelength in metres.
-        distance : float
-            Distance from the modulator to the camera in metres.
+        distance : float or Lens
+            Distance from the modulator to the camera in metres, or the lens between them.
 
         Returns
         -------
@@ -200,7 +202,7 @@ class Calibration:
         return cls(
             float(_validate.number("wavelength", wavelength, positive=True)),
             modulator.pitch,
-            float(_validate.number("distance", distance, positive=True)),
+            distance if isinstance(distance, Lens) else ray_matrix(distance)[1],
             np.arange(count) * (2 * np.pi / count),
             np.ones(modulator.shape),
             np.zeros(modulator.shape),
@@ -224,7 +226,7 @@ class Calibration:
         rows = [
             ("wavelength", f"{1e9 * self.wavelength:.6g} nm", ""),
             ("pitch", f"{1e6 * self.pitch:.6g} µm", ""),
-            ("distance", f"{1e3 * self.distance:.6g} mm", doubts.get("distance", "")),
+            ("light path", _path_in_words(self.distance), doubts.get("distance", "")),
             (
                 "phase from the first to the last level",
                 f"{float(self.phases[-1] / np.pi):.4g}π",
@@ -254,6 +256,13 @@ class Calibration:
         continues to the edges of the modulator.
         """
         return nearest_levels(np.asarray(phase) - self.wavefront, self.response)
+
+
+def _path_in_words(path: float | Lens) -> str:
+    """Return a light path as a line."""
+    if isinstance(path, Lens):
+        return f"lens of {1e3 * path.focal_length:.6g} mm"
+    return f"{1e3 * path:.6g} mm"
 
 
 def _doubts(uncertainty: Mapping[str, float]) -> list[str]:
@@ -354,7 +363,7 @@ def calibrate_table(
     modulator: Modulator,
     camera: Camera,
     wavelength: float,
-    distance: float,
+    distance: float | Lens,
     *,
     rounds: int = 2,
     regions: Sequence[int] | None = None,
@@ -372,11 +381,12 @@ def calibrate_table(
     modulator : Modulator
         The modulator.
     camera : Camera
-        The camera, without a lens, roughly at `distance`.
+        The camera, roughly at `distance`.
     wavelength : float
         Vacuum wavelength in metres.
-    distance : float
-        Nominal distance from the modulator to the camera in metres.
+    distance : float or Lens
+        Nominal distance from the modulator to the camera in metres, or the lens between them, near whose back focal
+        plane the camera is.
     rounds : int
         Number of measurements of the registration and the wavefront; up to twice as many as long as the wavefront
         changes by more than a twentieth of a wavelength. The first takes 17 captures of the wavefront and the others
@@ -394,7 +404,7 @@ def calibrate_table(
     -------
     Calibration
         The results with their uncertainties; its wavefront has no tilt and no defocus, which are in the registration
-        and the distance.
+        and the distance. Behind a lens the defocus, of a camera beside the focus, is in the wavefront.
 
     Raises
     ------
@@ -432,13 +442,18 @@ def calibrate_table(
     True
     """
     rounds, partial = _validate.integer("rounds", rounds, minimum=1), _validate.flag("partial", partial)
+    behind_lens = isinstance(distance, Lens)
+    if behind_lens and (partial or regions not in (None, (1, 1))):
+        raise ValueError("distance must be without a lens for regions and partial: behind one, pixels reach all places")
     check_square_pixels(modulator, camera)
     camera = checked_camera(camera)
     there = (modulator, camera, wavelength)
     phases, doubt, spread = phases_with_uncertainty(*there, distance)
     warn_of_short_range(phases)
     varies = spread > SPREAD_OF_RESPONSE
-    if regions is None:
+    if regions is None and behind_lens:
+        regions = (1, 1)
+    elif regions is None:
         enough = all(n >= SMALLEST_REGION * parts for n, parts in zip(modulator.shape, REGIONS, strict=True))
         regions = REGIONS if varies and enough else (1, 1)
     regions = _validate.size("regions", regions)
@@ -446,19 +461,20 @@ def calibrate_table(
         warn(
             f"the calibration is uncertain: captures deviate by {spread:.1%} from those of levels with one phase at "
             "all pixels; where the response varies over the panel, the phases are those near its middle, registration "
-            "and distance deviate by some tenths of a pixel and of a percent: use regions=(3, 3)",
+            "and distance deviate by some tenths of a pixel and of a percent"
+            + ("" if behind_lens else ": use regions=(3, 3)"),
             AccuracyWarning,
         )
     uncertainty = {"phases": doubt}
     response, regional = phases, None
     wavefront, change = np.zeros(modulator.shape), math.inf
     quadratic = _modes(modulator, 2)
-    low = quadratic[[0, 1, _DEFOCUS]]
+    low = quadratic[[0, 1] if behind_lens else [0, 1, _DEFOCUS]]
     for turn in range(2 * rounds):
         if turn >= rounds and change < UNSETTLED:
             break
         registration = register_camera(*there, distance, response, wavefront=wavefront, middle=turn == 0)
-        if turn == 0:
+        if turn == 0 and not isinstance(distance, Lens):
             view = (modulator, camera, wavelength, distance, registration)
             share = np.ones(2)
             # The registration of the part differs by some pixels.
@@ -490,6 +506,12 @@ def calibrate_table(
             found, doubt = wavefront_with_uncertainty(*known, iterations=5, captures=1)
         else:
             found, doubt = wavefront_with_uncertainty(*known, iterations=3, start=wavefront)
+        if isinstance(distance, Lens):
+            # An aberration does not change the scale and the shear of spots of which each has the light of all pixels.
+            found = without(found, low)
+            change, wavefront = float((found - wavefront).std()), found
+            continue
+        if turn > 0:
             found = wavefront + without(found - wavefront, quadratic)
         # Where the illumination is not symmetric, defocus shifts the sharpest astigmatism.
         distance, _ = distance_with_uncertainty(*known, wavefront=found, captures=1)
@@ -500,16 +522,17 @@ def calibrate_table(
     # below are those that cover the errors of simulated tables with fringing fields.
     response_error = 0.4 * uncertainty.get("regional_phases", 0.0)
     uncertainty["wavefront"] = math.hypot(1.5 * doubt, REST * change, SMALLEST_ERROR, response_error)
-    distance, doubt = distance_with_uncertainty(*known, wavefront=wavefront)
-    # The wavefront π/λ·(x² + y²)/f is that of a lens.
-    y, x = _axes(modulator)
-    defocus = 0.6 * uncertainty["wavefront"] / (x**2 + y**2).std() * wavelength * distance**2 / np.pi
-    uncertainty["distance"] = math.hypot(doubt, defocus)
+    by_distance = 0.0
+    if not isinstance(distance, Lens):
+        distance, doubt = distance_with_uncertainty(*known, wavefront=wavefront)
+        # The wavefront π/λ·(x² + y²)/f is that of a lens.
+        y, x = _axes(modulator)
+        defocus = 0.6 * uncertainty["wavefront"] / (x**2 + y**2).std() * wavelength * distance**2 / np.pi
+        uncertainty["distance"] = math.hypot(doubt, defocus)
+        far = 0.35 * math.hypot(*modulator.shape) * modulator.pitch
+        by_distance = far * uncertainty["distance"] / (distance * camera.pitch)
     registration = register_camera(*there, distance, response, wavefront=wavefront)
-    far = 0.35 * math.hypot(*modulator.shape) * modulator.pitch
-    uncertainty["registration"] = math.hypot(
-        registration.uncertainty, far * uncertainty["distance"] / (distance * camera.pitch)
-    )
+    uncertainty["registration"] = math.hypot(registration.uncertainty, by_distance)
     registration = replace(registration, uncertainty=uncertainty["registration"])
     for text in _doubts(uncertainty):
         warn(text, AccuracyWarning)
@@ -525,7 +548,7 @@ def measure_phase_response(
     modulator: Modulator,
     camera: Camera,
     wavelength: float,
-    distance: float,
+    distance: float | Lens,
     *,
     samples: int = 25,
     captures: int = 4,
@@ -546,8 +569,10 @@ def measure_phase_response(
         The camera, roughly at `distance`. Its exposure is set for light that is not focused.
     wavelength : float
         Vacuum wavelength in metres.
-    distance : float
-        Nominal distance from the modulator to the camera in metres.
+    distance : float or Lens
+        Nominal distance from the modulator to the camera in metres, or the lens between them. Behind a lens both halves
+        form the focus on the axis, and the sign of the phases, for which the image turns by 180°, is taken to be
+        positive.
     samples : int
         Number of levels measured, at least 8; those between are interpolated by a cubic spline.
     captures : int
@@ -597,7 +622,12 @@ def measure_phase_response(
 
 
 def phases_with_uncertainty(
-    modulator: Modulator, camera: Camera, wavelength: float, distance: float, samples: int = 25, captures: int = 4
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float | Lens,
+    samples: int = 25,
+    captures: int = 4,
 ) -> tuple[np.ndarray, float, float]:
     """Return the phase of each level, its uncertainty, and the deviation of the captures from one phase at all pixels.
 
@@ -609,22 +639,27 @@ def phases_with_uncertainty(
     levels = _measured_levels(top, samples)
     lens_phase(modulator, wavelength, distance)  # checks the lengths
     columns = modulator.shape[1]
-    # The lens narrows the light of a half to two thirds, away from the border, whose fringing fields disturb.
-    focal, size = 3 * distance, columns * modulator.pitch
-    shift = min(size / 2, max(0.9 * wavelength * distance / (2 * modulator.pitch) - size / 12, size / 8))
-    y, x = _axes(modulator)
     left = np.arange(columns) < columns // 2
-    side = np.where(left, -1, 1)
-    away = x - side * size / 4
-    lens = -2 * np.pi / wavelength * (side * away * shift / distance + (away**2 + y**2) / (2 * focal))
-    deflected = nearest_levels(lens, np.arange(top + 1) * 2 * np.pi / (top + 1))
+    if isinstance(distance, Lens):
+        pattern = np.full(modulator.shape, (top + 1) // 2)
+    else:
+        pattern = _onto_the_other_half(modulator, wavelength, distance, top)
     border = np.s_[:, columns // 2 - GUARD : columns // 2 + GUARD]
-    deflected[border] = _guard(modulator, top)[border]
-    reach = int(min(0.4 * size / camera.pitch + 1, (min(camera.shape) - 1) // 2))
-    step = 1 + 2 * reach // LARGEST_WINDOW
-    _read_around(camera, np.array(camera.shape[::-1]) // 2, reach)
-    modulator.show(np.where(left, deflected, (top + 1) // 2))
-    set_exposure(camera)
+    pattern[border] = _guard(modulator, top)[border]
+    modulator.show(np.where(left, pattern, (top + 1) // 2))
+    if isinstance(distance, Lens):
+        # Interference may make the focus twice as bright.
+        set_exposure(camera, level=0.35)
+        focus = _brightest(_averaged(camera, 1))
+        _, b = distance.ray_matrix
+        width = wavelength * abs(b) / (min(modulator.shape) * modulator.pitch * camera.pitch)
+        _read_around(camera, focus, int(min(3 * width + 6, (min(camera.shape) - 1) // 2)))
+        step = 1
+    else:
+        reach = int(min(0.4 * columns * modulator.pitch / camera.pitch + 1, (min(camera.shape) - 1) // 2))
+        step = 1 + 2 * reach // LARGEST_WINDOW
+        _read_around(camera, np.array(camera.shape[::-1]) // 2, reach)
+        set_exposure(camera)
     check_frames_are_new(
         modulator, camera, nearest_levels(_deflected(modulator), np.array([0, np.pi])) * (top + 1) // 2
     )
@@ -632,12 +667,14 @@ def phases_with_uncertainty(
     for fixed in (left, ~left):
         frames = []
         for level in levels:
-            modulator.show(np.where(fixed, deflected, level))
+            modulator.show(np.where(fixed, pattern, level))
             frames.append(_averaged(camera, captures)[::step, ::step].ravel())
         found.append(_phases_of_interference(np.stack(frames)))
     camera.region = None
     (one, first), (other, second) = found
-    seen = _sign(modulator, camera, wavelength, distance, levels, (one + other) / 2) * (one + other) / 2
+    seen = (one + other) / 2
+    if not isinstance(distance, Lens):
+        seen = seen * _sign(modulator, camera, wavelength, distance, levels, seen)
     phases, fewer = (CubicSpline(levels[used], seen[used])(np.arange(top + 1)) for used in (np.s_[:], np.s_[::2]))
     # Near level 0, a power law is interpolated by half the samples with about twice the error. What captures deviate
     # from one phase at all pixels, as a share of the interference, is about the error that fringing fields cause.
@@ -645,6 +682,19 @@ def phases_with_uncertainty(
     interpolation = 1.5 * float(np.abs(phases - fewer)[:within].max())
     spread = max(first, second)
     return phases, math.hypot(float(np.abs(one - other).max()), interpolation, spread), spread
+
+
+def _onto_the_other_half(modulator: Modulator, wavelength: float, distance: float, top: int) -> np.ndarray:
+    """Return the levels that deflect the light of each half of a modulator onto that of the other."""
+    # The lens narrows the light of a half to two thirds, away from the border, whose fringing fields disturb.
+    columns = modulator.shape[1]
+    focal, size = 3 * distance, columns * modulator.pitch
+    shift = min(size / 2, max(0.9 * wavelength * distance / (2 * modulator.pitch) - size / 12, size / 8))
+    y, x = _axes(modulator)
+    side = np.where(np.arange(columns) < columns // 2, -1, 1)
+    away = x - side * size / 4
+    lens = -2 * np.pi / wavelength * (side * away * shift / distance + (away**2 + y**2) / (2 * focal))
+    return nearest_levels(lens, np.arange(top + 1) * 2 * np.pi / (top + 1))
 
 
 def _sign(
@@ -763,7 +813,7 @@ def measure_regional_response(
     modulator: Modulator,
     camera: Camera,
     wavelength: float,
-    distance: float,
+    distance: float | Lens,
     registration: Registration,
     *,
     wavefront: np.ndarray | float = 0.0,
@@ -829,7 +879,7 @@ def regions_with_uncertainty(
     modulator: Modulator,
     camera: Camera,
     wavelength: float,
-    distance: float,
+    distance: float | Lens,
     registration: Registration,
     wavefront: np.ndarray | float = 0.0,
     regions: Sequence[int] = (3, 3),
@@ -842,6 +892,7 @@ def regions_with_uncertainty(
     The parameters are those of :func:`measure_regional_response`, and `whole` the phase of each level of the whole
     modulator, less whose multiples the phases are interpolated between the levels that are measured.
     """
+    distance = _without_lens(distance, "its pixels send light to the same places")
     check_square_pixels(modulator, camera)
     camera = checked_camera(camera)
     rows, columns = modulator.shape
@@ -926,6 +977,13 @@ def regions_with_uncertainty(
             phases[row, column] = like + CubicSpline(levels, found - like[levels])(np.arange(top + 1))
     _warn_of_deviations(others.max())
     return phases, others
+
+
+def _without_lens(path: float | Lens, reason: str) -> float:
+    """Return a distance, and raise an error that gives the reason for a lens."""
+    if isinstance(path, Lens):
+        raise TypeError(f"distance must be a number: behind a lens {reason}, got {path!r}")
+    return path
 
 
 class _Transposed:
@@ -1527,7 +1585,7 @@ def measure_distance(
     modulator: Modulator,
     camera: Camera,
     wavelength: float,
-    distance: float,
+    distance: float | Lens,
     phases: np.ndarray,
     registration: Registration,
     *,
@@ -1599,7 +1657,7 @@ def astigmatism_by_focus(
     modulator: Modulator,
     camera: Camera,
     wavelength: float,
-    distance: float,
+    distance: float | Lens,
     phases: np.ndarray,
     registration: Registration,
     wavefront: np.ndarray,
@@ -1681,7 +1739,7 @@ def distance_with_uncertainty(
     modulator: Modulator,
     camera: Camera,
     wavelength: float,
-    distance: float,
+    distance: float | Lens,
     phases: np.ndarray,
     registration: Registration,
     wavefront: np.ndarray | float = 0.0,
@@ -1693,6 +1751,7 @@ def distance_with_uncertainty(
 
     The parameters are those of :func:`measure_distance`. The error of the wavefront is not in the uncertainty.
     """
+    distance = _without_lens(distance, "measure_wavefront finds the defocus")
     check_square_pixels(modulator, camera)
     camera = checked_camera(camera)
     distance = float(_validate.number("distance", distance, positive=True))
@@ -1816,7 +1875,7 @@ def measure_illumination(
     modulator: Modulator,
     camera: Camera,
     wavelength: float,
-    distance: float,
+    distance: float | Lens,
     phases: np.ndarray,
     registration: Registration,
     *,
@@ -1842,8 +1901,8 @@ def measure_illumination(
         The camera.
     wavelength : float
         Vacuum wavelength in metres.
-    distance : float
-        Distance from the modulator to the camera in metres.
+    distance : float or Lens
+        Distance from the modulator to the camera in metres, or the lens between them.
     phases : numpy.ndarray
         Phase of each level in radians, from :func:`measure_phase_response` or :func:`measure_regional_response`.
     registration : Registration
@@ -1891,7 +1950,7 @@ def illumination_with_uncertainty(
     modulator: Modulator,
     camera: Camera,
     wavelength: float,
-    distance: float,
+    distance: float | Lens,
     phases: np.ndarray,
     registration: Registration,
     wavefront: np.ndarray | float = 0.0,
@@ -1910,9 +1969,10 @@ def illumination_with_uncertainty(
     cells, order = _validate.integer("cells", cells, minimum=3), _validate.integer("order", order, minimum=1)
     number = [np.minimum(np.arange(n) * cells // n, cells - 1) for n in (rows, columns)]
     cell = number[0][:, None] * cells + number[1]
-    farthest = wavelength * distance / (2 * modulator.pitch)
+    behind_lens, (_, b) = isinstance(distance, Lens), ray_matrix(distance)
+    farthest = wavelength * abs(b) / (2 * modulator.pitch)
     half = max(rows, columns) * modulator.pitch / 2
-    aside = min(ASIDE * farthest, half / 2)
+    aside = ASIDE * farthest if behind_lens else min(ASIDE * farthest, half / 2)
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=2)))
     bounds = np.array(camera.shape[::-1]) - 1
     for _ in range(8):
@@ -1933,7 +1993,9 @@ def illumination_with_uncertainty(
 
     def waves_of(part: _Speckles, parameters: np.ndarray) -> np.ndarray:
         x, y = part.places.T / half
-        along, across = (part.places - part.point).T * (modulator.pitch / (wavelength * distance))
+        # Behind a lens all pixels send light to a point at the same angle.
+        from_point = 0 * part.places if behind_lens else part.places - part.point
+        along, across = from_point.T * (modulator.pitch / (wavelength * b))
         squares = along**2 + across**2
         surface = np.stack(
             [x**i * y**j for i, j in powers] + [squares, along**4 + across**4, np.sqrt(squares + 0.01)], axis=-1
@@ -1981,7 +2043,7 @@ def illumination_with_uncertainty(
     # The root mean square of errors of some ten coefficients exceeds 1.5 times its expectation in one of twenty cases.
     uncertainty = 1.5 * math.sqrt((amplitude**2 * variance).mean())
     reason = ""
-    if half > farthest + aside:
+    if half > farthest + aside and not behind_lens:
         reason = (
             f"pixels at the edges, farther than {farthest + aside:.3g} m from the axis along rows or columns, send "
             "little light to it; use a larger distance"
@@ -2020,8 +2082,12 @@ def _speckles(
 ) -> _Speckles:
     """Capture the light of cells with random phases that is focused at a point."""
     y, x = _axes(modulator)
-    farthest = 0.95 * wavelength * distance / (2 * modulator.pitch)
-    reaches = (np.abs(x - point[0]) < farthest) & (np.abs(y - point[1]) < farthest)
+    _, b = ray_matrix(distance)
+    farthest = 0.95 * wavelength * abs(b) / (2 * modulator.pitch)
+    if isinstance(distance, Lens):
+        reaches = np.ones(modulator.shape, dtype=bool)
+    else:
+        reaches = (np.abs(x - point[0]) < farthest) & (np.abs(y - point[1]) < farthest)
     rows, columns = np.indices(modulator.shape)
     lens = lens_phase(modulator, wavelength, distance, point) - wavefront
     # The light of the other pixels is deflected by the largest angle.
@@ -2058,7 +2124,7 @@ def _speckles(
         np.stack([np.bincount(cell[reaches], np.broadcast_to(a, cell.shape)[reaches], cells) for a in (x, y)], axis=-1)
         / np.maximum(count, 1)[:, None]
     )
-    tilts = np.exp(-2j * np.pi / (wavelength * distance) * ((points - point) @ places.T))
+    tilts = np.exp(-2j * np.pi / (wavelength * b) * ((points - point) @ places.T))
     noise = np.sqrt(np.clip(seen, 0, None) * seen.max() + (0.02 * seen.max()) ** 2)
     return _Speckles(point, steps[fine], seen, noise, places, count, tilts)
 
@@ -2174,9 +2240,11 @@ def _read_npz(path: str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 
 def _values(calibration: Calibration) -> dict[str, Any]:
     """Return the values of a calibration by the names that they have in files."""
-    registration = calibration.registration
+    registration, path = calibration.registration, calibration.distance
+    lens = [path.focal_length, path.before, path.after, path.block] if isinstance(path, Lens) else None
     return {
-        **{name: getattr(calibration, name) for name in ("wavelength", "pitch", "distance", *_MAPS)},
+        **{name: getattr(calibration, name) for name in ("wavelength", "pitch", *_MAPS)},
+        **({"distance": path} if lens is None else {"lens": np.array(lens)}),
         "homography": registration.homography,
         "distortion": registration.distortion,
         "camera_shape": registration.shape,
@@ -2211,7 +2279,7 @@ def _checked(values: Mapping[str, Any]) -> Calibration:
     return Calibration(
         checked_number("wavelength", values["wavelength"], *WAVELENGTHS, "metres"),
         checked_number("pitch", values["pitch"], *PITCHES, "metres"),
-        checked_number("distance", values["distance"], 1e-9, LARGEST_DISTANCE, "metres"),
+        _checked_path(values),
         phases,
         amplitude,
         checked_array("wavefront", values["wavefront"], amplitude.shape, -_LARGEST_PHASE, _LARGEST_PHASE),
@@ -2219,6 +2287,13 @@ def _checked(values: Mapping[str, Any]) -> Calibration:
         regional,
         doubts,
     )
+
+
+def _checked_path(values: Mapping[str, Any]) -> float | Lens:
+    """Return the distance of a file, or its lens."""
+    if "lens" in values:
+        return Lens(*(float(n) for n in checked_array("lens", values["lens"], (4,), 0, LARGEST_DISTANCE)))
+    return checked_number("distance", values["distance"], 1e-9, LARGEST_DISTANCE, "metres")
 
 
 def _checked_registration(values: Mapping[str, Any], doubt: float) -> Registration:

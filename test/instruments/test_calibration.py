@@ -467,6 +467,51 @@ def test_registration_and_wavefront_through_a_lens():
 
 
 @pytest.mark.slow
+def test_calibration_through_a_lens(tmp_path):
+    """Of an independent table: response, beam off the axis, aberration, defocus; its file, a predicted capture."""
+    focal, panel = 20e-3, (96, 96)
+    y, x = ((np.arange(n) - n // 2) / 48 for n in panel)
+    y = y[:, None]
+    surface = 0.6 * (x**2 + y**2) + 0.7 * x * y + 0.5 * without_defocus(x**3 + 0 * y) - 0.4 * (x**2 - y**2)
+    level = np.arange(256) / 255
+    beam = np.exp(-((x - 0.2) ** 2 + (y + 0.1) ** 2) / 2)
+    options = {"camera_shape": (220, 240), "camera_pitch": 4e-6, "fill": 0.9, "offset": (3e-5, -2e-5), "signs": (-1, 1)}
+    options |= {"phases": 2 * np.pi * (level**1.2 + 0.03 * np.sin(2 * np.pi * level)), "amplitude": beam / beam.max()}
+    table = Laboratory(panel, wavefront=surface, focal_length=focal, **options)
+    lens = instruments.Lens(focal)
+    with warnings.catch_warnings():
+        # Of so few pixels, some parts seem darker than the polynomial.
+        warnings.filterwarnings("ignore", "the illumination is uncertain", AccuracyWarning)
+        found = instruments.calibrate_table(*instruments_of(table), 532e-9, lens)
+    wrong = calibrating.without(found.wavefront - surface, calibrating._modes(table.modulator, 1))
+    assert rms(wrong) < 2 * np.pi / 200
+    assert rms(wrong) < found.uncertainty["wavefront"]
+    assert np.abs(found.phases - table.phases).max() < 0.02
+    assert rms(found.amplitude - beam / beam.max()) < 0.02
+    points = np.random.default_rng(0).uniform(-3e-4, 3e-4, (100, 2))
+    pixels = found.registration.camera_pixels(points)
+    seen = np.stack([table.points(pixels[:, 0], 1), table.points(pixels[:, 1], 0)], axis=-1)
+    assert np.abs(seen - points).max() < 0.1 * table.camera.pitch
+    instruments.save_calibration(tmp_path / "table.h5", found)
+    read = instruments.load_calibration(tmp_path / "table.h5")
+    assert read.distance == lens
+    levels = read.levels(calibrating.spots_phase(table.modulator, 532e-9, lens, points[:9]))
+    table.modulator.show(levels)
+    capture, ideal = table.light(0, 0, 220, 240), calibrating.predicted_capture(read, levels)
+    away = np.hypot(*np.moveaxis(read.registration.plane_points(np.indices((220, 240))[::-1].T), -1, 0)).T > 5e-5
+    assert np.corrcoef(capture[away], ideal[away])[0, 1] > 0.999
+
+
+def test_steps_that_a_lens_does_not_have_say_why():
+    table = instruments.SimulatedTable(1, distance=instruments.Lens(20e-3))
+    known = instruments.Registration(np.diag([4e-6, 4e-6, 1.0]), 0.0, (320, 320))
+    with pytest.raises(TypeError, match="behind a lens measure_wavefront finds the defocus"):
+        instruments.measure_distance(*instruments_of(table), 532e-9, instruments.Lens(0.2), table.truth.phases, known)
+    with pytest.raises(ValueError, match="distance must be without a lens for regions and partial"):
+        instruments.calibrate_table(*instruments_of(table), 532e-9, instruments.Lens(0.2), partial=True)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [fresh_seed(21), 3, 5])
 def test_an_aberration_of_a_wavelength_and_a_response_that_varies(seed):
     """Registration 0.1 pixels, wavefront λ/100, phases 0.02 rad; the illumination is not measured."""

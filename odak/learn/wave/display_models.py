@@ -15,7 +15,7 @@ from scipy.ndimage import map_coordinates
 from odak import _array, _show, _validate
 from odak._warnings import ConvergenceWarning, warn
 from odak.instruments import Calibration, Camera, Captures, Modulator, Registration, load_calibration
-from odak.instruments.mapping import plane_points
+from odak.instruments.mapping import Lens, plane_points, ray_matrix
 from odak.instruments.protocols import checked_camera
 from odak.learn._tensors import tensor, trainable
 from odak.learn.wave.slm import smooth
@@ -69,8 +69,8 @@ class display_model(torch.nn.Module):
         Distance between pixels of the modulator in metres, one number or (rows, columns).
     wavelength : float
         Vacuum wavelength in metres.
-    distance : float
-        Distance from the modulator to the camera in metres, at stage position 0.
+    distance : float or odak.instruments.Lens
+        Distance from the modulator to the camera in metres, at stage position 0, or the lens between them.
     camera_shape : sequence of int
         Rows and columns of the camera.
     camera_pitch : float or sequence of float
@@ -89,7 +89,8 @@ class display_model(torch.nn.Module):
         with two or more.
     iris : float, optional
         Radius of a round iris in the Fourier plane of a relay, in units of 1/(2·pitch), the larger pitch where they
-        differ; none by default.
+        differ; none by default. Behind a lens, it is in the plane of the camera, in units of the farthest point that a
+        pixel reaches.
     zernike_order : int
         Highest radial order of the Zernike polynomials of the aberration.
     source_order : int
@@ -146,6 +147,7 @@ class display_model(torch.nn.Module):
     _smooth: torch.Tensor
     _slope: torch.Tensor
     _radius: torch.Tensor
+    _unblocked: torch.Tensor
     _prefilter: torch.Tensor
     _fine_y: torch.Tensor
     _fine_x: torch.Tensor
@@ -160,7 +162,7 @@ class display_model(torch.nn.Module):
         shape: Sequence[int],
         pitch: float | Sequence[float],
         wavelength: float,
-        distance: float,
+        distance: float | Lens,
         camera_shape: Sequence[int],
         camera_pitch: float | Sequence[float],
         *,
@@ -187,7 +189,9 @@ class display_model(torch.nn.Module):
             for name, value in (("pitch", pitch), ("camera_pitch", camera_pitch))
         )
         self.wavelength = _validate.constant("wavelength", wavelength, positive=True)
-        self.nominal_distance = _validate.constant("distance", distance, positive=True)
+        self.lens = distance if isinstance(distance, Lens) else None
+        _, reach = ray_matrix(distance)
+        self.nominal_distance = float((self.lens.after or 0.0) if self.lens else reach)
         self.samples_per_pixel, s = samples_per_pixel, 1
         if samples_per_pixel is not None:
             self.samples_per_pixel = s = _validate.integer("samples_per_pixel", samples_per_pixel, minimum=1)
@@ -196,7 +200,7 @@ class display_model(torch.nn.Module):
         self._dtype = dtype
         # Unit of the distance: the depth of focus of the whole panel.
         longest = max(n * pitch for n, pitch in zip(self.shape, self._pitches, strict=True))
-        self._depth = self.wavelength * (self.nominal_distance / longest) ** 2
+        self._depth = self.wavelength * (reach / longest) ** 2
         if registration is None:
             registration = Registration(np.diag([*self._camera_pitches[::-1], 1.0]), 0.0, self.camera_shape)
         elif not isinstance(registration, Registration):
@@ -206,7 +210,10 @@ class display_model(torch.nn.Module):
         iris = None if iris is None else _validate.constant("iris", iris, positive=True)
         self._start = registration
         self._buffers_of_panel(phases, amplitude, wavefront, zernike_order, source_order, nodes)
-        self._grid(registration, iris)
+        if self.lens is None:
+            self._grid(registration, iris)
+        else:
+            self._focal_grid(registration, reach)
         sizes = {
             "brightness": 1,
             "lut": nodes - 1,
@@ -333,7 +340,7 @@ class display_model(torch.nn.Module):
         return self._wavefront + torch.tensordot(self.aberration, self._modes, dims=1) + self._free(0)
 
     def propagation_distance(self) -> torch.Tensor:
-        """Return the distance from the modulator to the camera at stage position 0, in metres."""
+        """Return the distance from the modulator, or from the lens, to the camera at stage position 0, in metres."""
         return self.nominal_distance + self._depth * self.distance[0].double()
 
     def registration(self) -> Registration:
@@ -387,15 +394,18 @@ class display_model(torch.nn.Module):
         Returns
         -------
         torch.Tensor
-            Intensity, averaged over the area of a pixel, ``[..., rows, columns]``; differentiable.
+            Intensity, averaged over the area of a pixel, ``[..., rows, columns]``; differentiable. Behind a lens the
+            points are λ·focal_length/(rows·pitch) and λ·focal_length/(columns·pitch) apart, those that pixels reach.
         """
         s, (rows, columns) = self.samples_per_pixel, self.shape
+        if self.lens is not None:
+            light, wide = self._finely_there(self.field(phase), position), [self._orders * n for n in self._sizes]
+            light = _averaged(light, wide, FINER)
+            light = torch.roll(light[..., ::FINER, ::FINER], (rows // 2, columns // 2), (-2, -1))
+            return light[..., :rows, :columns]
         if s is None:
-            # The mean over the area of a pixel is a product of spectra.
             light, wide = self._finely_there(self.field(phase), position), [self._finer * n for n in self._sizes]
-            over_rows = torch.sinc(self._finer * torch.fft.fftfreq(wide[0], dtype=light.dtype, device=light.device))
-            over_columns = torch.sinc(self._finer * torch.fft.rfftfreq(wide[1], dtype=light.dtype, device=light.device))
-            light = torch.fft.irfft2(torch.fft.rfft2(light) * (over_rows[:, None] * over_columns), s=wide)
+            light = _averaged(light, wide, self._finer)
             light = torch.roll(light[..., :: self._finer, :: self._finer], (rows // 2, columns // 2), (-2, -1))
             return light[..., :rows, :columns]
         light = torch.fft.ifft2(self._spectrum(self.field(phase), position))
@@ -546,7 +556,43 @@ class display_model(torch.nn.Module):
         self.register_buffer("_slope", (2 * math.pi * (axial - 1 / self.wavelength)).to(self._dtype), persistent=False)
         self.register_buffer("_radius", (squared.sqrt() / unit).to(self._dtype), persistent=False)
         self._soft = 1 / (unit * max(n * step for n, step in zip(sizes, steps, strict=True)))
-        fine = [self._finer * n for n in sizes]
+        self._sensor([self._finer * n for n in sizes], [step / self._finer for step in steps], registration)
+
+    def _focal_grid(self, registration: Registration, reach: float) -> None:
+        """Choose the grid of the focal plane of a lens, whose samples are frequencies, and the parts of pixels."""
+        rows, columns = self.camera_shape
+        corners = np.array([[0, 0], [columns, 0], [0, rows], [columns, rows]], float)
+        seen = np.abs(registration.plane_points(corners)).max(0)[::-1]
+        needed = [2 * far * p / abs(self.wavelength * reach) + 0.1 for far, p in zip(seen, self._pitches, strict=True)]
+        self._orders = self.samples_per_pixel or min(max(math.ceil(max(needed)), 1), ORDERS)
+        self._sizes, self._finer = [FINER * n for n in self.shape], 1
+        s, unit = self._parts, 1 / (2 * max(self._pitches))
+        inner = (torch.arange(s, dtype=torch.float64) - (s - 1) / 2) / s
+        y, x = (
+            (p * (torch.arange(n, dtype=torch.float64)[:, None] - n // 2 + inner)).flatten()
+            for n, p in zip(self.shape, self._pitches, strict=True)
+        )
+        self._squared = y[:, None] ** 2 + x**2
+        fy, fx = (
+            torch.fft.fftfreq(self._orders * n, pitch / self._orders, dtype=torch.float64)
+            for n, pitch in zip(self._sizes, self._pitches, strict=True)
+        )
+        radius = torch.hypot(fy[:, None], fx)
+        lens: Any = self.lens
+        slope = -math.pi / (self.wavelength * reach * lens.focal_length) * self._squared
+        self.register_buffer("_slope", slope.to(self._dtype), persistent=False)
+        self.register_buffer("_radius", (radius / unit).to(self._dtype), persistent=False)
+        passes = self.wavelength * abs(reach) * radius >= lens.block
+        self.register_buffer("_unblocked", passes.to(self._dtype), persistent=False)
+        self._soft = 1 / (unit * max(n * p for n, p in zip(self.shape, self._pitches, strict=True)))
+        self._sensor([self._orders * n for n in self._sizes], self._focal_steps(reach), registration)
+
+    def _focal_steps(self, reach: float) -> list[float]:
+        """Return the distance of samples in the focal plane of a lens along rows and columns, in metres."""
+        return [self.wavelength * reach / (n * p) for n, p in zip(self._sizes, self._pitches, strict=True)]
+
+    def _sensor(self, fine: list[int], steps: list[float], registration: Registration) -> None:
+        """Prepare what the pixels of the camera see of samples of the intensity."""
         frequencies = (
             torch.fft.fftfreq(fine[0], 1.0, dtype=torch.float64),
             torch.fft.rfftfreq(fine[1], 1.0, dtype=torch.float64),
@@ -557,7 +603,7 @@ class display_model(torch.nn.Module):
         for name, f, step, seen_pitch in zip(
             ("_fine_y", "_fine_x"), frequencies, steps, self._camera_pitches, strict=True
         ):
-            self.register_buffer(name, (f * (self._finer * seen_pitch / step)).to(self._dtype), persistent=False)
+            self.register_buffer(name, (f * (seen_pitch / step)).to(self._dtype), persistent=False)
         v, u = torch.meshgrid(*(torch.arange(n, dtype=torch.float64) for n in self.camera_shape), indexing="ij")
         self.register_buffer("_pixels", torch.stack([u, v], -1).reshape(-1, 2).to(self._dtype), persistent=False)
         start = torch.as_tensor(registration.homography / registration.homography[2, 2])
@@ -565,15 +611,24 @@ class display_model(torch.nn.Module):
         self._kernels: dict[float, torch.Tensor] = {}
 
     def _kernel(self, position: float) -> torch.Tensor:
-        """Return the transfer function to a position of the stage, formed in double precision."""
+        """Return the transfer function to a position of the stage, formed in double precision.
+
+        Behind a lens, it is the curvature that the lens leaves, at the parts of the pixels.
+        """
         position = _validate.constant("position", position)
         if position not in self._kernels:
             if len(self._kernels) > 16:
                 self._kernels.clear()
-            cycles = (self.nominal_distance + position) * (self._axial - 1 / self.wavelength) + self._shift
+            if self.lens is None:
+                cycles = (self.nominal_distance + position) * (self._axial - 1 / self.wavelength) + self._shift
+                passes = self._passes
+            else:
+                a, b = self.lens.moved(position).ray_matrix
+                cycles = a / (2 * self.wavelength * b) * self._squared
+                passes = torch.ones_like(cycles)
             phase = 2 * math.pi * torch.remainder(cycles, 1)
             kind = torch.complex64 if self._dtype is torch.float32 else torch.complex128
-            self._kernels[position] = torch.polar(self._passes.to(phase), phase).to(kind).to(self._slope.device)
+            self._kernels[position] = torch.polar(passes.to(phase), phase).to(kind).to(self._slope.device)
         return self._kernels[position]
 
     def _apply(self, fn, recurse=True):
@@ -586,41 +641,55 @@ class display_model(torch.nn.Module):
     def _spectrum(self, light: torch.Tensor, position: float) -> torch.Tensor:
         """Return the spectrum of the light in the plane of the camera, the axis at its first sample."""
         turn = self._depth * self.distance * self._slope
-        points = self.samples_per_pixel is not None
-        spectrum = torch.fft.fft2(light, s=self._sizes) if points else self._of_squares(light)
-        spectrum = spectrum * self._kernel(position)
-        spectrum = spectrum * torch.complex(torch.cos(turn), torch.sin(turn))
+        points, there = self.samples_per_pixel is not None, self._kernel(position)
+        there = there * torch.complex(torch.cos(turn), torch.sin(turn))
+        if self.lens is not None:
+            sizes = [self._orders * n for n in self._sizes]
+            light = torch.fft.fft2(light * there, s=sizes) if points else self._of_squares(light, there)
+            spectrum = light * self._unblocked
+        else:
+            spectrum = (torch.fft.fft2(light, s=self._sizes) if points else self._of_squares(light)) * there
         if "iris" in self.physical:
             spectrum = spectrum * torch.sigmoid((self.iris - self._radius) / (0.5 * self._soft))
         return spectrum
 
-    def _of_squares(self, light: torch.Tensor) -> torch.Tensor:
-        """Return the spectrum of the field of the squares that modulate, and of the gaps around them."""
+    def _of_squares(self, light: torch.Tensor, curved: torch.Tensor | None = None) -> torch.Tensor:
+        """Return the spectrum of the field of the squares that modulate, and of the gaps around them.
+
+        A factor at the parts of the pixels may be given.
+        """
         aberration = self.wavefront()
         gaps = torch.complex(*self.gap) * torch.complex(torch.cos(aberration), torch.sin(aberration))
         gaps = self.source_amplitude() * (gaps + torch.complex(*self.reflection))
         # A fit may step beyond 1.
-        fill = self.fill.clamp_min(1e-3)
-        modulated = pixels_spectrum(light - _finely(gaps, self._parts), self._sizes, self._orders, fill, self._parts)
-        return modulated + pixels_spectrum(gaps, self._sizes, self._orders)
+        fill, still, parts = self.fill.clamp_min(1e-3), _finely(gaps, self._parts), 1
+        modulated = light - still
+        if curved is not None:
+            modulated, gaps, parts = modulated * curved, still * curved, self._parts
+        modulated = pixels_spectrum(modulated, self._sizes, self._orders, fill, self._parts)
+        return modulated + pixels_spectrum(gaps, self._sizes, self._orders, cells=parts)
 
     def _finely_there(self, light: torch.Tensor, position: float) -> torch.Tensor:
         """Return the intensity in the plane of the camera on the finer grid, the axis at its first sample."""
         spectrum = self._spectrum(light, position)
+        if self.lens is not None:
+            return (spectrum.real**2 + spectrum.imag**2) / math.prod(self.shape)
         fine = [self._finer * n for n in self._sizes]
         there = self._finer**2 * torch.fft.ifft2(_widened(spectrum, fine))
         return there.real**2 + there.imag**2
 
     def _seen(self, light: torch.Tensor, position: float, pixels: torch.Tensor | None) -> torch.Tensor:
         """Return the intensity on pixels of the camera ``[..., pixels]``."""
-        intensity, q = self._finely_there(light, position), self._finer
+        intensity = self._finely_there(light, position)
         fine = list(intensity.shape[-2:])
         blur = torch.sinc(self.aperture * self._fine_y)[:, None] * torch.sinc(self.aperture * self._fine_x)
         coefficients = torch.fft.irfft2(torch.fft.rfft2(intensity) * (blur * self._prefilter), s=fine)
         homography, distortion = self._mapping()
         places = self._pixels if pixels is None else self._pixels[pixels]
         points = plane_points(places, self.camera_shape, homography, distortion)
-        dy, dx = (pitch / (self.samples_per_pixel or 1) / q for pitch in self._pitches)
+        dy, dx = (pitch / (self.samples_per_pixel or 1) / self._finer for pitch in self._pitches)
+        if self.lens is not None:
+            dy, dx = self._focal_steps(self.lens.moved(_validate.constant("position", position)).ray_matrix[1])
         return _spline_values(coefficients, points[:, 1] / dy, points[:, 0] / dx)
 
     def _mapping(self) -> tuple[torch.Tensor, torch.Tensor]:
@@ -637,9 +706,12 @@ class display_model(torch.nn.Module):
         homography = self._homography + units * entries
         return homography.to(self._dtype), self._start.distortion + self.alignment[8] / rim
 
-    def _places(self) -> list[np.ndarray]:
-        """Return the places of the modulator's rows and columns in metres."""
-        return [(np.arange(n) - n // 2) * pitch for n, pitch in zip(self.shape, self._pitches, strict=True)]
+    def _places(self, of_image: bool = False) -> list[np.ndarray]:
+        """Return the places of the modulator's rows and columns in metres, or of those of images."""
+        steps: Sequence[float] = self._pitches
+        if of_image and self.lens is not None:
+            steps = [FINER * step for step in self._focal_steps(self.lens.ray_matrix[1])]
+        return [(np.arange(n) - n // 2) * step for n, step in zip(self.shape, steps, strict=True)]
 
     def _checked(self, phase: torch.Tensor) -> torch.Tensor:
         """Return a phase in the precision of the model, after checking that it is one of its modulator."""
@@ -928,7 +1000,7 @@ def display_camera(
     """
     (dark,) = _validate.constants(dark=dark)
     rows, columns = model.shape
-    y, x = model._places()
+    y, x = model._places(of_image=True)
     points = np.stack(np.meshgrid(x, y), axis=-1)
     places = model.registration().camera_pixels(points)
     scale = math.exp(-float(model.brightness.detach()))
@@ -1141,6 +1213,13 @@ def _ending(shape: Sequence[int]) -> str:
 def _finely(values: torch.Tensor, samples: int) -> torch.Tensor:
     """Return values of pixels on the samples of the pixels."""
     return values if samples == 1 else values.repeat_interleave(samples, -2).repeat_interleave(samples, -1)
+
+
+def _averaged(light: torch.Tensor, sizes: Sequence[int], width: int) -> torch.Tensor:
+    """Return an intensity averaged over squares of some samples' width, by the product of its spectrum."""
+    over_rows = torch.sinc(width * torch.fft.fftfreq(sizes[0], dtype=light.dtype, device=light.device))
+    over_columns = torch.sinc(width * torch.fft.rfftfreq(sizes[1], dtype=light.dtype, device=light.device))
+    return torch.fft.irfft2(torch.fft.rfft2(light) * (over_rows[:, None] * over_columns), s=list(sizes))
 
 
 def _fast(count: int) -> int:

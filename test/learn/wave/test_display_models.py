@@ -489,3 +489,74 @@ def test_a_model_starts_from_the_file_of_a_calibration(tmp_path):
     levels = torch.arange(64).reshape(8, 8)
     made = [display_model.from_calibration(start, 4e-6)(levels) for start in (found, tmp_path / "table.npz")]
     assert torch.equal(*made)
+
+
+def behind_a_lens(table, lens, **options):
+    """Return a model with the true properties of a simulated table behind a lens."""
+    truth, camera = table.truth, table.camera
+    known = {"phases": truth.phases, "amplitude": truth.amplitude, "wavefront": truth.wavefront}
+    known["registration"] = Registration(truth.homography, truth.distortion, camera.shape)
+    model = display_model(table.modulator.shape, 8e-6, 532e-9, lens, camera.shape, camera.pitch, **known, **options)
+    with torch.no_grad():
+        model.fill.fill_(truth.fill_factor)
+        model.fringing.fill_(0.05)
+        model.reflection.copy_(torch.tensor([truth.reflection.real, truth.reflection.imag]))
+    return model
+
+
+def test_a_model_behind_a_lens_is_an_independent_table():
+    """The Fourier sum of squares and the gaps around them, with an aberration, defocus and a mirrored camera."""
+    y, x = ((np.arange(n) - n // 2) / 22 for n in (36, 44))
+    surface = 0.5 * (x**2 + y[:, None] ** 2) + 0.4 * x * y[:, None] + 0.3 * x**3
+    options = {"camera_shape": (60, 70), "camera_pitch": 12e-6, "fill": 0.81, "offset": (3e-5, -2e-5), "signs": (-1, 1)}
+    table = Laboratory((36, 44), wavefront=surface, focal_length=20e-3, **options)
+    known = Registration(np.array([[-12e-6, 0, 3e-5], [0, 12e-6, -2e-5], [0, 0, 1.0]]), 0.0, (60, 70))
+    there = ((36, 44), 8e-6, 532e-9, instruments.Lens(20e-3), (60, 70), 12e-6)
+    model = display_model(*there, wavefront=surface, registration=known)
+    with torch.no_grad():
+        model.fill.fill_(0.81)
+        model.fringing.fill_(0.05)
+    levels = np.random.default_rng(0).integers(256, size=(36, 44))
+    table.modulator.show(levels)
+    with torch.no_grad():
+        found = model(torch.as_tensor(levels)).numpy()
+    # In units of the light on the panel.
+    found *= 36 * 44 * ((8e-6) ** 2 / (532e-9 * 20e-3)) ** 2
+    truth = table.light(0, 0, 60, 70)
+    assert np.linalg.norm(found - truth) < 0.01 * np.linalg.norm(truth)
+
+
+def test_positions_and_distances_behind_a_lens():
+    lens = instruments.Lens(20e-3)
+    table = SimulatedTable(3, shape=(32, 40), distance=lens, camera_shape=(40, 50), camera_pitch=12e-6)
+    table.truth = dataclasses.replace(table.truth, distance=lens)
+    model = behind_a_lens(table, lens)
+    levels = torch.as_tensor(patterns(1, 40)[0, :32])
+    places = table.truth.plane_points(np.moveaxis(np.indices((40, 50))[::-1], 0, -1).astype(float), (40, 50))
+    table.modulator.show(levels.numpy())
+    for position, moved in ((0.0, 0.0), (1e-3, 0.0), (0.0, 1e-3)):
+        table.stage.move(position + moved)
+        seen = table.camera._sampled(places, *table.intensity())
+        with torch.no_grad():
+            model.distance.fill_(moved / model._depth)
+            found = model(levels, position).numpy()
+        scale = (found * seen).sum() / (found**2).sum()
+        assert np.linalg.norm(scale * found - seen) < 0.01 * np.linalg.norm(seen)
+    assert model.propagation_distance().item() == pytest.approx(21e-3)
+
+
+def test_holograms_through_a_lens_are_seen_by_the_camera():
+    """Points are λ·f/(n·pitch) apart, over whose area images are means, but captures not."""
+    lens = instruments.Lens(20e-3, block=3e-5)
+    options = {"aberration": 0.1, "distance_error": 0.0, "fill_factor": 0.9, "camera_pitch": 8e-6}
+    table = SimulatedTable(3, shape=(24, 24), distance=lens, camera_shape=(110, 110), **options)
+    model = behind_a_lens(table, lens)
+    target = torch.zeros(24, 24)
+    target[6:10, 7:17] = 1
+    levels = display_hologram(model, target, iterations=20)
+    image = model.image(model.table()[levels.long()] * model.response_map()).detach()
+    assert image[target > 0].mean() > 10 * image[target == 0].mean()
+    table.camera.exposure = 0.05
+    seen = display_camera(model, table.modulator, table.camera, captures=8, dark=DARK)
+    shown = seen(model.table().detach()[levels.long()])
+    assert np.corrcoef(shown.flatten(), image.flatten())[0, 1] > 0.9
