@@ -400,7 +400,7 @@ def _all(table: Table, known: Calibration) -> Found:
 
     values = {
         "residual_pixels": (found.registration.residual, "pixels"),
-        "distance": (found.distance, "m"),
+        **({"distance": (found.distance, "m")} if isinstance(found.distance, (int, float)) else {}),
         "wavefront_rms_waves": (float(found.wavefront.std() / (2 * np.pi)), "wavelengths"),
         "illumination_min": (float(found.amplitude.min()), "of the largest amplitude"),
         "phase_range": (float(found.phases[-1]), "rad"),

@@ -511,6 +511,11 @@ def calibrated(path: str, values: Mapping[str, Any], given: Collection[str]) -> 
         If the file cannot be read, or an option contradicts it.
     """
     found = read_calibration(path)
+    if not isinstance(found.distance, (int, float)):
+        raise InputError(
+            f"--calibration {path!r} is of a table with a lens, for which holograms are computed in Python, by "
+            "Display.from_calibration and optimise"
+        )
     bits = (found.phases.size - 1).bit_length()
     known = {
         "wavelengths": (found.wavelength,),

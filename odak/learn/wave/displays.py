@@ -17,7 +17,7 @@ import torch
 
 from odak import _array, _show, _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.instruments import Calibration, load_calibration
+from odak.instruments import Calibration, Lens, load_calibration
 from odak.learn._tensors import floating
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.holograms import STARTS, best_scale, encode_double_phase, starting_phase
@@ -162,8 +162,10 @@ class Display(torch.nn.Module):
         The panel.
     wavelengths : float or sequence of float
         Wavelengths of the C light sources in metres.
-    distances : float or sequence of float
-        Distances of the D planes from the panel, or from its image by a relay, in metres.
+    distances : float, sequence of float or odak.instruments.Lens
+        Distances of the D planes from the panel, or from its image by a relay, in metres; or the lens behind which a
+        single plane is: the points of its images are λ·focal_length/(rows·pitch) and λ·focal_length/(columns·pitch)
+        apart, the axis at rows // 2 and columns // 2, over all that the pixels reach.
     frames : int, optional
         Patterns F that are shown one after another, faster than an eye tells apart; one for each source by default.
     powers : torch.Tensor, optional
@@ -206,7 +208,7 @@ class Display(torch.nn.Module):
         self,
         modulator: Modulator,
         wavelengths: float | Sequence[float],
-        distances: float | Sequence[float],
+        distances: float | Sequence[float] | Lens,
         frames: int | None = None,
         powers: torch.Tensor | None = None,
         profile: torch.Tensor | None = None,
@@ -218,7 +220,8 @@ class Display(torch.nn.Module):
             raise TypeError(f"modulator must be an odak.learn.wave.Modulator, got {type(modulator).__name__}")
         self.modulator = modulator
         self.wavelengths = _numbers("wavelengths", wavelengths, positive=True)
-        self.distances = _numbers("distances", distances)
+        self.lens = distances if isinstance(distances, Lens) else None
+        self.distances = _numbers("distances", distances if self.lens is None else self.lens.after)
         _validate.lengths_together(self.wavelengths, modulator.pitch, names=("wavelengths", "pitch", "distances"))
         self.medium = _validate.constant("medium", medium, positive=True)
         if iris is not None and iris != "order" and not isinstance(iris, Iris):
@@ -310,8 +313,13 @@ class Display(torch.nn.Module):
         return (
             f"{' × '.join(map(str, panel.resolution))} pixels of {pitch} µm (fill {panel.fill:g}, {levels}), "
             f"{_listed(self.wavelengths, 1e9)} nm, {self.frames} frame{'s' * (self.frames > 1)}, "
-            f"plane{'s' * (len(self.distances) > 1)} at {_listed(self.distances, 1e3)} mm, {stop}"
+            f"{self._planes_in_words()}, {stop}"
         )
+
+    def _planes_in_words(self) -> str:
+        if self.lens is not None:
+            return f"lens of {1e3 * self.lens.focal_length:.4g} mm"
+        return f"plane{'s' * (len(self.distances) > 1)} at {_listed(self.distances, 1e3)} mm"
 
     def __repr__(self) -> str:
         return f"Display: {self.extra_repr()}"
@@ -354,7 +362,9 @@ class Display(torch.nn.Module):
         return super()._apply(function, recurse)
 
     def _orders(self) -> int:
-        """Return how many diffraction orders along each axis are computed."""
+        """Return how many diffraction orders along each axis are computed: behind a lens, the others lie elsewhere."""
+        if self.lens is not None:
+            return 1
         if not isinstance(self.iris, Iris):
             return _ORDERS if self.iris is None else 1
         widest = max(self.iris.cutoff(w) for w in self.wavelengths) * max(_pitch_pair(self.modulator.pitch))
@@ -410,6 +420,8 @@ class Display(torch.nn.Module):
             Complex ``[F, D, C, rows, columns]``.
         """
         light = self._light(phases)
+        if self.lens is not None:
+            return torch.stack([self._focused(self._lit(light, c)[:, None], c) for c in range(self.shape[1])], 2)
         middles = [self._kernels(c, light.dtype)[:: self.samples**2] for c in range(self.shape[1])]
         return torch.stack([convolve(self._lit(light, c)[:, None], k) for c, k in enumerate(middles)], 2)
 
@@ -452,11 +464,63 @@ class Display(torch.nn.Module):
         frames = [f for f in range(self.frames) if self._shares()[f][colour]]
         lit = light if len(frames) == self.frames else torch.stack([light[f] for f in frames])
         light = self._lit(lit, colour)[:, None]
-        # One kernel for each plane and point of a pixel takes one transform back, but a single forward one.
-        shown = convolve(light, self._kernels(colour, light.dtype))
+        if self.lens is None:
+            # One kernel for each plane and point of a pixel takes one transform back, but a single forward one.
+            shown = convolve(light, self._kernels(colour, light.dtype))
+        else:
+            quarters = itertools.product((0.0, 0.5), repeat=2)
+            shown = torch.cat([self._focused(light, colour, half) for half in quarters], 1)
         amplitudes = (torch.stack([power[f] for f in frames]) / power.sum()).sqrt()[:, None].to(shown.real.dtype)
         points = exposure(shown[:, :, None], amplitudes)[:, 0]
         return _over_areas(points.unflatten(0, (-1, self.samples, self.samples)))
+
+    def _focused(self, light, colour, beside=(0.0, 0.0)):
+        """Return the field behind the lens, at the middles of the points of an image or a part of one beside them."""
+        before, behind = self._of_lens(colour, light.dtype, beside)
+        lit = torch.fft.ifftshift(light * before, dim=(-2, -1))
+        return torch.fft.fftshift(torch.fft.fft2(lit, norm="ortho"), dim=(-2, -1)) * behind
+
+    def _back(self, field, colour):
+        """Return the light on the panel of a field behind the lens, as if all frequencies passed."""
+        before, _ = self._of_lens(colour, field.dtype)
+        lit = torch.fft.ifft2(torch.fft.ifftshift(field, dim=(-2, -1)), norm="ortho")
+        return torch.fft.fftshift(lit, dim=(-2, -1)) * before.conj()
+
+    def _of_lens(self, colour, dtype, beside=(0.0, 0.0)):
+        """Return the factors of the light on the panel and of the field behind the lens, which its pixels envelop."""
+        key = colour, dtype, beside
+        if key not in self._kept:
+            with torch.no_grad(), torch.inference_mode(False):
+                cycles, frequencies = self._curvature(colour), []
+                for axis, (n, part) in enumerate(zip(self.modulator.resolution, beside, strict=True)):
+                    index = torch.arange(n, dtype=torch.float64) - n // 2
+                    turn = -part / n * index
+                    cycles = cycles + (turn[:, None] if axis == 0 else turn)
+                    frequencies.append((index + part) / n)
+                turn = 2 * math.pi * torch.remainder(cycles, 1)
+                before = torch.polar(torch.ones_like(turn), turn).to(self.powers.device, dtype)
+                behind = self._envelope(frequencies, colour)
+                self._kept[key] = before, behind.to(self.powers.device, before.real.dtype)  # type: ignore[assignment]
+        return self._kept[key]
+
+    def _curvature(self, colour) -> torch.Tensor:
+        """Return the phase of the light on the panel that the lens leaves at a plane beside its focus, in cycles."""
+        a, b = self.lens.ray_matrix  # type: ignore[union-attr]
+        y, x = (
+            (torch.arange(n, dtype=torch.float64) - n // 2) * p
+            for n, p in zip(self.modulator.resolution, _pitch_pair(self.modulator.pitch), strict=True)
+        )
+        return a * self.medium / (2 * self.wavelengths[colour] * b) * (y[:, None] ** 2 + x**2)
+
+    def _envelope(self, frequencies: Sequence[torch.Tensor], colour: int) -> torch.Tensor:
+        """Return what square pixels, the block and the iris pass of frequencies along rows and columns, per pixel."""
+        lens: Any = self.lens
+        down, across = (torch.sinc(math.sqrt(self.modulator.fill) * f) for f in frequencies)
+        pair, wavelength = _pitch_pair(self.modulator.pitch), self.wavelengths[colour]
+        radius = torch.hypot(frequencies[0][:, None] / pair[0], frequencies[1] / pair[1])
+        passed = torch.outer(down, across)
+        passed = passed * (wavelength / self.medium * abs(lens.ray_matrix[1]) * radius >= lens.block)
+        return passed * (radius <= self.iris.cutoff(wavelength)) if isinstance(self.iris, Iris) else passed
 
     def _shares(self) -> list[list[float]]:
         if "shares" not in self._kept:
@@ -487,15 +551,30 @@ class Display(torch.nn.Module):
             power = self.powers[:, c] / self.powers[:, c].sum()
             for d, distance in enumerate(self.distances):
                 for f in torch.nonzero(power)[:, 0].tolist():
-                    shown = self._propagated(self._lit(light[f : f + 1], c)[0], wavelength, distance)
-                    images[0, d, c] += power[f] * mean_over_areas(shown, self.modulator.resolution, self._orders())
-                    images[1, d, c] += power[f] * _middles(intensity(shown), self.modulator.resolution, self._orders())
+                    lit, finer = self._lit(light[f : f + 1], c)[0], self._orders() if self.lens is None else 2
+                    shown = self._propagated(lit, wavelength, distance) if self.lens is None else self._spread(lit, c)
+                    images[0, d, c] += power[f] * mean_over_areas(shown, self.modulator.resolution, finer)
+                    images[1, d, c] += power[f] * _middles(intensity(shown), self.modulator.resolution, finer)
         return images[0], images[1]
 
     def lit_by(self, powers: torch.Tensor) -> "Display":
         """Return the same display with other powers of the sources, ``[F, C]``."""
-        given = self.modulator, self.wavelengths, self.distances, self.frames, powers, self.profile
+        given = self.modulator, self.wavelengths, self.lens or self.distances, self.frames, powers, self.profile
         return Display(*given, self.iris, self.medium).to(self.powers.device)
+
+    def _spread(self, light, colour):
+        """Return the field behind the lens at twice as many points as an image has, over twice its extent."""
+        sizes = self.modulator.resolution
+        turn = 2 * math.pi * torch.remainder(self._curvature(colour), 1)
+        light = light * torch.polar(torch.ones_like(turn), turn).to(light.device, light.dtype)
+        # In the order of the transform, whose period is one order.
+        field = torch.fft.fft2(light, s=[2 * n for n in sizes]).tile(2, 2) / math.sqrt(math.prod(sizes))
+        frequencies = [(torch.arange(4 * n, dtype=torch.float64) - 2 * n) / (2 * n) for n in sizes]
+        # The panel begins at the first sample, its axis is pixel n // 2.
+        moved = [f * (n // 2) for f, n in zip(frequencies, sizes, strict=True)]
+        turn = 2 * math.pi * torch.remainder(moved[0][:, None] + moved[1], 1)
+        passed = torch.polar(self._envelope(frequencies, colour), turn).to(light.device, light.dtype)
+        return torch.fft.fftshift(field) * passed
 
     def _propagated(self, light, wavelength, distance):
         """Return a field on a grid of twice its extent, with several samples per pixel where there are more orders."""
@@ -749,6 +828,8 @@ class Descent:
 
 def _frames_alone(display: Display, solver: str) -> list[tuple[int, int, int]]:
     """Return frame, plane and colour for each frame, for solvers whose frames show one colour on one plane each."""
+    if display.lens is not None:
+        raise ValueError(f"{solver} needs a display without a lens: use the solver 'lbfgs'")
     lit = [[c for c, power in enumerate(row) if power] for row in display.powers.tolist()]
     if len(display.distances) > 1 or any(len(colours) != 1 for colours in lit):
         raise ValueError(
@@ -1090,6 +1171,15 @@ def optimise(
     return DisplayedHologram(display, target, phases, images, lights, ratio(images), at_points, history, sharp)
 
 
+def _projected(display, target, colour, phase, iterations: int = 10):
+    """Return a phase after iterations of Gerchberg and Saxton's between the panel and the plane behind a lens."""
+    amplitude, light = target[0, colour].sqrt(), unit_phasor(phase)
+    for _ in range(iterations):
+        there = display._focused(light, colour)
+        light = unit_phasor(display._back(amplitude * unit_phasor(there.angle()), colour).angle())
+    return light.angle()
+
+
 def _focal_targets(display, target):
     """Return the targets of the planes of a picture with depth; None for any other target."""
     if not isinstance(target, (tuple, list)) or len(target) != 2:
@@ -1134,13 +1224,17 @@ def starting_phases(display, target, start, seed) -> torch.Tensor:
         shapes = (shape, shape[1:]) if display.frames == 1 else (shape,)
         return started("start", start, shapes, target, torch.zeros, STARTS).reshape(shape)
     name = _validate.one_of("start", start, STARTS)
+    if display.lens is not None and name == "double phase":
+        raise ValueError(
+            "start must be 'gs', 'quadratic', 'random', 'flat' or phases behind a lens, got 'double phase'"
+        )
     plane, phases = display.shape[0] // 2, torch.zeros(shape, dtype=target.dtype, device=target.device)
     brightest = display.powers.argmax(1).tolist()
     for colour in sorted(set(brightest)):
         frames = [frame for frame, lit in enumerate(brightest) if lit == colour]
         wavelength, distance = display.wavelengths[colour] / display.medium, display.distances[plane]
         found = starting_phase(
-            name,
+            "quadratic" if display.lens is not None and name == "gs" else name,
             target[plane, colour],
             wavelength,
             distance,
@@ -1149,5 +1243,7 @@ def starting_phases(display, target, start, seed) -> torch.Tensor:
             frames=len(frames),
         )
         for frame, phase in zip(frames, found.reshape(len(frames), *shape[1:]), strict=True):
-            phases[frame] = phase
+            phases[frame] = (
+                phase if display.lens is None or name != "gs" else _projected(display, target, colour, phase)
+            )
     return phases

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from odak.instruments import Calibration, SimulatedTable, save_calibration
+from odak.instruments import Calibration, Lens, SimulatedTable, save_calibration
 from odak.learn.models import hologram_network
 from odak.learn.wave import (
     Descent,
@@ -290,3 +290,60 @@ def test_a_seed_reaches_the_random_numbers_of_a_loss(disc):
     runs = [Run(iterations=3, seed=seed, progress=False) for seed in seeds]
     one, again, other = (optimise(display, disc, noisy, "adam", "flat", run).phases for run in runs)
     assert torch.equal(one, again) and not torch.equal(one, other)
+
+
+@pytest.mark.parametrize("lens", [Lens(0.2), Lens(0.02, before=0.03, after=0.0203, block=1e-5)])
+def test_images_behind_a_lens_are_sums_over_the_pixels(lens):
+    """Fourier sums within the envelope of square pixels; the mean over a point's area; both computations of it."""
+    profile = torch.rand(24, 30, generator=torch.Generator().manual_seed(0), dtype=torch.float64) + 0.5
+    display = Display(Modulator((24, 30), 8e-6, bits=None, fill=0.81), 532e-9, lens, profile=profile)
+    phases = 6.3 * torch.rand(24, 30, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    a, b = lens.ray_matrix
+    y, x = ((np.arange(n) - n // 2) * 8e-6 for n in (24, 30))
+    light = profile.numpy() * np.exp(1j * phases.numpy() + 1j * np.pi * a / (532e-9 * b) * (y[:, None] ** 2 + x**2))
+
+    def point(i, j):
+        fy, fx = (i - 12) / 24, (j - 15) / 30
+        field = np.exp(-2j * np.pi * fy * y / 8e-6) @ light @ np.exp(-2j * np.pi * fx * x / 8e-6)
+        seen = abs(field * np.sinc(0.9 * fy) * np.sinc(0.9 * fx)) ** 2 / (24 * 30)
+        return seen * (np.hypot(fy, fx) * 532e-9 * b / 8e-6 >= lens.block)
+
+    fields, images = display.fields(phases)[0, 0, 0], display(phases)[0, 0]
+    areas, middles = (part[0, 0] for part in display.judge(phases))
+    for i, j in ((0, 0), (5, 9), (14, 20), (12, 15)):
+        assert abs(fields[i, j].item()) ** 2 == pytest.approx(point(i, j), abs=1e-12)
+    assert torch.allclose(fields.abs() ** 2, middles, atol=1e-12)
+    inside = (np.arange(20) + 0.5) / 20 - 0.5
+    for i, j in ((5, 9), (14, 20)):
+        mean = np.mean([[point(i + down, j + across) for across in inside] for down in inside])
+        assert areas[i, j].item() == pytest.approx(mean, rel=5e-3)
+        assert images[i, j].item() == pytest.approx(mean, rel=1e-2)
+
+
+def test_holograms_behind_a_lens(tmp_path):
+    """Those of a calibrated table correct its aberration: the table shows them, on the points of their images."""
+    lens = Lens(20e-3)
+    options = {"misalignment": False, "distance_error": 0.0, "reflection": 0.0, "camera_pitch": 4e-6}
+    table = SimulatedTable(3, shape=(32, 32), distance=lens, aberration=0.5, camera_shape=(300, 300), **options)
+    truth = table.truth
+    known = Calibration.nominal(table.modulator, table.camera, 532e-9, lens)
+    known = replace(known, phases=truth.phases, wavefront=truth.wavefront, amplitude=truth.amplitude)
+    save_calibration(tmp_path / "lens.h5", known)
+    target = torch.zeros(32, 32)
+    target[6:12, 8:24] = 1
+    display = Display.from_calibration(tmp_path / "lens.h5", fill=1.0)
+    assert "lens of 20 mm" in repr(display)
+    found = optimise(display, target, run=Run(iterations=60, progress=False))
+    assert found.psnr.item() > 30
+    table.modulator.show(found.levels()[0].numpy())
+    light, pitch = table.intensity()
+    spots = [
+        np.rint((np.arange(32) - 16) * 532e-9 * 20e-3 / (32 * 8e-6) / pitch).astype(int) + n // 2 for n in light.shape
+    ]
+    seen = torch.as_tensor(light[np.ix_(*spots)])
+    points = (display.fields(found.phases)[0, 0, 0].abs() ** 2).float()
+    assert torch.corrcoef(torch.stack([seen.flatten(), points.flatten()]))[0, 1] > 0.98
+    with pytest.raises(ValueError, match="needs a display without a lens"):
+        optimise(display, target, solver="gerchberg-saxton")
+    with pytest.raises(ValueError, match="start must be 'gs', 'quadratic'"):
+        optimise(display, target, start="double phase")
