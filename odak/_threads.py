@@ -66,6 +66,16 @@ def _threads(count: int) -> ThreadPoolExecutor:
         return _pool[1]
 
 
+def _on_one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+if hasattr(os, "register_at_fork"):
+    # A forked process has none of the threads of OpenMP, and its first operation on several would wait for them for
+    # ever. PyTorch's DataLoader takes one thread in its workers for the same reason.
+    os.register_at_fork(after_in_child=_on_one_thread)
+
+
 def _alone(ready: threading.Barrier) -> None:
     torch.set_num_threads(1)
     ready.wait()

@@ -1,81 +1,91 @@
-"""Hours of work in miniature: memory stays flat, caches keep their bounds, thousands of tasks come back in order."""
+"""Long runs: memory stays as it was, caches keep their limit, and a process that forks after use does not hang."""
 
+import gc
 import os
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+import subprocess
+import sys
 
 import pytest
+import torch
 
-psutil = pytest.importorskip("psutil")
-import long_run_tasks as tasks  # noqa: E402
+import odak
+from odak.learn.perception import MetamericLoss, srgb_to_lab
+from odak.learn.raytracing.system import load_system, rms_spot
+from odak.learn.wave import Display, Modulator, propagate_beam, stochastic_gradient_descent
+from odak.wave import set_kernel_cache_size
 
-MB = 1 << 20
-ITERATIONS = int(os.environ.get("ODAK_LONG_RUN", "1000"))
 pytestmark = pytest.mark.slow
+FORK = """
+import os, signal, numpy as np, torch
+torch.set_num_threads(2)
+import odak
+from odak.learn.raytracing.system import load_system, rms_spot
+from odak.learn.wave import propagate_beam
+light, lens = torch.ones(1080, 1920, dtype=torch.complex64), load_system("singlet")
+def use():
+    out = propagate_beam(light, None, 0.1, 8e-6, 532e-9)
+    field = odak.wave.propagate_beam(light.numpy(), None, 0.1, 8e-6, 532e-9)
+    return float(out.abs().sum()), float(rms_spot(lens, "rings", 40).sum()), float(np.abs(field).sum())
+first = use()
+child = os.fork()
+if child == 0:
+    signal.alarm(100)
+    os._exit(0 if np.allclose(use(), first, rtol=1e-5) else 3)
+print(os.waitpid(child, 0)[1])
+"""
 
 
-def in_a_fresh_process(task, *arguments):
-    """Return what a task returns in a process that has done nothing else."""
-    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-        return pool.submit(task, *arguments).result()
+def resident():
+    """Return the memory of this process in MB."""
+    with open("/proc/self/statm") as stream:
+        return int(stream.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
-def test_one_long_optimisation():
-    """ODAK_LONG_RUN=10000 makes it as long; the bound is the same."""
-    growth = in_a_fresh_process(tasks.one_long_optimisation, ITERATIONS)
-    assert growth["rss"] < 5 * MB and growth["objects"] < 50
+def calls():
+    """Return functions of a number, of which each number is another question."""
+    light = torch.ones(64, 64, dtype=torch.complex64)
+    picture, other = torch.rand(2, 1, 3, 64, 64, generator=torch.Generator().manual_seed(0))
+    lens, loss = load_system("singlet"), MetamericLoss(n_pyramid_levels=2)
+    options = {"wavelength": 532e-9, "pixel_pitch": 8e-6, "n_iteration": 2, "progress": False}
+
+    def at(i):
+        return 0.01 + 1e-5 * i
+
+    return {
+        "propagate_beam": (1000, lambda i: propagate_beam(light, None, at(i), 8e-6, 532e-9)),
+        "odak.wave.propagate_beam": (
+            2000,
+            lambda i: odak.wave.propagate_beam(light.numpy(), None, at(i), 8e-6, 532e-9),
+        ),
+        "gradient descent": (200, lambda i: stochastic_gradient_descent(picture[0, 0], distance=at(i), **options)),
+        "Display": (200, lambda i: Display(Modulator((32, 32), 8e-6), 532e-9, at(i))(torch.zeros(32, 32))),
+        "metameric loss": (300, lambda i: loss(picture, other, [0.5, 0.3 + 1e-4 * i])),
+        "srgb_to_lab": (2000, lambda i: srgb_to_lab(picture)),
+        "rms_spot": (300, lambda i: rms_spot(lens, "rings", 4)),
+        "windows": (300, lambda i: odak.wave.propagate_to_window(light.numpy(), 532e-9, at(i), 8e-6, (32, 32), 9e-6)),
+    }
 
 
-def test_many_short_optimisations():
-    growth = in_a_fresh_process(tasks.many_short_optimisations, 150)
-    assert growth["rss"] < 5 * MB and growth["objects"] < 100
+@pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="memory is read from /proc")
+@pytest.mark.parametrize("name", list(calls()))
+def test_memory_stays_as_it_was(name):
+    count, call = calls()[name]
+    try:
+        set_kernel_cache_size(4 << 20)
+        for i in range(count // 8):
+            call(-i)
+        gc.collect()
+        before = resident()
+        for i in range(count):
+            call(i)
+        gc.collect()
+        assert resident() - before < 20
+    finally:
+        set_kernel_cache_size(None)
 
 
-def test_thousands_of_geometries_stay_within_the_bound_of_the_kernels():
-    """A kernel of the padded fields takes 24 to 40 kB, so that the 1 MB hold some thirty of them."""
-    growth = in_a_fresh_process(tasks.many_geometries, 2000, MB)
-    assert MB / 2 < growth["most"] <= MB
-    assert growth["rss"] < 5 * MB and growth["objects"] < 1500
-
-
-def test_many_targets_and_gazes():
-    growth = in_a_fresh_process(tasks.many_targets, 300)
-    assert growth["rss"] < 5 * MB and growth["objects"] < 100
-
-
-def test_many_rays():
-    growth = in_a_fresh_process(tasks.many_rays, 200)
-    assert growth["rss"] < 5 * MB and growth["objects"] < 100
-
-
-def test_many_figures():
-    growth = in_a_fresh_process(tasks.many_figures, 60)
-    assert growth["rss"] < 5 * MB and growth["objects"] < 500
-
-
-def test_thousands_of_tasks_on_two_workers():
-    pytest.importorskip("distributed")
-    from running_cluster import cluster
-
-    from odak.manager import agent
-
-    with agent(tasks.square, cluster(), verbose=False) as work:
-        work.connect()
-
-        def round_of(first, count):
-            work.clear()
-            for number in range(first, first + count):
-                work.submit((number,))
-            assert work.run() == [number * number for number in range(first, first + count)]
-            return {
-                "scheduler": work.client.run_on_scheduler(tasks.resident),
-                **work.client.run(tasks.resident),
-            }, work.client.run(tasks.files_of_worker)
-
-        before, files = round_of(0, 500)
-        after, left = round_of(500, 1500)
-        assert len(before) == 3 and left == files
-        growth = {name: after[name] - before[name] for name in before}
-        # The scheduler keeps a log of its last transitions, of bounded length.
-        assert growth.pop("scheduler") < 25 * MB
-        assert max(growth.values()) < 5 * MB
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
+def test_a_process_that_forks_after_use_goes_on():
+    environment = os.environ | {"OMP_NUM_THREADS": "2"}
+    run = subprocess.run([sys.executable, "-c", FORK], env=environment, capture_output=True, text=True, timeout=200)
+    assert run.stdout == "0\n", run.stderr
