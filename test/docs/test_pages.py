@@ -23,6 +23,7 @@ SLOW = {
     "guides/learned_models.md",
     "guides/metamers.md",
     "guides/multiplane_and_colour.md",
+    "guides/near_eye_display.md",
     "guides/photographs_to_a_hologram.md",
     "guides/pictures_through_a_lens.md",
     "guides/polarised_light_and_media.md",

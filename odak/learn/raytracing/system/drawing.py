@@ -140,7 +140,9 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
     items = [*surfaces, image]
     radii = _radii(items, frames, paths[..., -len(frames) :, :])
     profiles = [_profile(*pair) for pair in zip(items, frames, radii, strict=True)]
-    figure = _Figure(figsize=(10, 5), layout="constrained")
+    drawn = np.concatenate([*profiles, paths[..., [2, 1]].reshape(-1, 2)])
+    width, height = np.nanmax(drawn, 0) - np.nanmin(drawn, 0)
+    figure = _Figure(figsize=(10, 5) if height < width else (6, 6.6), layout="constrained")
     axes = figure.add_subplot()
     axes.set_aspect("equal", adjustable="datalim")
     axes.axis("off")
@@ -148,17 +150,16 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
         behind = next((j for j in range(i + 1, len(items)) if items[j] is None or not is_break(items[j])), None)
         if behind is not None and behind < len(items) - 1 and is_glass(surfaces, i):
             axes.fill(*_element(profiles, frames, radii, i, behind).T, color=GLASS, ec=FAINT, lw=0.6)
-            foot = min((profiles[i][0], profiles[behind][0]), key=lambda end: end[1])[1]
-            middle = (profiles[i][0][0] + profiles[behind][0][0]) / 2
-            style: dict[str, Any] = {
-                "rotation": 90,
-                "ha": "center",
-                "va": "top",
-                "fontsize": 6,
-                "color": INK,
-                "parse_math": False,
-            }
-            axes.annotate(_glass_name(surfaces, i), (middle, foot), (0, -4), textcoords="offset points", **style)
+            style: dict[str, Any] = {"textcoords": "offset points", "fontsize": 6, "color": INK, "parse_math": False}
+            ends = np.concatenate([profiles[place][[0, -1]] for place in (i, behind)])
+            if abs(frames[i][0][2, 2]) > 0.7:
+                place = (ends[[0, 2], 0].mean(), ends[:, 1].min())
+                style |= {"xytext": (0, -4), "rotation": 90, "ha": "center", "va": "top"}
+            else:
+                # Beside an element whose axis is turned up or down.
+                place = (ends[:, 0].max(), ends[:, 1].mean())
+                style |= {"xytext": (4, 0), "ha": "left", "va": "center"}
+            axes.annotate(_glass_name(surfaces, i), place, **style)
     for f in range(paths.shape[0]):
         color = color_of(f)
         for p in range(paths.shape[1]):

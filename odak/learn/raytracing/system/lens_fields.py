@@ -1,5 +1,6 @@
 """Fields through a lens system: diffraction between two planes, whose phase and amplitude are those of rays."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,9 +8,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.fft import next_fast_len
 
-from odak import _validate
+from odak import _show, _validate
 from odak._array import is_readable, phasor_of_cycles
 from odak._warnings import AccuracyWarning, warn
 from odak.catalog.materials import MICROMETRES
@@ -27,7 +27,7 @@ from odak.wave.transfer_functions import pitches
 STEP, LARGE = 1e-4, 0.03
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TracedSystem:
     """A lens system as an element of an optical bench: a field of many points goes through it at once.
 
@@ -63,8 +63,8 @@ class TracedSystem:
     Warns
     -----
     AccuracyWarning
-        If the polynomials deviate from other rays by more than 0.03 wavelengths, or an aperture blocks rays: the field
-        is computed as if they passed.
+        If the polynomials deviate from other rays by more than 0.03 wavelengths, which is tried where no number of the
+        system requires a gradient, or if an aperture blocks rays: the field is computed as if they passed.
 
     Notes
     -----
@@ -100,6 +100,8 @@ class TracedSystem:
     polarization: Sequence[complex] | None = None
     tolerance: float = 1e-3
 
+    __repr__ = _show.one_line
+
     def __post_init__(self):
         if checked_system(self.system).at_infinity:
             raise ValueError("system must have an object_distance, got one with its object at infinity")
@@ -108,6 +110,7 @@ class TracedSystem:
         for name, value in (("grid", grid[0]), ("grid", grid[1]), ("points", self.points)):
             if _validate.integer(name, value, minimum=3) % 2 == 0:
                 raise ValueError(f"{name} must be an odd number, got {value}")
+        _validate.number("tolerance", self.tolerance, positive=True)
         if self.polarization is not None:
             object.__setattr__(self, "polarization", jones_vector(self.polarization))
 
@@ -179,14 +182,17 @@ class TracedSystem:
         first, second = path.alone()
         source = field * phasor_of_cycles(first, field.dtype)
         total: Any = 0.0
-        for before, behind in path.products(self.tolerance):
-            arrived = source * before.to(field.dtype)
+        for before, behind in path.products(self.tolerance, field.dtype):
+            arrived = source * before
             for axis, one in zip((-1, -2), axes[::-1], strict=True):
                 arrived = one.transformed(arrived, axis)
-            total = total + arrived * behind.to(field.dtype)
+            total = total + arrived * behind
         # 1/(iλB) of the integral; the amplitudes are relative to 1/B.
         scale = axes[0].step * axes[1].step / (wave * lens[0][1])
         result = total * phasor_of_cycles(second - 0.25, field.dtype) * scale.to(field.real.dtype)
+        # Beyond what is computed, no light of the field arrives.
+        sides = [side for n, one in zip(counts[::-1], axes[::-1], strict=True) for side in one.around(n)]
+        result = torch.nn.functional.pad(result, sides)
         out = [one.out * unit for one in axes]
         return result, out[0] if out[0] == out[1] else tuple(out)
 
@@ -217,13 +223,19 @@ class _Axis:
         # Where light of the largest frequency arrives from the middle and from the edge of the field.
         middle, edge = wave * abs(b) / (2 * step), abs(a) * n * step / 2
         near, far = n * step / 2, min(middle + edge, count * out / 2)
+        count = min(count, 2 * math.ceil(far / out) + 1)
         # The sum repeats itself at λ|B|/step, which light at the edges would reach.
-        double = count * out / 2 > (middle - edge) * (1 + 1e-9)
+        double = far > (middle - edge) * (1 + 1e-9)
         n, step = (2 * n, step / 2) if double else (n, step)
         period = wave * abs(b) / (step * out)
         every = max(1, math.ceil(n / period - 1e-9))
-        size = next_fast_len(max(n, round(period * every)))
+        size = _fast_size(n, round(period * every))
         return cls(n, step, double, count, out, size, every, math.copysign(every / (size * step * out), b), near, far)
+
+    def around(self, window: int) -> tuple[int, int]:
+        """Return how many samples of a window lie in front of those behind the system, and how many after them."""
+        before = window // 2 - self.counts // 2
+        return before, window - self.counts - before
 
     def finer(self, field: torch.Tensor, axis: int) -> torch.Tensor:
         """Return the band-limited interpolation of a field at half its pitch, if this is what the axis needs."""
@@ -242,12 +254,21 @@ class _Axis:
         whole = torch.cat(parts, axis)
         found = torch.fft.fft(whole, dim=axis) if self.slope > 0 else torch.fft.ifft(whole, dim=axis, norm="forward")
         places = torch.arange(self.counts, device=field.device) - self.counts // 2
-        found = found.index_select(axis, (places * self.every) % size)
-        if 2 * (self.counts // 2) * self.every <= size:
-            return found
-        # Beyond a period, no light of the field arrives.
-        dark = (2 * places.abs() * self.every <= size).to(found.real.dtype)
-        return found * (dark[:, None] if axis == -2 else dark)
+        return found.index_select(axis, (places * self.every) % size)
+
+
+def _fast_size(least: int, wanted: int) -> int:
+    """Return the size nearest to the wanted one, but not below the least, whose prime factors are small."""
+    wanted = max(least, wanted)
+    around = (wanted + sign * step for step in itertools.count() for sign in (1, -1))
+    return next(size for size in around if size >= least and _is_fast(size))
+
+
+def _is_fast(n: int) -> bool:
+    for factor in (2, 3, 5, 7, 11, 13):
+        while n % factor == 0:
+            n //= factor
+    return n == 1
 
 
 def _nodes(n: int) -> np.ndarray:
@@ -325,8 +346,8 @@ class _Characteristic:
         near = self._lines("near", self.element.grid)
         return _spread(self.first, near), _spread(self.second, self._lines("far", (self.element.points,) * 2))
 
-    def products(self, tolerance: float):
-        """Yield functions of the samples of the two planes whose products add up to the rest, complex128.
+    def products(self, tolerance: float, dtype: torch.dtype):
+        """Yield functions of the samples of the two planes whose products add up to the rest.
 
         The rest, at finer Chebyshev points, is a matrix; its singular vectors are the shortest such sum.
         """
@@ -352,12 +373,15 @@ class _Characteristic:
             power, vectors = torch.linalg.eigh((balanced * far) @ balanced.mH)
             left = power.clamp_min(0).cumsum(0)
             used = vectors[:, left > tolerance**2 * left[-1]]
-        lines = self._lines("near", sizes[:2]), self._lines("far", sizes[2:])
+        lines = [
+            [one.to(dtype) for one in self._lines(side, pair)]
+            for side, pair in (("near", sizes[:2]), ("far", sizes[2:]))
+        ]
         for vector in used.mT:
             before = (vector / near).reshape(sizes[:2])
             behind = ((vector.conj() * near) @ whole).reshape(sizes[2:])
             pairs = zip((before, behind), lines, strict=True)
-            yield (_spread(values, [one.to(values) for one in at]) for values, at in pairs)
+            yield (_spread(values.to(dtype), at) for values, at in pairs)
 
     def _traced(self, places, targets):
         """Return the path less the kernel, optical direction cosines in front, and amplitudes that are left."""
@@ -403,7 +427,7 @@ class _Characteristic:
     @torch.no_grad()
     def _check(self):
         """Warn if paths between other points than those of the polynomials differ from them."""
-        if not is_readable(self.path):
+        if not is_readable(self.path) or self.path.requires_grad:
             return
         between = [np.array([(t[0] + t[1]) / 2]) for t in map(_nodes, self.element.grid)]
         inside = [np.array([-0.85, 0.65])] * 2
