@@ -247,6 +247,35 @@ def test_the_rim_of_the_pupil_is_one_sample_wide_in_fields_of_one_row(shape):
     assert float(seen.field.abs().square().sum()) == pytest.approx(expected, rel=1e-12)
 
 
+def test_a_turned_eye_may_be_seen_on_the_samples_of_the_field():
+    n, pitch = 128, 4e-5
+    x = (torch.arange(n, dtype=torch.float64) - n // 2) * pitch
+    field = torch.exp(-2j * math.pi * x * 6 / (n * pitch)).expand(n, n)
+    found = [retinal_field(field, pitch, GREEN, 2.0, 0.0, (0, 0), (0.4, 0.0), centre) for centre in ("field", "gaze")]
+    columns = [int(seen.field.abs().square().sum(0).argmax()) for seen in found]
+    shift = math.sin(math.radians(0.4)) / found[0].pitch[1]
+    assert columns == [n // 2 + 6, round(n // 2 + 6 - shift)]
+    assert float(found[0].field.abs().square().sum()) == pytest.approx(float(found[1].field.abs().square().sum()))
+
+
+def test_gradients_reach_the_pupil_the_gaze_and_the_accommodation():
+    random = torch.Generator().manual_seed(0)
+    field = torch.randn(24, 24, dtype=torch.complex128, generator=random)
+    weight = torch.rand(24, 24, dtype=torch.float64, generator=random)
+
+    def light(diameter, accommodation, place, gaze):
+        seen = retinal_field(field, 1e-4, GREEN, diameter, accommodation, place * 1e-3, gaze).field
+        return (weight * seen.abs().square()).sum()
+
+    start = [torch.tensor(value, dtype=torch.float64) for value in (1.9, 1.3, [0.1, -0.2], [0.7, -1.1])]
+    given = [value.clone().requires_grad_() for value in start]
+    for i, slope in enumerate(torch.autograd.grad(light(*given), given)):
+        ahead, behind = (
+            light(*(value + sign * 1e-5 if j == i else value for j, value in enumerate(start))) for sign in (1, -1)
+        )
+        assert float(slope.sum()) == pytest.approx(float(ahead - behind) / 2e-5, rel=1e-4)
+
+
 def test_pupil_sizes():
     # Limits of the formula at the reference age, and equation 21 by hand.
     assert float(unified_pupil_diameter(1e-12)) == pytest.approx(7.75, abs=1e-3)

@@ -117,6 +117,19 @@ def test_a_periscope_displaces_and_keeps_the_direction():
     assert layout_figure(system).axes
 
 
+def test_media_are_named_beside_elements_whose_axis_is_turned():
+    turn = {"tilt": (45.0, 0.0, 0.0)}
+    plate = [surface(material="N-BK7", thickness=-2.0), surface(thickness=-20.0)]
+    fold = [coordinate_break(**turn), surface(material="mirror"), coordinate_break(thickness=-10.0, **turn)]
+    first = [surface(80.0, material="N-SF11", thickness=3.0), surface(thickness=10.0)]
+    figure = layout_figure(optical_system([*first, *fold, *plate], 4.0))
+    names = {text.get_text(): text for text in figure.axes[0].texts}
+    assert (names["N-SF11"].get_rotation(), names["N-BK7"].get_rotation()) == (90.0, 0.0)
+    # The light turns upwards behind the mirror, 13 mm behind the first vertex.
+    assert names["N-BK7"].xy[0] > 13 and names["N-BK7"].xy[1] == pytest.approx(11.0)
+    assert figure.get_figheight() > figure.get_figwidth()
+
+
 def test_an_off_axis_paraboloid_is_stigmatic():
     """A part of a paraboloid beside its axis: one point, one path; rays beside the aperture are vignetted."""
     focal, offset = 100.0, 40.0
