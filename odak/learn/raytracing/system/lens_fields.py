@@ -25,6 +25,10 @@ from odak.wave.transfer_functions import pitches
 
 # Step of direction cosines along which differences are taken, and the error of paths in wavelengths that is warned of.
 STEP, LARGE = 1e-4, 0.03
+_CROSSING = (
+    "system must send exactly one ray from each point of the field to each point of the image plane that its light may "
+    "reach, got lost or crossing rays: take a lens of less aberration, a smaller field, or larger pixels"
+)
 
 
 @dataclass(frozen=True, repr=False)
@@ -317,7 +321,10 @@ class _Characteristic:
         slope = [_slopes(n).to(self.device) / axis.far for n, axis in zip(count, axes, strict=True)]
         vy, uy = (slope[0] @ part for part in (v, u))
         vx, ux = (part @ slope[1].mT for part in (v, u))
-        self.amplitude = (vy * ux - vx * uy).abs().sqrt() * lens[0][1].abs() * losses
+        density = vy * ux - vx * uy
+        if is_readable(density) and not bool((density * density.mean() > 0).all()):
+            raise ValueError(_CROSSING)
+        self.amplitude = density.abs().sqrt() * lens[0][1].abs() * losses
         middle = grid[0] // 2, grid[1] // 2, element.points // 2
         self.first = self.path[:, :, middle[2], middle[2]] - self.path[middle[0], middle[1], middle[2], middle[2]]
         self.second = self.path[middle[0], middle[1]]
@@ -412,7 +419,7 @@ class _Characteristic:
             )
             met = trace(system, sent, prescription=numbers, vignetting=False)
         if is_readable(met.status) and not bool(met.arrived.all()):
-            raise ValueError("system must let a ray of each point of the field reach the image plane, got lost rays")
+            raise ValueError(_CROSSING)
         # To the points themselves: by Fermat's principle what is left of the search does not count otherwise.
         path = (met.path + behind * ((p - met.x) * met.u + (q - met.y) * met.v)) / self.wavelength
         path = path + x * p * self.axes[1].slope + y * q * self.axes[0].slope

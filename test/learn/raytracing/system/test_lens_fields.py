@@ -174,6 +174,10 @@ def test_what_rays_cannot_tell_is_refused_or_warned_of():
     )
     with pytest.raises(ValueError, match="image of the object"):
         TracedSystem(image).apply(field, 8e-6, WAVE)
+    thick = [surface(25.0, thickness=5.0, material="N-BK7"), surface(-25.0, thickness=23.4)]
+    wide = TracedSystem(optical_system(thick, 2.0, object_distance=23.4))
+    with pytest.raises(ValueError, match="crossing rays"):
+        wide.apply(spots(256, 60e-6, (0, 0)), 60e-6, WAVE)
     with pytest.raises(TypeError, match="complex"):
         TracedSystem(eyepiece()).apply(field.real, 8e-6, WAVE)
     with pytest.warns(AccuracyWarning, match="paths between"):
