@@ -41,7 +41,7 @@ REASONS = {
         raytracing/system/design: __init__ _now
         raytracing/system/environment: _expand
         raytracing/system/eye: _traced_terms
-        raytracing/system/lens_fields: _check _traced apply
+        raytracing/system/lens_fields: __init__ _check _traced apply
         raytracing/system/image_simulation: _chief _response point_spread_map
         raytracing/system/optimise: _deviated _dispersed iso_10110_tolerances
         raytracing/system/paraxial: _check_forward _near_reach ghost_system medium passed seidel_sums
