@@ -40,9 +40,12 @@ TASKS = {
             "edge": 0.6,
             "back": 20.0,
             "track": 80.0,
+            "makers": ["schott", "ohara"],
+            "axial_color": 0.1,
             "starts": 32,
+            "polish": 3,
         },
-        "limits": {"rms": 25e-3, "distortion": 0.02, "minutes": 10.0},
+        "limits": {"rms": 16e-3, "distortion": 0.02, "minutes": 4.0},
     },
     "three aspheres 4.55 mm f/4, 50 degrees": {
         "design": {

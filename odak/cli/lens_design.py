@@ -5,7 +5,7 @@ import math
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,6 @@ from odak.cli.job import InputError
 from odak.cli.report import finite, versions
 from odak.cli.trace import read_glasses, read_system
 from odak.learn.raytracing.system import (
-    Operand,
-    Solve,
-    Variable,
     automatic_design,
     distortion,
     first_order,
@@ -31,7 +28,7 @@ from odak.learn.raytracing.system import (
     optical_system,
     rms_spot,
     save_system,
-    trace_fields,
+    standard_design,
     write_zmx,
 )
 from odak.learn.raytracing.system.operands import clear_heights
@@ -51,9 +48,7 @@ LAYOUTS = {
     6: (CROWN, CROWN, FLINT, "stop", FLINT, CROWN, CROWN),
 }
 DEMANDS = ("focal_length", "f_number", "field", "elements")
-# Least and largest thicknesses of elements and of gaps, and steepest curvature, in focal lengths and their inverse.
-GLASS, AIR, BEND = (0.02, 0.2), (0.002, 0.5), 1 / 0.15
-DISTORTION, RINGS = 0.02, 8
+RINGS = 8
 DEFINITIONS = {
     "lengths": "In the unit of the lens; angles in degrees.",
     "rms_spot": "Root mean square distance of the rays from their centroid in the image plane, per field: all "
@@ -299,7 +294,7 @@ def _from_plates(job: DesignJob, step: Callable[[], Any]):
     f, speed, field = given.pop("focal_length"), float(job.f_number or 0), float(job.field or 0)
     given |= {"aspheric_terms": job.aspheric_terms, "chief_ray_angle": job.chief_ray_angle, "seed": job.seed}
     given |= {name: value for name, value in (("starts", job.starts), ("iterations", job.iterations)) if value}
-    given |= {"distortion": job.distortion or DISTORTION, "makers": job.makers() or None}
+    given |= {"makers": job.makers() or None} | ({"distortion": job.distortion} if job.distortion else {})
     try:
         found = automatic_design(materials, f, speed, field, **given, callback=lambda stage: step())
     except ValueError as error:
@@ -343,6 +338,7 @@ def _set_semi_diameters(system: optical_system, aim: str) -> None:
             item.semi_diameter = 1.001 * float(size)
 
 
+LIMITS = ("track", "back", "distortion", "axial_color", "chief_ray_angle")
 LENGTHS = ("focal_length", "track", "back", "axial_color")
 
 
@@ -456,9 +452,14 @@ def _optimised(system, own, goal, job: DesignJob, f: float, metre: float, step):
         both = zip(points, goal[1], strict=True)
         system.fields = tuple(tuple(a + share * (b - a) for a, b in zip(p, q, strict=True)) for p, q in both)
 
-    def problem(share: float) -> tuple[lens_design, list[str]]:
-        set_conditions(share)
-        return _problem(system, job, abs(f), f, metre)
+    limits = {
+        name: getattr(job, name) * (metre if name in LENGTHS else 1.0)
+        for name in LIMITS
+        if getattr(job, name) is not None
+    }
+
+    def problem(makers: Sequence[str] | None = job.makers() or None) -> lens_design:
+        return standard_design(system, f, limits=limits, makers=makers, aspheric=bool(job.aspheric_terms), aim=job.aim)
 
     def keeps_rays(design: lens_design) -> bool:
         with torch.no_grad():
@@ -471,7 +472,8 @@ def _optimised(system, own, goal, job: DesignJob, f: float, metre: float, step):
     here, way = 0.0, 1.0
     while True:
         share = min(1.0, here + way)
-        design, names = problem(share)
+        set_conditions(share)
+        design = problem()
         if keeps_rays(design):
             result = design.optimise(iterations, tolerance=1e-6, rounds=2 if share == 1 else 1, callback=told)
             here, way = share, 1.0
@@ -486,91 +488,24 @@ def _optimised(system, own, goal, job: DesignJob, f: float, metre: float, step):
             raise InputError(f"rays are lost beyond {place}: a larger --f-number, a smaller --field, or another SYSTEM")
     if job.starts and job.starts > 1:
         result = design.restarts(job.starts, seed=job.seed, iterations=iterations)
-    history, chosen = list(result.history), ()
+    history, chosen, names = list(result.history), (), _varied(design)
     if "glass" in design.places:
         chosen = design.substitute_glasses(job.makers(), iterations=iterations)
         # The glasses are fixed now, and with them the terms of the merit.
-        design, _ = _problem(system, replace(job, substitute=None), abs(f), f, metre)
-        history = list(design.optimise(iterations, tolerance=1e-6, rounds=2, callback=told).history)
+        history = list(problem(None).optimise(iterations, tolerance=1e-6, rounds=2, callback=told).history)
     return history, names, chosen
 
 
-def _problem(system, job: DesignJob, size: float, f: float, metre: float) -> tuple[lens_design, list[str]]:
-    """Return the design of a system for the aperture and fields that it has now, and what varies in words."""
-    items: list[Any] = list(system.surfaces)
-    last = len(items) - 1
-    index = system.prescription().index[system.reference].tolist()
-    bent = [item.own_shape is None and bool(item.curvature != 0) for item in items]
-    acts = [item.reflects or index[i] != index[i + 1] for i, item in enumerate(items)]
-    glass = [i for i in range(last) if index[i + 1] > 1.01 and not items[i].reflects]
-    # Plane-parallel plates stay; a plane face of a lens may bend.
-    faces = {j for i in glass for j in (i, i + 1) if bent[i] or bent[i + 1]}
-    curved = [i for i, item in enumerate(items) if acts[i] and item.own_shape is None and (bent[i] or i in faces)]
-    if not curved:
-        raise InputError(f"SYSTEM {job.system!r} has no surface whose curvature could vary")
-    outside = {0} if items[0].stop and not acts[0] else set()
-    free = [
-        i for i in range(last) if float(items[i].thickness) > 0 and i not in outside and (i not in glass or i in faces)
-    ]
-    aspheres = [
-        i for i in curved if bool(items[i].conic != 0) or bool(items[i].coefficients.any()) or job.aspheric_terms
-    ]
-    powers = [i for i in aspheres if items[i].coefficients.numel() > 1]
-    variables = [Variable("thickness", last)]
-    for i in curved[:-1]:
-        c = float(items[i].curvature)
-        variables.append(Variable("curvature", i, min(-BEND / size, c), max(BEND / size, c)))
-    for i in free:
-        t, (low, high) = float(items[i].thickness), GLASS if i in glass else AIR
-        variables.append(Variable("thickness", i, min(low * size, t), max(high * size, t)))
-    variables += [Variable("conic", i) for i in aspheres]
-    variables += [Variable("coefficients", i, terms=range(1, items[i].coefficients.numel())) for i in powers]
-    names = [f"{len(curved)} curvatures", f"{len(free)} thicknesses", "the focus"]
-    names += [f"{len(aspheres)} conic constants"] if aspheres else []
-    names += [f"aspheric coefficients of {len(powers)} surfaces"] if powers else []
-    operands = [Operand("spot")]
-    if job.substitute is not None:
-        varied = [i for i in glass if items[i].material is not None]
-        if not varied:
-            raise InputError("--substitute: no element has a glass that could be replaced")
-        variables.append(Variable("glass", varied))
-        names.append(f"{len(varied)} glasses")
-        # 0.01 in n_d or 1 in V_d away from a real glass counts like a spot of 10⁻⁵ focal lengths.
-        options = {"surfaces": varied, "makers": job.makers()}
-        operands.append(Operand("glass", weight=1e-5 * size, options=options))
-    solves = [Solve("focal_length", curved[-1], f), Solve("marginal_height", last)]
-    for places, least in (
-        ([i for i in glass if i in free], GLASS[0]),
-        ([i for i in free if i not in glass and {i, i + 1} <= set(curved)], AIR[0]),
+def _varied(design: lens_design) -> list[str]:
+    """Return what varies in words."""
+    found = {name: {place for place, _ in places} for name, places in design.places.items()}
+    for name, place in design.solved:
+        found.setdefault(name, set()).add(place)
+    names = [f"{len(found['curvature'])} curvatures", f"{len(found['thickness']) - 1} thicknesses", "the focus"]
+    for name, text in (
+        ("conic", "{} conic constants"),
+        ("coefficients", "aspheric coefficients of {} surfaces"),
+        ("glass", "{} glasses"),
     ):
-        if places:
-            options = {"surfaces": places, "shares": (0.5, 0.75, 1.0)}
-            edges = [Operand("edge_thickness", options=options)]
-            trial = lens_design(system, edges, variables, solves=solves, aim=job.aim)
-            # Edges may stay as thin as they are, and become no thinner.
-            now = float(trial.report()[0][1].min())
-            operands.append(Operand("edge_thickness", lower=min(least * size, now), options=options))
-    if job.back is not None:
-        operands.append(Operand("thickness", lower=job.back * metre, options={"surfaces": [last]}))
-    elif float(items[last].thickness) > 0:
-        least = min(0.1 * size, float(items[last].thickness))
-        operands.append(Operand("thickness", lower=least, options={"surfaces": [last]}))
-    if job.track is not None:
-        operands.append(Operand("total_track", upper=job.track * metre))
-    if job.axial_color is not None:
-        operands.append(Operand("axial_color", upper=job.axial_color * metre))
-    if job.chief_ray_angle is not None:
-        operands.append(Operand("chief_ray_angle", weight=0.002 * size, upper=job.chief_ray_angle))
-    height = _image_height(system, job.aim)
-    if height:
-        now = float(distortion(system, aim=job.aim)[system.reference].detach().abs().max())
-        limit = job.distortion or max(DISTORTION, now if math.isfinite(now) else 0.0)
-        operands.append(Operand("distortion", weight=0.5 * height, lower=-0.9 * limit, upper=0.9 * limit))
-    return lens_design(system, operands, variables, solves=solves, aim=job.aim), names
-
-
-def _image_height(system, aim: str) -> float:
-    """Return the largest image height of the chief rays; 0 where there is none."""
-    with torch.no_grad():
-        chief = trace_fields(system, torch.zeros(1, 2, dtype=torch.float64), vignetting=False, aim=aim)
-    return float(torch.nan_to_num((chief.x**2 + chief.y**2).sqrt()).max())
+        names += [text.format(len(found[name]))] if name in found else []
+    return names

@@ -256,6 +256,7 @@ BY_CALL = {
     f"{HERE}.system.lens_design.linearised": {"values": torch.tensor([0.02], dtype=torch.float64)},
     f"{HERE}.system.lens_design.view": {"values": torch.tensor([0.02], dtype=torch.float64)},
     f"{HERE}.system.lens_design.clear_heights": {"values": torch.tensor([0.02], dtype=torch.float64)},
+    f"{HERE}.system.standard_design": {"limits": {"track": 120.0}, "makers": None},
     f"{HERE}.system.zoom_design": DESIGN | {"zoom": Build(lambda _: _zoom())},
     f"{HERE}.system.zoom_design.optimise": {"iterations": 1},
     f"{HERE}.system.zoom_design.restarts": {"count": 2, "spread": 0.2, "iterations": 1},

@@ -2,7 +2,7 @@
 
 import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -10,12 +10,13 @@ import torch
 from odak import _show, _validate
 from odak._warnings import ConvergenceWarning, warn
 from odak.catalog import glass_makers
+from odak.learn.raytracing.system.analysis import distortion as relative_distortion
 from odak.learn.raytracing.system.analysis import rms_spot
 from odak.learn.raytracing.system.design import Solve, Variable, lens_design
 from odak.learn.raytracing.system.operands import Operand, glass_pool
-from odak.learn.raytracing.system.paraxial import matrix, signed_indices
+from odak.learn.raytracing.system.paraxial import first_order, matrix, signed_indices
 from odak.learn.raytracing.system.pupils import trace_fields
-from odak.learn.raytracing.system.surfaces import optical_system, reference_of, surface
+from odak.learn.raytracing.system.surfaces import checked_system, optical_system, reference_of, surface
 
 # Standard deviations of the random curvatures that designs of spheres and of aspheres begin with, in units of 1/focal
 # length. Aspheres, of which there are many and which are close to each other, begin flatter.
@@ -31,6 +32,8 @@ CURRICULUM = (
     (1.0, 1.0, 0.09, 4, 6),
 )
 
+# Least and largest thicknesses of elements and of gaps of the usual design of a given lens, in focal lengths.
+STANDARD_GLASS, STANDARD_AIR = (0.02, 0.2), (0.002, 0.5)
 # Weight of a glass beyond the hull of the catalogues by 0.01 of n_d or 1 of 1000/V_d, in focal lengths; how many
 # designs take real glasses, and how many neighbours of each glass are tried then.
 GLASS_WEIGHT, GLASS_STARTS, GLASS_CANDIDATES = 4e-4, 4, 6
@@ -268,9 +271,7 @@ def automatic_design(
             raise TypeError(f"cover must be a pair of a material and a thickness, got {cover!r:.80}")
         cover = (cover[0], _validate.constant("cover[1]", cover[1], positive=True))
     _validate.function_or_none("callback", callback)
-    makers = None if makers is None else tuple(_validate.texts("makers", makers))
-    for maker in makers or ():
-        _validate.one_of("makers", maker, glass_makers())
+    makers = _checked_makers(makers)
     if axial_color is not None:
         axial_color = _validate.constant("axial_color", axial_color, positive=True)
     glass = (0.02 * f, 0.2 * f) if glass is None else tuple(_validate.several("glass", glass, 2))
@@ -312,6 +313,142 @@ def automatic_design(
     for item, size in zip(system.surfaces, heights, strict=True):
         item.semi_diameter = 1.001 * float(size)
     return AutomaticResult(system, tuple(problem.stages), start)
+
+
+def standard_design(
+    system: optical_system,
+    focal_length: float | None = None,
+    *,
+    limits: Mapping[str, float] | None = None,
+    makers: Sequence[str] | None = None,
+    aspheric: bool = False,
+    aim: str = "paraxial",
+) -> lens_design:
+    """Return the usual design of a lens: everything that may change varies, and its spots are the merit.
+
+    Parameters
+    ----------
+    system : optical_system
+        The lens, centred, with the aperture and the fields that it is designed for.
+    focal_length : float, optional
+        Focal length that is held, negative for lenses that diverge; by default that of the system.
+    limits : mapping, optional
+        "track", largest distance from the first vertex to the image; "back", least one from the last vertex, by default
+        a tenth of the focal length or what it is; "distortion", by default 0.02 or what it is; "axial_color", largest
+        distance between the paraxial images of two wavelengths; "chief_ray_angle", largest angle of the chief rays in
+        the image in degrees.
+    makers : sequence of str, optional
+        Makers of glass, in the catalogues of which the glasses vary.
+    aspheric : bool
+        Whether all surfaces with coefficients become aspheres, and not only those that are.
+    aim : str
+        "paraxial" or "real", how :func:`launch` aims.
+
+    Returns
+    -------
+    lens_design
+        Variables are curvatures, thicknesses, the defocus, and conic constants and coefficients of aspheres. The last
+        curvature is solved for the focal length. Plane plates and a stop in front stay where they are, edges may stay
+        as thin as they are.
+
+    Raises
+    ------
+    ValueError
+        If no curvature or, with `makers`, no glass could vary, or a limit is unknown or out of range.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, rms_spot, standard_design
+    >>> lens = load_system("cooke_triplet")
+    >>> before = rms_spot(lens).square().sum()
+    >>> result = standard_design(lens, limits={"track": 60.0}).optimise(3)
+    >>> bool(rms_spot(lens).square().sum() < before)
+    True
+    """
+    checked_system(system)
+    limits = {} if limits is None else limits
+    if not isinstance(limits, Mapping):
+        raise TypeError(f"limits must be a mapping, got {type(limits).__name__}")
+    makers = _checked_makers(makers)
+    aspheric = _validate.flag("aspheric", aspheric)
+    for name, value in limits.items():
+        _validate.one_of("name of limits", name, ("track", "back", "distortion", "axial_color", "chief_ray_angle"))
+        _validate.number(f"{name} of limits", value, least=0)
+    if focal_length is None:
+        focal_length = float(first_order(system).focal_length.detach())
+    size = abs(_validate.constant("focal_length", focal_length))
+    items: list[Any] = list(system.surfaces)
+    last = len(items) - 1
+    index = system.prescription().index[system.reference].tolist()
+    bent = [item.own_shape is None and bool(item.curvature != 0) for item in items]
+    acts = [item.reflects or index[i] != index[i + 1] for i, item in enumerate(items)]
+    glass = [i for i in range(last) if index[i + 1] > 1.01 and not items[i].reflects]
+    # Plane-parallel plates stay; a plane face of a lens may bend.
+    faces = {j for i in glass for j in (i, i + 1) if bent[i] or bent[i + 1]}
+    curved = [i for i, item in enumerate(items) if acts[i] and item.own_shape is None and (bent[i] or i in faces)]
+    if not curved:
+        raise ValueError("system has no surface whose curvature could vary")
+    outside = {0} if items[0].stop and not acts[0] else set()
+    free = [
+        i for i in range(last) if float(items[i].thickness) > 0 and i not in outside and (i not in glass or i in faces)
+    ]
+    aspheres = [i for i in curved if bool(items[i].conic != 0) or bool(items[i].coefficients.any()) or aspheric]
+    powers = [i for i in aspheres if items[i].coefficients.numel() > 1]
+    variables = [Variable("thickness", last)]
+    for i in curved[:-1]:
+        c = float(items[i].curvature)
+        variables.append(Variable("curvature", i, min(-1 / (0.15 * size), c), max(1 / (0.15 * size), c)))
+    for i in free:
+        t, (low, high) = float(items[i].thickness), STANDARD_GLASS if i in glass else STANDARD_AIR
+        variables.append(Variable("thickness", i, min(low * size, t), max(high * size, t)))
+    variables += [Variable("conic", i) for i in aspheres]
+    variables += [Variable("coefficients", i, terms=range(1, items[i].coefficients.numel())) for i in powers]
+    operands = [Operand("spot")]
+    if makers is not None:
+        varied = [i for i in glass if items[i].material is not None]
+        if not varied:
+            raise ValueError("system has no glass that could be replaced")
+        variables.append(Variable("glass", varied))
+        # 0.01 in n_d or 1 in V_d away from a real glass counts like a spot of 10⁻⁵ focal lengths.
+        options = {"surfaces": varied, "makers": makers}
+        operands.append(Operand("glass", weight=1e-5 * size, options=options))
+    solves = [Solve("focal_length", curved[-1], focal_length), Solve("marginal_height", last)]
+    for places, least in (
+        ([i for i in glass if i in free], STANDARD_GLASS[0]),
+        ([i for i in free if i not in glass and {i, i + 1} <= set(curved)], STANDARD_AIR[0]),
+    ):
+        if places:
+            options = {"surfaces": places, "shares": (0.5, 0.75, 1.0)}
+            edges = [Operand("edge_thickness", options=options)]
+            trial = lens_design(system, edges, variables, solves=solves, aim=aim)
+            # Edges may stay as thin as they are, and become no thinner.
+            now = float(trial.report()[0][1].min())
+            operands.append(Operand("edge_thickness", lower=min(least * size, now), options=options))
+    distance = float(items[last].thickness)
+    if "back" in limits or distance > 0:
+        least = limits.get("back", min(0.1 * size, distance))
+        operands.append(Operand("thickness", lower=least, options={"surfaces": [last]}))
+    if "track" in limits:
+        operands.append(Operand("total_track", upper=limits["track"]))
+    if "axial_color" in limits:
+        operands.append(Operand("axial_color", upper=limits["axial_color"]))
+    if "chief_ray_angle" in limits:
+        operands.append(Operand("chief_ray_angle", weight=0.002 * size, upper=limits["chief_ray_angle"]))
+    with torch.no_grad():
+        chief = trace_fields(system, torch.zeros(1, 2, dtype=torch.float64), vignetting=False, aim=aim)
+        height = float(torch.nan_to_num((chief.x**2 + chief.y**2).sqrt()).max())
+    if height:
+        now = float(relative_distortion(system, aim=aim)[system.reference].detach().abs().max())
+        limit = limits.get("distortion", max(0.02, now if math.isfinite(now) else 0.0))
+        operands.append(Operand("distortion", weight=0.5 * height, lower=-0.9 * limit, upper=0.9 * limit))
+    return lens_design(system, operands, variables, solves=solves, aim=aim)
+
+
+def _checked_makers(makers: Any) -> tuple[str, ...] | None:
+    """Return the makers of glass after checking their names."""
+    if makers is None:
+        return None
+    return tuple(_validate.one_of("makers", maker, glass_makers()) for maker in _validate.texts("makers", makers))
 
 
 class _Requirements(NamedTuple):

@@ -28,6 +28,7 @@ from odak.learn.raytracing.system import (
     optical_system,
     rms_spot,
     seidel_sums,
+    standard_design,
     surface,
     system_to_dict,
     tolerance,
@@ -564,6 +565,21 @@ def test_glasses_that_vary_from_the_start_correct_colour_and_spots():
             height += slope * float(item.thickness)
         images.append(-height / slope)
     assert max(images) - min(images) < 0.1
+
+
+def test_the_usual_design_holds_its_limits():
+    """Focal length and track of a triplet that exceeds both; what is not a limit is refused."""
+    lens = load_system("cooke_triplet")
+    track = sum(float(item.thickness) for item in lens.surfaces)
+    design = standard_design(lens, 48.0, limits={"track": track - 5, "axial_color": 0.02})
+    design.optimise(4)
+    assert float(first_order(lens).focal_length) == pytest.approx(48.0, rel=1e-9)
+    assert sum(float(item.thickness) for item in lens.surfaces) < track - 4.9
+    assert [item.upper for item in design.operands if item.kind == "axial_color"] == [0.02]
+    with pytest.raises(ValueError, match="name of limits must be one of"):
+        standard_design(lens, limits={"length": 60.0})
+    with pytest.raises(ValueError, match="no surface whose curvature could vary"):
+        standard_design(optical_system([surface(thickness=3.0, material=1.5), surface(thickness=1.0)], 1.0), 50.0)
 
 
 @pytest.mark.parametrize(("f_number", "poor"), [(2.0, True), (4.0, False)])

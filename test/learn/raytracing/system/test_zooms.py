@@ -1,6 +1,8 @@
-"""Configurations: zoom positions against closed forms, their gradients, and their way through files."""
+"""Configurations: zoom positions against closed forms, gradients, files, and designs over all of them."""
 
 import math
+import runpy
+from pathlib import Path
 
 import pytest
 import torch
@@ -215,3 +217,48 @@ def test_zoom_designs_that_make_no_sense_are_refused():
         zoom_design(zoom, "spot", Variable("thickness", 1), solves=[Solve("focal_length", 3, 80.0)])
     with pytest.raises(ValueError, match="target of an operand must have 3 numbers, got 2"):
         zoom_design(zoom, Operand("focal_length", target=[1.0, 2.0]), Variable("thickness", 1))
+
+
+@pytest.mark.slow
+def test_thin_lenses_become_a_threefold_zoom():
+    """Focal lengths of 12 to 21 mm become 20 to 60 mm; spots and focal lengths by a trace that is not the library's."""
+    judged = runpy.run_path(str(Path(__file__).parents[4] / "benchmarks" / "independent_trace.py"))["judged"]
+
+    def lens(power, shape, glass, index, thickness, gap):
+        bend = power / (index - 1) / 2
+        front = surface(curvature=bend * (shape + 1), thickness=thickness, material=glass)
+        return [front, surface(curvature=bend * (shape - 1), thickness=gap)]
+
+    crown, flint = ("N-LAK33B", 1.755), ("SF5", 1.673)
+    rows = [*lens(-1 / 26, 0.6, *crown, 1.5, 4.0), *lens(1 / 62, 2.0, *flint, 3.0, 49.0)]
+    rows += [
+        surface(thickness=0.5, stop=True),
+        *lens(1 / 26, 0.5, *crown, 3.0, 0.5),
+        *lens(1 / 36, 0.7, *crown, 3.0, 1.5),
+    ]
+    rows += [*lens(-1 / 18, -0.3, *flint, 1.5, 4.0), *lens(1 / 26, -0.3, *crown, 3.0, 40.0)]
+    form = optical_system(rows, 8.0, aperture_type="F-number", wavelengths=[486.1327e-6, 587.5618e-6, 656.2725e-6])
+    focal, last = [20.0, 34.6, 60.0], len(rows) - 1
+    fields = [[math.degrees(math.atan(2.5 * k / f)) for k in (0, 0.7, 1)] for f in focal]
+    settings = [("thickness", 3, [48.0, 25.0, 8.0]), ("thickness", last, [40.0, 50.0, 68.0]), ("fields", None, fields)]
+    zoom = configurations(form, settings)
+    assert float(zoom.each(first_order).focal_length.max()) < 22
+    operands = [
+        Operand("spot"),
+        Operand("focal_length", target=focal, weight=0.1),
+        Operand("edge_thickness", lower=0.3, options={"surfaces": range(last)}),
+    ]
+    variables = [
+        Variable("curvature", [i for i in range(last + 1) if i != 4], -0.15, 0.15),
+        Variable("thickness", [0, 2, 5, 7, 9, 11], 1.0, 5.0),
+        Variable("thickness", [1, 6, 8, 10], 0.3, 8.0),
+        Variable("thickness", 3, 0.5, 70.0),
+        Variable("thickness", last),
+    ]
+    zoom_design(zoom, operands, variables, solves=[Solve("marginal_height", last)], count=2).optimise(15)
+    for i, f in enumerate(focal):
+        view = zoom.view(i)
+        numbers = system_to_dict(view) | {"aperture": f / 8}
+        found = judged(numbers, view.prescription().index.detach(), [y for _, y in view.fields])
+        assert found["focal_length"] == pytest.approx(f, rel=5e-3) and found["lost"] == 0 and found["edge"] > 0.25
+        assert found["rms"] < 0.025
