@@ -4,6 +4,7 @@ import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from typing import Any
 
 import torch
 
@@ -11,7 +12,7 @@ _lock = threading.Lock()
 _pool: tuple[tuple[int, int], ThreadPoolExecutor] | None = None
 
 
-def each(work: Callable, items: Iterable, parallel: bool = True) -> Iterator:
+def each(work: Callable[..., Any], items: Iterable[Any], parallel: bool = True) -> Iterator[Any]:
     """Return ``work(*item)`` for each item, in order, computed without a graph on as many threads as torch has.
 
     Torch shares out single operations, each of which waits for all threads: where operations are short, that takes

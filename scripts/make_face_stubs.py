@@ -8,6 +8,7 @@ arrays, no `xp`. This writes the signatures that the functions have at run time.
 
 import importlib
 import inspect
+import re
 import types
 import typing
 from pathlib import Path
@@ -21,8 +22,6 @@ import typing
 
 import numpy
 import torch
-
-import odak
 '''
 
 
@@ -60,7 +59,9 @@ def stub_text() -> str:
             + f",\n) -> {_spelt(signature.return_annotation)}:\n"
             + f'    """{summary}"""\n    ...\n'
         )
-    return "\n".join(written)
+    text = "\n".join(written[1:])
+    modules = sorted(set(re.findall(r"\bodak(?:\.[a-z]\w*)+(?=\.[A-Z])", text)))
+    return HEAD + "\n" + "".join(f"import {module}\n" for module in modules) + "\n" + text
 
 
 def _spelt(annotation) -> str:

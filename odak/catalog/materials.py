@@ -71,7 +71,7 @@ class Material:
 
     name: str
     formula: str
-    coefficients: Mapping
+    coefficients: Mapping[Any, Any]
     range: tuple[float, float]
     relative_to: str
     source: str

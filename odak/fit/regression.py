@@ -1,6 +1,7 @@
 """Regression: lines, functions of one variable, and a linear boundary between two classes."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -13,9 +14,9 @@ def gradient_descent_1d(
     input_data: Sequence[float],
     ground_truth_data: Sequence[float],
     parameters: Sequence[float],
-    function: Callable,
-    gradient_function: Callable,
-    loss_function: Callable,
+    function: Callable[..., Any],
+    gradient_function: Callable[..., Any],
+    loss_function: Callable[..., Any],
     learning_rate: float = 1e-1,
     iteration_number: int = 10,
     *,

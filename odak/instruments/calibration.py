@@ -2129,7 +2129,7 @@ def _speckles(
     return _Speckles(point, steps[fine], seen, noise, places, count, tilts)
 
 
-def save_calibration(path: str | os.PathLike, calibration: Calibration) -> None:
+def save_calibration(path: str | os.PathLike[str], calibration: Calibration) -> None:
     """Write a calibration to a file, which appears whole or not at all.
 
     The file holds the arrays phases, amplitude, wavefront and homography, and of the regions where they were measured,
@@ -2179,7 +2179,7 @@ def save_calibration(path: str | os.PathLike, calibration: Calibration) -> None:
         stream.write(packed.getbuffer())
 
 
-def load_calibration(path: str | os.PathLike) -> Calibration:
+def load_calibration(path: str | os.PathLike[str]) -> Calibration:
     """Read a calibration that :func:`save_calibration` wrote.
 
     Parameters

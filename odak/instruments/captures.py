@@ -188,7 +188,7 @@ def record_captures(
     )
 
 
-def save_captures(path: str | os.PathLike, captures: Captures) -> None:
+def save_captures(path: str | os.PathLike[str], captures: Captures) -> None:
     """Write captures to an HDF5 file, which appears whole or not at all.
 
     The file has the attributes ``format`` ("odak captures"), ``version`` (1), ``wavelength``, ``pitch``,
@@ -231,7 +231,7 @@ def save_captures(path: str | os.PathLike, captures: Captures) -> None:
     write_hdf5(path, arrays, {"format": CAPTURES, "version": CAPTURES_VERSION, **values}, CAPTURE_UNITS)
 
 
-def load_captures(path: str | os.PathLike) -> Captures:
+def load_captures(path: str | os.PathLike[str]) -> Captures:
     """Read captures that :func:`save_captures` wrote.
 
     Parameters

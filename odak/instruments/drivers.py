@@ -267,7 +267,7 @@ class GenICamCamera:
         self,
         pitch: float,
         device: int | str = 0,
-        producer: str | os.PathLike | None = None,
+        producer: str | os.PathLike[str] | None = None,
         pixel_format: str = "Mono12",
         timeout: float = 5.0,
     ):
@@ -498,7 +498,7 @@ class FileModulator:
     @_validate.takes_units("pitch")
     def __init__(
         self,
-        folder: str | os.PathLike,
+        folder: str | os.PathLike[str],
         shape: Sequence[int],
         pitch: float,
         bits: int = 8,
@@ -572,7 +572,7 @@ class FileCamera:
     @_validate.takes_units("pitch")
     def __init__(
         self,
-        folder: str | os.PathLike,
+        folder: str | os.PathLike[str],
         shape: Sequence[int],
         pitch: float,
         bits: int = 12,

@@ -3,6 +3,7 @@
 The conventions are those of :mod:`odak.jones`.
 """
 
+from types import ModuleType
 from typing import Any, NamedTuple
 
 from odak import _array, _validate
@@ -12,7 +13,7 @@ DEGREE = _array.numpy_namespace.pi / 180
 
 
 def electricfield(
-    px: complex | Array, py: complex | Array, *, xp: Any = None, device: Any = None, dtype: Any = None
+    px: complex | Array, py: complex | Array, *, xp: ModuleType | None = None, device: Any = None, dtype: Any = None
 ) -> Array:
     """Return the Jones vector of the amplitudes `px` and `py`.
 
@@ -146,7 +147,9 @@ def cascade(*matrices: Array) -> Array:
 
 
 @_validate.takes_units(degrees=("angle",))
-def polarizer(angle: complex | Array = 0.0, *, xp: Any = None, device: Any = None, dtype: Any = None) -> Array:
+def polarizer(
+    angle: complex | Array = 0.0, *, xp: ModuleType | None = None, device: Any = None, dtype: Any = None
+) -> Array:
     """Return the Jones matrix of an ideal linear polariser.
 
     Parameters
@@ -183,7 +186,7 @@ def diattenuator(
     second: complex | Array = 0.0,
     angle: complex | Array = 0.0,
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
     dtype: Any = None,
 ) -> Array:
@@ -227,7 +230,12 @@ def diattenuator(
     )
 )
 def retarder(
-    retardance: complex | Array, angle: complex | Array = 0.0, *, xp: Any = None, device: Any = None, dtype: Any = None
+    retardance: complex | Array,
+    angle: complex | Array = 0.0,
+    *,
+    xp: ModuleType | None = None,
+    device: Any = None,
+    dtype: Any = None,
 ) -> Array:
     """Return the Jones matrix of a wave plate of any retardance.
 
@@ -266,7 +274,9 @@ def retarder(
 
 
 @_validate.takes_units(degrees=("angle",))
-def quarter_wave_plate(angle: float | Array = 0.0, *, xp: Any = None, device: Any = None, dtype: Any = None) -> Array:
+def quarter_wave_plate(
+    angle: float | Array = 0.0, *, xp: ModuleType | None = None, device: Any = None, dtype: Any = None
+) -> Array:
     """Return the Jones matrix of a quarter-wave plate: :func:`retarder` of 90°.
 
     Parameters
@@ -298,7 +308,9 @@ def quarter_wave_plate(angle: float | Array = 0.0, *, xp: Any = None, device: An
 
 
 @_validate.takes_units(degrees=("angle",))
-def half_wave_plate(angle: float | Array = 0.0, *, xp: Any = None, device: Any = None, dtype: Any = None) -> Array:
+def half_wave_plate(
+    angle: float | Array = 0.0, *, xp: ModuleType | None = None, device: Any = None, dtype: Any = None
+) -> Array:
     """Return the Jones matrix of a half-wave plate: :func:`retarder` of 180°.
 
     Parameters
@@ -329,7 +341,7 @@ def half_wave_plate(angle: float | Array = 0.0, *, xp: Any = None, device: Any =
     return retarder(180.0, angle, xp=xp, device=device, dtype=dtype)
 
 
-def rotator(angle: complex | Array, *, xp: Any = None, device: Any = None, dtype: Any = None) -> Array:
+def rotator(angle: complex | Array, *, xp: ModuleType | None = None, device: Any = None, dtype: Any = None) -> Array:
     """Return the Jones matrix of a rotation of the polarisation, as an optically active crystal or a Faraday cell does.
 
     Parameters
@@ -360,7 +372,9 @@ def rotator(angle: complex | Array, *, xp: Any = None, device: Any = None, dtype
     return stack_matrix(xp, ((c, -s), (s, c)), dtype)
 
 
-def circular_polarizer(handedness: str = "right", *, xp: Any = None, device: Any = None, dtype: Any = None) -> Array:
+def circular_polarizer(
+    handedness: str = "right", *, xp: ModuleType | None = None, device: Any = None, dtype: Any = None
+) -> Array:
     """Return the Jones matrix of an ideal (homogeneous) circular polariser.
 
     Parameters
@@ -399,7 +413,12 @@ def circular_polarizer(handedness: str = "right", *, xp: Any = None, device: Any
 
 
 def mirror(
-    rx: complex | Array = 1.0, ry: complex | Array = 1.0, *, xp: Any = None, device: Any = None, dtype: Any = None
+    rx: complex | Array = 1.0,
+    ry: complex | Array = 1.0,
+    *,
+    xp: ModuleType | None = None,
+    device: Any = None,
+    dtype: Any = None,
 ) -> Array:
     """Return the Jones matrix of a mirror: diag(rx, −ry), which swaps right and left.
 
@@ -655,7 +674,9 @@ def mueller(matrix: ArrayT) -> ArrayT:
     return xp.real(xp.matmul(basis, xp.matmul(product, xp.conj(xp.matrix_transpose(basis))))) / 2
 
 
-def depolarizer(kept: complex | Array = 0.0, *, xp: Any = None, device: Any = None, dtype: Any = None) -> Array:
+def depolarizer(
+    kept: complex | Array = 0.0, *, xp: ModuleType | None = None, device: Any = None, dtype: Any = None
+) -> Array:
     """Return the Mueller matrix of an ideal depolariser, which no Jones matrix describes.
 
     Parameters

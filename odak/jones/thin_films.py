@@ -48,8 +48,8 @@ class StackResponse(NamedTuple):
 @_validate.takes_units(degrees=("angle",))
 def thin_film_stack(
     wavelength: float | Array,
-    indices: Sequence,
-    thicknesses: Sequence,
+    indices: Sequence[Any],
+    thicknesses: Sequence[Any],
     angle: float | Array = 0.0,
     polarization: str = "s",
 ) -> StackResponse:

@@ -167,7 +167,7 @@ def _signature(core, defaults) -> inspect.Signature:
         raise ValueError(f"defaults names no argument of {core.__name__}: {', '.join(sorted(unknown))}")
     parameters = [
         p.replace(
-            annotation=_TYPES.get(name, _torch_type(hints.get(name, p.annotation))),
+            annotation=_TYPES.get(name, _torch_type(hints.get(name, p.annotation), Any)),
             default=defaults.get(name, p.default),
         )
         for name, p in signature.parameters.items()
@@ -177,8 +177,8 @@ def _signature(core, defaults) -> inspect.Signature:
     return signature.replace(parameters=parameters, return_annotation=_torch_type(returned))
 
 
-def _torch_type(annotation):
-    """Return a type in which arrays have become tensors."""
+def _torch_type(annotation, entry: Any = torch.Tensor):
+    """Return a type in which arrays have become tensors, and so has Any, inside a sequence or mapping `entry`."""
     if annotation is Array or annotation is ArrayT or annotation is np.ndarray or annotation is Any:
         return torch.Tensor
     origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
@@ -186,11 +186,14 @@ def _torch_type(annotation):
         return torch.Tensor
     if not inner or origin is typing.Literal:
         return annotation
-    changed = tuple(_torch_type(argument) if argument is not Ellipsis else argument for argument in inner)
+    changed = tuple(
+        entry if part is Any else _torch_type(part, entry) if part is not Ellipsis else part for part in inner
+    )
     if origin in (typing.Union, types.UnionType):
         kept = [t for t in changed if not (isinstance(t, type) and issubclass(t, np.generic))]
         return typing.Union[tuple(kept)]
-    return origin[changed] if isinstance(origin, type) and origin is not Callable else annotation
+    generic: Any = origin
+    return generic[changed] if isinstance(origin, type) and origin is not Callable else annotation
 
 
 def _documentation(core, named, defaults, describe) -> str:

@@ -6,7 +6,9 @@ import typing
 import numpy
 import torch
 
-import odak
+import odak.raytracing.interfaces
+import odak.raytracing.intersections
+import odak.raytracing.surfaces
 
 def airy_beam(
     shape: collections.abc.Sequence[int],
@@ -27,7 +29,7 @@ def aspheric_lens_phase(
     radius: float | torch.Tensor,
     index: float | torch.Tensor = 1.5,
     conic: float | torch.Tensor = 0.0,
-    coefficients: collections.abc.Sequence = (),
+    coefficients: collections.abc.Sequence[typing.Any] = (),
     offset: collections.abc.Sequence[float] = (0.0, 0.0),
     *,
     device: torch.device | str | None = None,
@@ -252,7 +254,7 @@ def define_circle(
     center: torch.Tensor,
     radius: float,
     angles: collections.abc.Sequence[float] | torch.Tensor,
-) -> list:
+) -> list[torch.Tensor]:
     """Return a circle as [plane ``[3, 3]``, centre ``[3]``, radius ``[1]``]."""
     ...
 
@@ -487,17 +489,17 @@ def impulse_response_fresnel(
 def intersect_parametric(
     ray: torch.Tensor,
     parametric_surface: torch.Tensor,
-    surface_function: collections.abc.Callable,
-    surface_normal_function: collections.abc.Callable = ...,
+    surface_function: collections.abc.Callable[..., typing.Any],
+    surface_normal_function: collections.abc.Callable[..., typing.Any] = ...,
     target_error: float = 1e-08,
     iter_no_limit: int = 100000,
-) -> tuple:
+) -> tuple[torch.Tensor, ...]:
     """Intersect rays with a surface given as a function, at the nearest point ahead."""
     ...
 
 def intersect_w_circle(
     ray: torch.Tensor,
-    circle: collections.abc.Sequence,
+    circle: collections.abc.Sequence[typing.Any],
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Intersect rays with the plane of a circle; the distance is 0 where the intersection lies outside the circle."""
     ...
@@ -505,7 +507,7 @@ def intersect_w_circle(
 def intersect_w_cylinder(
     ray: torch.Tensor,
     cylinder: torch.Tensor,
-) -> tuple:
+) -> tuple[torch.Tensor, ...]:
     """Intersect rays with an infinite cylinder, at the nearest point ahead, or the exit when the ray starts inside."""
     ...
 
@@ -530,7 +532,7 @@ def intersect_w_surface(
 def intersect_w_triangle(
     ray: torch.Tensor,
     triangle: torch.Tensor,
-) -> tuple:
+) -> tuple[torch.Tensor, ...]:
     """Intersect rays with one triangle, ahead of the starts or behind them."""
     ...
 
@@ -702,7 +704,7 @@ def pupil_function(
     dx: float | collections.abc.Sequence[float],
     wavelength: float,
     numerical_aperture: float | torch.Tensor,
-    aberrations: collections.abc.Mapping | None = None,
+    aberrations: collections.abc.Mapping[typing.Any, typing.Any] | None = None,
     obscuration: float | torch.Tensor = 0.0,
     *,
     device: torch.device | str | None = None,
@@ -734,7 +736,7 @@ def quarter_wave_plate(
 def rectangular_aperture(
     shape: collections.abc.Sequence[int],
     dx: float | collections.abc.Sequence[float],
-    size: collections.abc.Sequence,
+    size: collections.abc.Sequence[typing.Any],
     offset: collections.abc.Sequence[float] = (0.0, 0.0),
     *,
     device: torch.device | str | None = None,
@@ -894,8 +896,8 @@ def thin_film_transfer(
     shape: collections.abc.Sequence[int],
     dx: float | collections.abc.Sequence[float],
     wavelength: float,
-    indices: collections.abc.Sequence,
-    thicknesses: collections.abc.Sequence,
+    indices: collections.abc.Sequence[typing.Any],
+    thicknesses: collections.abc.Sequence[typing.Any],
     *,
     reflect: bool = False,
     device: torch.device | str | None = None,
@@ -912,7 +914,7 @@ def wavenumber(
 def zernike_basis(
     nx: int,
     ny: int,
-    modes: collections.abc.Iterable,
+    modes: collections.abc.Iterable[typing.Any],
     radius: float | torch.Tensor | None = None,
     dx: float | torch.Tensor = 1.0,
     offset: collections.abc.Sequence[float] = (0.0, 0.0),
@@ -925,7 +927,7 @@ def zernike_basis(
 def zernike_phase(
     nx: int,
     ny: int,
-    coefficients: collections.abc.Mapping,
+    coefficients: collections.abc.Mapping[typing.Any, typing.Any],
     radius: float | torch.Tensor | None = None,
     dx: float | collections.abc.Sequence[float] | torch.Tensor = 1.0,
     offset: collections.abc.Sequence[float] = (0.0, 0.0),

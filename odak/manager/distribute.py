@@ -110,9 +110,9 @@ class agent:
 
     def __init__(
         self,
-        compute: Callable | None = None,
+        compute: Callable[..., Any] | None = None,
         cluster: Any = None,
-        depends: Sequence[ModuleType | Callable | str | Path] = (),
+        depends: Sequence[ModuleType | Callable[..., Any] | str | Path] = (),
         server: bool = False,
         *,
         workers: int | None = None,
@@ -287,7 +287,7 @@ class agent:
 
     def map(
         self,
-        function: Callable,
+        function: Callable[..., Any],
         items: Iterable[Any],
         *,
         shared: Mapping[str, Any] | None = None,
@@ -522,8 +522,8 @@ class Failure:
     """
 
     index: int
-    arguments: tuple
-    keywords: dict
+    arguments: tuple[Any, ...]
+    keywords: dict[Any, Any]
     error: BaseException
     trace: str = field(default="", repr=False)
     attempts: int = 0

@@ -339,7 +339,7 @@ def tls_security(ca_file: str, cert: str, key: str) -> Any:
     )
 
 
-def make_certificates(folder: str | os.PathLike, days: int = 365) -> Path:
+def make_certificates(folder: str | os.PathLike[str], days: int = 365) -> Path:
     """Make TLS certificates for a cluster. Only those who hold them can run code on it.
 
     Writes ``ca.pem`` (the certificate of an authority that signs nothing else), ``cert.pem`` and ``key.pem``. Copy the

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -436,7 +437,7 @@ def roi(
     return line_x, line_y, region
 
 
-def modulation_transfer_function(line_x: Array, line_y: Array, px_size: Sequence[float]) -> tuple[list, list]:
+def modulation_transfer_function(line_x: Array, line_y: Array, px_size: Sequence[float]) -> tuple[list[Any], list[Any]]:
     """Return the modulation transfer functions of two lines across an edge.
 
     Parameters

@@ -199,7 +199,7 @@ def get_triangle_normal(triangle: Array, triangle_center: Array | None = None) -
     return arguments.single(arguments.as_rays(start, geometry.triangle_normal(triangle)))
 
 
-def intersect_w_circle(ray: Array, circle: Sequence) -> tuple[Array, Array]:
+def intersect_w_circle(ray: Array, circle: Sequence[Any]) -> tuple[Array, Array]:
     """Intersect rays with the plane of a circle; the distance is 0 where the intersection lies outside the circle.
 
     Parameters
@@ -228,7 +228,7 @@ def intersect_w_circle(ray: Array, circle: Sequence) -> tuple[Array, Array]:
     return normal, abs(distance)
 
 
-def intersect_w_triangle(ray: Array, triangle: Array) -> tuple:
+def intersect_w_triangle(ray: Array, triangle: Array) -> tuple[Any, ...]:
     """Intersect rays with triangles, ahead of the start or behind it; edges are part of a triangle.
 
     Parameters
@@ -321,7 +321,7 @@ def get_cylinder_normal(point: Array, cylinder: Array) -> Array:
     return arguments.single(arguments.as_rays(foot, geometry.unit(point - foot)))
 
 
-def intersect_w_sphere(ray: Array, sphere: Array) -> tuple:
+def intersect_w_sphere(ray: Array, sphere: Array) -> tuple[Any, ...]:
     """Intersect rays with a sphere, at the nearest point ahead, or the exit when the ray starts inside.
 
     Parameters
@@ -350,7 +350,7 @@ def intersect_w_sphere(ray: Array, sphere: Array) -> tuple:
     return arguments.single(arguments.as_rays(rays[..., 0, :], 0.0 - normals[..., 1, :])), distance
 
 
-def intersect_w_cylinder(ray: Array, cylinder: Array) -> tuple:
+def intersect_w_cylinder(ray: Array, cylinder: Array) -> tuple[Any, ...]:
     """Intersect rays with an infinite cylinder, at the nearest point ahead, or the exit when the ray starts inside.
 
     Parameters
@@ -476,7 +476,7 @@ _GOLDEN = (np.sqrt(5) - 1) / 2
 
 
 def intersection_kernel_for_parametric_surfaces(
-    distance: Array, ray: Array, parametric_surface: Any, surface_function: Callable
+    distance: Array, ray: Array, parametric_surface: Any, surface_function: Callable[..., Any]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a surface's function at given distances along rays, and the points there.
 
@@ -517,7 +517,9 @@ def _errors_and_points(distance, ray, parametric_surface, surface_function):
     return np.asarray(surface_function(point, parametric_surface)).reshape(len(point)), point
 
 
-def propagate_parametric_intersection_error(distance: Sequence, error: Sequence) -> tuple[list, list]:
+def propagate_parametric_intersection_error(
+    distance: Sequence[Any], error: Sequence[Any]
+) -> tuple[list[Any], list[Any]]:
     """Take one secant step from two distances and their errors.
 
     Parameters
@@ -554,11 +556,11 @@ def _two(name: str, values) -> tuple:
 def intersect_parametric(
     ray: Array,
     parametric_surface: Any,
-    surface_function: Callable,
-    surface_normal_function: Callable,
+    surface_function: Callable[..., Any],
+    surface_normal_function: Callable[..., Any],
     target_error: float = 0.00000001,
     iter_no_limit: int = 100000,
-) -> tuple:
+) -> tuple[Any, ...]:
     """Intersect rays with a surface given as a function, at the nearest point ahead.
 
     Parameters

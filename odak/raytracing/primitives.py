@@ -142,7 +142,7 @@ def is_it_on_triangle(pointtocheck: Array, point0: Array, point1: Array, point2:
     return bool(result) if result.ndim == 0 else result
 
 
-def define_circle(center: Array, radius: float, angles: Sequence[float] | Array) -> list:
+def define_circle(center: Array, radius: float, angles: Sequence[float] | Array) -> list[Any]:
     """Return a circle as [plane ``[3, 3]``, centre, radius].
 
     Parameters

@@ -97,11 +97,11 @@ class Shape(Parametric):
         """Return height and derivatives at x, y."""
         raise NotImplementedError(f"{type(self).__name__} must define sag(x, y)")
 
-    def base(self) -> tuple:
+    def base(self) -> tuple[Any, ...]:
         """Return curvature and conic constant of an approximating conic, the initial guess of iterations."""
         return 0.0, 0.0
 
-    def curvatures(self) -> tuple:
+    def curvatures(self) -> tuple[Any, ...]:
         """Return the curvatures at the vertex along x and along y, for first-order properties."""
         curvature, _ = self.base()
         return curvature, curvature
@@ -178,7 +178,7 @@ class Conic(Shape):
         """Return height and derivatives at x, y; see :func:`conic_sag`."""
         return conic_sag(x, y, self.curvature, self.conic)
 
-    def base(self) -> tuple:
+    def base(self) -> tuple[Any, ...]:
         """Return curvature and conic constant."""
         return self.curvature, self.conic
 
@@ -214,7 +214,7 @@ class EvenAsphere(Conic):
         """Return height and derivatives at x, y; see :func:`even_asphere_sag`."""
         return even_asphere_sag(x, y, self.curvature, self.conic, self.coefficients)
 
-    def curvatures(self) -> tuple:
+    def curvatures(self) -> tuple[Any, ...]:
         """Return c + 2·a1 twice."""
         given = terms(self.coefficients)
         curvature = self.curvature + 2 * given[0] if given else self.curvature
@@ -255,7 +255,7 @@ class ZernikeFreeform(Conic):
         """Return height and derivatives at x, y; see :func:`zernike_sag`."""
         return zernike_sag(x, y, self.curvature, self.conic, self.coefficients, self.radius)
 
-    def curvatures(self) -> tuple:
+    def curvatures(self) -> tuple[Any, ...]:
         """Return the second derivatives at the vertex."""
         return _curvatures_by_differences(self, self.radius)
 
@@ -295,11 +295,11 @@ class Toroid(Shape):
         """Return height and derivatives at x, y; see :func:`toroid_sag`."""
         return toroid_sag(x, y, self.curvature_x, self.curvature_y, self.conic, self.coefficients)
 
-    def base(self) -> tuple:
+    def base(self) -> tuple[Any, ...]:
         """Return the mean curvature and the constant of a sphere."""
         return (self.curvature_x + self.curvature_y) / 2, 0.0
 
-    def curvatures(self) -> tuple:
+    def curvatures(self) -> tuple[Any, ...]:
         """Return both curvatures, that along y with 2·a1 added."""
         given = terms(self.coefficients)
         return self.curvature_x, self.curvature_y + 2 * given[0] if given else self.curvature_y
@@ -373,11 +373,11 @@ class SplineFreeform(Shape):
         """Return height and derivatives at x, y; see :func:`spline_sag`."""
         return spline_sag(x, y, self.heights, self.size, self.curvature, self.conic)
 
-    def base(self) -> tuple:
+    def base(self) -> tuple[Any, ...]:
         """Return curvature and conic constant."""
         return self.curvature, self.conic
 
-    def curvatures(self) -> tuple:
+    def curvatures(self) -> tuple[Any, ...]:
         """Return the second derivatives at the vertex."""
         return _curvatures_by_differences(self, terms(self.size)[0])
 
@@ -423,7 +423,7 @@ class OddAsphere(Conic):
         slope = derivative / xp.where(squared > 0, radius, 1.0)
         return Sag(base.height + value, base.slope_x + slope * x, base.slope_y + slope * y, base.defined)
 
-    def curvatures(self) -> tuple:
+    def curvatures(self) -> tuple[Any, ...]:
         """Return c + 2·a2 twice."""
         given = terms(self.coefficients)
         curvature = self.curvature + 2 * given[1] if len(given) > 1 else self.curvature
@@ -479,11 +479,11 @@ class Biconic(Shape):
         height, by_x, by_y = (xp.where(defined, value, 0.0) for value in (top / bottom, *slopes))
         return Sag(height, by_x, by_y, defined)
 
-    def base(self) -> tuple:
+    def base(self) -> tuple[Any, ...]:
         """Return the mean curvature and the constant of a sphere."""
         return (self.curvature_x + self.curvature_y) / 2, 0.0
 
-    def curvatures(self) -> tuple:
+    def curvatures(self) -> tuple[Any, ...]:
         """Return both curvatures."""
         return self.curvature_x, self.curvature_y
 
@@ -525,7 +525,7 @@ class PolynomialFreeform(Conic):
         slopes = base.slope_x + along_x / self.radius, base.slope_y + along_y / self.radius
         return Sag(base.height + value, *slopes, base.defined)
 
-    def curvatures(self) -> tuple:
+    def curvatures(self) -> tuple[Any, ...]:
         """Return the second derivatives at the vertex."""
         found = terms(self.coefficients)
         scale = 2 / (self.radius * self.radius)
@@ -584,7 +584,7 @@ class ChebyshevFreeform(Conic):
         given = self.coefficients
         return tuple(namespace(given).unstack(given, axis=-2)) if is_array(given) else tuple(given)
 
-    def curvatures(self) -> tuple:
+    def curvatures(self) -> tuple[Any, ...]:
         """Return the second derivatives at the vertex."""
         return _curvatures_by_differences(self, terms(self.size)[0])
 
@@ -653,11 +653,11 @@ class QbfsAsphere(Shape):
         height = base.height + xp.where(base.defined, height, 0.0)
         return Sag(height, base.slope_x + slope * x, base.slope_y + slope * y, base.defined)
 
-    def base(self) -> tuple:
+    def base(self) -> tuple[Any, ...]:
         """Return the best-fit sphere."""
         return self.curvature, 0.0
 
-    def curvatures(self) -> tuple:
+    def curvatures(self) -> tuple[Any, ...]:
         """Return the second derivatives at the vertex."""
         first = _qbfs(0.0 * self.radius, terms(self.coefficients))[0] if len(terms(self.coefficients)) else 0.0
         value = self.curvature + 2 * first / (self.radius * self.radius)

@@ -15,7 +15,7 @@ __all__ = ["read_PLY", "read_PLY_point_cloud", "write_PLY", "write_PLY_from_poin
 
 
 def read_PLY(
-    fn: str | os.PathLike,
+    fn: str | os.PathLike[str],
     offset: Sequence[float] = (0.0, 0.0, 0.0),
     angles: Sequence[float] = (0.0, 0.0, 0.0),
     mode: str = "XYZ",
@@ -72,7 +72,7 @@ def read_PLY(
     return single[faces]
 
 
-def read_PLY_point_cloud(filename: str | os.PathLike) -> np.ndarray:
+def read_PLY_point_cloud(filename: str | os.PathLike[str]) -> np.ndarray:
     """Read the vertices of a PLY file.
 
     Parameters
@@ -106,7 +106,7 @@ def read_PLY_point_cloud(filename: str | os.PathLike) -> np.ndarray:
     return read_points(validate_path(filename, [".ply"])).astype(np.float64)
 
 
-def write_PLY(triangles: np.ndarray, savefn: str | os.PathLike = "output.ply") -> None:
+def write_PLY(triangles: np.ndarray, savefn: str | os.PathLike[str] = "output.ply") -> None:
     """Write triangles to a PLY file of text, three vertices for each, white.
 
     Parameters
@@ -138,7 +138,7 @@ def write_PLY(triangles: np.ndarray, savefn: str | os.PathLike = "output.ply") -
     write_mesh(validate_path(savefn, [".ply"]), corners.reshape(-1, 3), faces, text=True)
 
 
-def write_PLY_from_points(points: np.ndarray, savefn: str | os.PathLike = "output.ply") -> None:
+def write_PLY_from_points(points: np.ndarray, savefn: str | os.PathLike[str] = "output.ply") -> None:
     """Write a surface given by a grid of points to a PLY file of text, two white triangles for each cell.
 
     Parameters

@@ -66,7 +66,7 @@ __all__ = [
 _UNITS = ("bytes", "KB", "MB", "GB", "TB", "PB", "EB")
 
 
-def check_directory(directory: str | os.PathLike, validate: bool = True) -> bool:
+def check_directory(directory: str | os.PathLike[str], validate: bool = True) -> bool:
     """Make a folder, and those above it, unless it exists.
 
     Parameters
@@ -109,7 +109,7 @@ def check_directory(directory: str | os.PathLike, validate: bool = True) -> bool
     return False
 
 
-def list_files(path: str | os.PathLike, key: str = "*.*", recursive: bool = True) -> list[str]:
+def list_files(path: str | os.PathLike[str], key: str = "*.*", recursive: bool = True) -> list[str]:
     """List the files of a folder whose names match a pattern.
 
     Parameters
@@ -150,7 +150,7 @@ def list_files(path: str | os.PathLike, key: str = "*.*", recursive: bool = True
     return sorted(str(entry) for entry in found if entry.is_file())
 
 
-def list_directories(path: str | os.PathLike, recursive: bool = True) -> list[str]:
+def list_directories(path: str | os.PathLike[str], recursive: bool = True) -> list[str]:
     """List the names of the folders in a folder.
 
     Parameters
@@ -218,7 +218,7 @@ def convert_bytes(num: float) -> tuple[float, str]:
     return num, _UNITS[-1]
 
 
-def size_of_a_file(file_path: str | os.PathLike) -> tuple[float | None, str | None]:
+def size_of_a_file(file_path: str | os.PathLike[str]) -> tuple[float | None, str | None]:
     """Return the size of a file as :func:`convert_bytes` expresses it.
 
     Parameters
@@ -245,7 +245,7 @@ def size_of_a_file(file_path: str | os.PathLike) -> tuple[float | None, str | No
     return convert_bytes(os.stat(path).st_size) if os.path.isfile(path) else (None, None)
 
 
-def copy_file(source: str | os.PathLike, destination: str | os.PathLike, follow_symlinks: bool = True) -> str:
+def copy_file(source: str | os.PathLike[str], destination: str | os.PathLike[str], follow_symlinks: bool = True) -> str:
     """Copy a file with its times and permissions, replacing an existing one.
 
     Parameters
@@ -298,7 +298,7 @@ def copy_file(source: str | os.PathLike, destination: str | os.PathLike, follow_
 _FLAGS = ("w", "a", "x", "r+", "w+", "a+")
 
 
-def save_dictionary(settings: Any, filename: str | os.PathLike) -> Any:
+def save_dictionary(settings: Any, filename: str | os.PathLike[str]) -> Any:
     """Write settings as JSON, indented by four, with non-ASCII characters as they are.
 
     Parameters
@@ -347,7 +347,7 @@ def _plain(value):
     raise TypeError(f"settings must be serialisable as JSON, got a {type(value).__name__}: {value!r:.80}")
 
 
-def load_dictionary(filename: str | os.PathLike) -> Any:
+def load_dictionary(filename: str | os.PathLike[str]) -> Any:
     """Read a JSON file.
 
     Parameters
@@ -386,7 +386,7 @@ def load_dictionary(filename: str | os.PathLike) -> Any:
         raise ValueError(f"{path!r} is not a JSON file: {error}") from error
 
 
-def write_to_text_file(content: str | Iterable[Any], filename: str | os.PathLike, write_flag: str = "w") -> bool:
+def write_to_text_file(content: str | Iterable[Any], filename: str | os.PathLike[str], write_flag: str = "w") -> bool:
     r"""Write items to a text file, one per line.
 
     Parameters
@@ -438,7 +438,7 @@ def write_to_text_file(content: str | Iterable[Any], filename: str | os.PathLike
     return True
 
 
-def read_text_file(filename: str | os.PathLike) -> list[str]:
+def read_text_file(filename: str | os.PathLike[str]) -> list[str]:
     """Read a text file line by line.
 
     Parameters
@@ -580,8 +580,8 @@ def validate_shell_command(cmd_list: list[str]) -> list[str]:
 
 
 def shell_command(
-    cmd: list[str], cwd: str | os.PathLike = ".", timeout: float | None = None, check: bool = True
-) -> tuple[subprocess.Popen, bytes | None, bytes | None]:
+    cmd: list[str], cwd: str | os.PathLike[str] = ".", timeout: float | None = None, check: bool = True
+) -> tuple[subprocess.Popen[bytes], bytes | None, bytes | None]:
     """Run a program and, unless told otherwise, wait for it.
 
     Parameters
@@ -675,7 +675,7 @@ _ENCODER_OPTIONS = {"JPEG": {"quality": 95, "subsampling": 0}}
 
 
 def save_image(
-    fn: str | os.PathLike, img: np.ndarray, cmin: float = 0, cmax: float | None = None, color_depth: int = 8
+    fn: str | os.PathLike[str], img: np.ndarray, cmin: float = 0, cmax: float | None = None, color_depth: int = 8
 ) -> bool:
     """Write an image to a file, `cmin` as black and `cmax` as white.
 
@@ -737,7 +737,7 @@ def save_image(
 
 
 def load_image(
-    fn: str | os.PathLike, normalizeby: float = 0.0, torch_style: bool = False, *, color_managed: bool = False
+    fn: str | os.PathLike[str], normalizeby: float = 0.0, torch_style: bool = False, *, color_managed: bool = False
 ) -> np.ndarray:
     """Read an image from a file.
 

@@ -479,7 +479,7 @@ def _floating(value):
     return xp.astype(value, xp.float64)
 
 
-def create_empty_list(dimensions: Sequence[int] = (1, 1)) -> list | int:
+def create_empty_list(dimensions: Sequence[int] = (1, 1)) -> list[Any] | int:
     """Return nested lists of zeros; all lists are separate objects.
 
     Parameters

@@ -19,7 +19,7 @@ _DEVICE_OR_NETWORK = re.compile(r"//\.|\\\\")
 
 
 def validate_path(
-    path: str | os.PathLike, allowed_extensions: Iterable[str] | None = None, *, name: str = "path"
+    path: str | os.PathLike[str], allowed_extensions: Iterable[str] | None = None, *, name: str = "path"
 ) -> str:
     """Return the absolute path, ``~`` expanded, after rejecting what is not safe to open.
 
@@ -75,7 +75,7 @@ def validate_path(
     return absolute
 
 
-def validate_cwd(cwd: str | os.PathLike) -> str:
+def validate_cwd(cwd: str | os.PathLike[str]) -> str:
     """Return a working folder as an absolute path, ``~`` expanded; it need not exist and may hold ``..``.
 
     Parameters

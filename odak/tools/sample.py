@@ -5,6 +5,7 @@ Sizes, radii, centres and angles may be arrays of any library: the points are th
 
 import math
 from collections.abc import Iterable, Sequence
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -89,7 +90,7 @@ def sphere_sample(
     center: Sequence[float] | Array = _ORIGIN,
     k: Sequence[float] | Array = (1, 2),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
     dtype: Any = None,
 ) -> Array:
@@ -140,7 +141,7 @@ def sphere_sample_uniform(
     center: Sequence[float] | Array = _ORIGIN,
     k: Sequence[float] | Array = (1, 2),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
     dtype: Any = None,
 ) -> Array:
@@ -195,7 +196,7 @@ def box_volume_sample(
     center: Sequence[float] | Array = _ORIGIN,
     angles: Sequence[float] | Array = _ORIGIN,
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
     dtype: Any = None,
 ) -> Array:
@@ -247,7 +248,7 @@ def circular_sample(
     center: Sequence[float] | Array = _ORIGIN,
     angles: Sequence[float] | Array = _ORIGIN,
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
     dtype: Any = None,
 ) -> Array:
@@ -301,7 +302,7 @@ def circular_uniform_random_sample(
     angles: Sequence[float] | Array = _ORIGIN,
     *,
     seed: int | np.random.Generator | None = None,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
     dtype: Any = None,
 ) -> Array:
@@ -354,7 +355,7 @@ def circular_uniform_sample(
     center: Sequence[float] | Array = _ORIGIN,
     angles: Sequence[float] | Array = _ORIGIN,
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
     dtype: Any = None,
 ) -> Array:
@@ -418,7 +419,7 @@ def grid_sample(
     center: Sequence[float] | Array = _ORIGIN,
     angles: Sequence[float] | Array = _ORIGIN,
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
     dtype: Any = None,
 ) -> Array:

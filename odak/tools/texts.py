@@ -107,7 +107,7 @@ class markdown(LabelledText):
     ['text', 'empty', 'markdown', 'markdown', 'markdown']
     """
 
-    def __init__(self, filename: str | os.PathLike):
+    def __init__(self, filename: str | os.PathLike[str]):
         self.markdown_dictionary = ["#"]
         self.markdown_begin_dictionary = ["```bash", "```python", "```"]
         self.markdown_end_dictionary = ["```"]
@@ -204,7 +204,7 @@ class latex(LabelledText):
     ['text', 'comment', 'latex']
     """
 
-    def __init__(self, filename: str | os.PathLike):
+    def __init__(self, filename: str | os.PathLike[str]):
         self.latex_dictionary = _COMMANDS.split()
         self.latex_begin_dictionary = [rf"\begin{{{name}}}" for name in _ENVIRONMENTS.split()]
         self.latex_end_dictionary = [rf"\end{{{name}}}" for name in _ENVIRONMENTS.split()]

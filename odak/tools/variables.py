@@ -10,7 +10,7 @@ import numpy as np
 from odak import _array, _validate
 
 
-def copy_dict_with_keys(d: dict, keys: Iterable | None = None) -> dict | None:
+def copy_dict_with_keys(d: dict[Any, Any], keys: Iterable[Any] | None = None) -> dict[Any, Any] | None:
     """Return a new dictionary with some of the keys of another.
 
     Parameters

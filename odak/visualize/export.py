@@ -185,7 +185,7 @@ class PLY_object:
         renumbered = np.cumsum(good) - 1
         self._append(points[good], renumbered[faces[good[faces].all(-1)]], color, smooth=True)
 
-    def save_PLY(self, savefn: str | os.PathLike = "out.ply", text: bool = True) -> None:
+    def save_PLY(self, savefn: str | os.PathLike[str] = "out.ply", text: bool = True) -> None:
         """Write a PLY file.
 
         Parameters
@@ -208,7 +208,7 @@ class PLY_object:
         with replacing(validate_path(savefn, [".ply"])) as stream:
             plyfile.PlyData(elements, text=_validate.flag("text", text), byte_order="<").write(stream)
 
-    def save_OBJ(self, savefn: str | os.PathLike = "out.obj") -> None:
+    def save_OBJ(self, savefn: str | os.PathLike[str] = "out.obj") -> None:
         """Write an OBJ file of text, colours as red, green, blue from 0 to 1 behind the coordinates of each vertex.
 
         Parameters
@@ -231,7 +231,7 @@ class PLY_object:
         with replacing(validate_path(savefn, [".obj"])) as stream:
             stream.write(("\n".join(lines) + "\n").encode())
 
-    def save_glTF(self, savefn: str | os.PathLike = "out.glb", unit: str = "mm") -> None:
+    def save_glTF(self, savefn: str | os.PathLike[str] = "out.glb", unit: str = "mm") -> None:
         """Write a binary glTF file by the package trimesh, with normals, colours and double-sided matt materials.
 
         There is one mesh for each colour. The colours are attributes of the vertices, ``COLOR_0``: linear red, green,

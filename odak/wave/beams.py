@@ -8,6 +8,7 @@ A beam of `power` P has Σ|u|²·dx² = P on a window that holds all of it.
 import functools
 import math
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ def gaussian_beam(
     power: float | Array = 1.0,
     offset: Sequence[float] = (0.0, 0.0),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return a Gaussian beam at a distance from its waist.
@@ -97,7 +98,7 @@ def hermite_gaussian_beam(
     power: float | Array = 1.0,
     offset: Sequence[float] = (0.0, 0.0),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return a Hermite–Gauss mode at a distance from its waist.
@@ -215,7 +216,7 @@ def laguerre_gaussian_beam(
     power: float | Array = 1.0,
     offset: Sequence[float] = (0.0, 0.0),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return a Laguerre–Gauss mode, which carries an optical vortex, at a distance from its waist.
@@ -295,7 +296,7 @@ def bessel_beam(
     waist: float | Array | None = None,
     offset: Sequence[float] = (0.0, 0.0),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return a Bessel beam: plane waves on a cone, which keep their transverse profile.
@@ -374,7 +375,7 @@ def airy_beam(
     decay: float | Array = 0.05,
     offset: Sequence[float] = (0.0, 0.0),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return a finite-energy Airy beam, whose peak follows a parabola.
@@ -461,7 +462,7 @@ def flat_top_beam(
     power: float | Array = 1.0,
     offset: Sequence[float] = (0.0, 0.0),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return the amplitude of a flat-top beam, a super-Gaussian.

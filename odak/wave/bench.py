@@ -42,7 +42,7 @@ def propagate_abcd(
     output_shape: Sequence[int] | None = None,
     path_length: float = 0.0,
     offset: Sequence[float] = (0.0, 0.0),
-) -> tuple:
+) -> tuple[Any, ...]:
     """Propagate a field through a first-order system of lenses, mirrors and spaces, given by its ray matrix.
 
     The pitch of the result is free, so that one step goes from a display of 300 mm to an image of 30 mm, through a
@@ -139,7 +139,7 @@ def lens_fourier_transform(
     distance: float | None = None,
     output_dx: float | Sequence[float] | None = None,
     output_shape: Sequence[int] | None = None,
-) -> tuple:
+) -> tuple[Any, ...]:
     """Return the field in the back focal plane of a thin lens: the Fourier transform of the field in front of it.
 
     Use it for a modulator with a lens behind it, for the filter plane of a 4f system, or for the focus of a pupil.
@@ -320,7 +320,7 @@ class FreeSpace:
     offset: Any = (0.0, 0.0)
     index: Any = 1.0
 
-    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
+    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -390,7 +390,7 @@ class ThinLens:
     focal: Any
     offset: Any = (0.0, 0.0)
 
-    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
+    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -467,7 +467,7 @@ class CircularAperture:
     radius: Any
     offset: Any = (0.0, 0.0)
 
-    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
+    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -485,7 +485,7 @@ class CircularAperture:
         share = share_in_disc(y, x, (dy, dx), radius)
         return _through("CircularAperture", field, xp.astype(share, field.dtype)), pitch
 
-    def extent(self) -> tuple:
+    def extent(self) -> tuple[Any, ...]:
         """Return height and width in metres."""
         return 2 * self.radius, 2 * self.radius
 
@@ -519,7 +519,7 @@ class RectangularAperture:
     width: Any
     offset: Any = (0.0, 0.0)
 
-    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
+    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -541,7 +541,7 @@ class RectangularAperture:
         note_loss("RectangularAperture", field, result, "aperture")
         return result, pitch
 
-    def extent(self) -> tuple:
+    def extent(self) -> tuple[Any, ...]:
         """Return height and width in metres."""
         return self.height, self.width
 
@@ -567,7 +567,7 @@ class Mask:
 
     transmission: Any
 
-    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
+    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -615,7 +615,7 @@ class PhaseModulator:
     samples: int = 1
     angle: Any = None
 
-    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
+    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -661,7 +661,7 @@ class Polarizer:
 
     angle: Any = 0.0
 
-    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
+    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -705,7 +705,7 @@ class WavePlate:
     retardance: Any
     angle: Any = 0.0
 
-    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
+    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -758,7 +758,7 @@ class FirstOrderSystem:
     output_dx: Any = None
     output_shape: Any = None
 
-    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
+    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -844,7 +844,7 @@ class optical_bench:
     __repr__ = _show.one_line
 
     @_validate.takes_units("wavelength")
-    def __init__(self, elements: Iterable, wavelength: float | Array):
+    def __init__(self, elements: Iterable[Any], wavelength: float | Array):
         if isinstance(elements, (str, bytes)) or not isinstance(elements, Iterable):
             raise TypeError(f"elements must be a sequence of elements, got {elements!r:.80}")
         self.elements = list(elements)
@@ -892,7 +892,7 @@ class optical_bench:
         return min(sizes, default=1e-3)
 
     @_validate.takes_units("dx")
-    def propagate(self, field: Array, dx: float | Sequence[float]) -> tuple:
+    def propagate(self, field: Array, dx: float | Sequence[float]) -> tuple[Any, ...]:
         """Return the field behind the last element, and its pixel pitch.
 
         Parameters

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -191,7 +192,7 @@ def _source(source, field):
 
 @_validate.takes_units("wavelength", "width")
 def gaussian_spectrum(
-    wavelength: float, width: float, count: int = 9, *, xp: Any = None, device: Any = None
+    wavelength: float, width: float, count: int = 9, *, xp: ModuleType | None = None, device: Any = None
 ) -> tuple[Array, Array]:
     """Return wavelengths and weights of a quadrature over a Gaussian spectral line.
 
@@ -248,7 +249,7 @@ def disk_source(
     spokes: int = 12,
     center: Sequence[float] = (0.0, 0.0),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> tuple[Array, Array]:
     """Return directions and weights of a quadrature over a uniformly bright disk.

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ def lens_phase(
     wavelength: float,
     offset: Sequence[float] = (0.0, 0.0),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return the phase of a thin lens, −π·r²/(λf), on the field's own grid (optical axis at index n // 2).
@@ -194,7 +195,9 @@ def _warn_of_bend(name, shape, steps, half, distance, text, offset=(0, 0)):
 
 
 @_validate.takes_units("dx")
-def double_convergence(nx: int, ny: int, k: float, r: float, dx: float | Sequence[float], *, xp: Any = None) -> Array:
+def double_convergence(
+    nx: int, ny: int, k: float, r: float, dx: float | Sequence[float], *, xp: ModuleType | None = None
+) -> Array:
     """Return the phase factor exp(ik·r²/R) of a doubly converging beam (Engström et al., Opt. Express 15, 2007).
 
     Parameters
@@ -246,7 +249,14 @@ def double_convergence(nx: int, ny: int, k: float, r: float, dx: float | Sequenc
 
 @_validate.takes_units("dx", degrees=("angle",))
 def prism_phase_function(
-    nx: int, ny: int, k: float, angle: float, dx: float | Sequence[float] = 0.001, axis: str = "x", *, xp: Any = None
+    nx: int,
+    ny: int,
+    k: float,
+    angle: float,
+    dx: float | Sequence[float] = 0.001,
+    axis: str = "x",
+    *,
+    xp: ModuleType | None = None,
 ) -> Array:
     """Return the transmission of a thin prism, exp(−ik·sin(angle)·x).
 
@@ -314,7 +324,7 @@ def prism_grating(
     axis: str = "x",
     phase_offset: float = 0.0,
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
 ) -> Array:
     """Return a blazed prism exp(−i(k·sin(angle)·x + offset)), counted from the first sample.
 
@@ -367,7 +377,7 @@ def prism_grating(
     return xp.broadcast_to(phasor(-phase), shape) + 0
 
 
-def blazed_grating(nx: int, ny: int, levels: int = 2, axis: str = "x", *, xp: Any = None) -> Array:
+def blazed_grating(nx: int, ny: int, levels: int = 2, axis: str = "x", *, xp: ModuleType | None = None) -> Array:
     """Return a blazed grating of a period of `levels` samples.
 
     Parameters
@@ -406,7 +416,7 @@ def blazed_grating(nx: int, ny: int, levels: int = 2, axis: str = "x", *, xp: An
 
 
 def linear_grating(
-    nx: int, ny: int, every: int = 2, add: float | None = 3.14, axis: str = "x", *, xp: Any = None
+    nx: int, ny: int, every: int = 2, add: float | None = 3.14, axis: str = "x", *, xp: ModuleType | None = None
 ) -> Array:
     """Return a binary grating, of lines or as a checkerboard.
 
@@ -480,7 +490,7 @@ def circular_aperture(
     offset: Sequence[float] = (0.0, 0.0),
     inner_radius: float | Array = 0.0,
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return the transmission of a disc or a ring, with the pixels of its edges weighted by the area inside.
@@ -528,10 +538,10 @@ def circular_aperture(
 def rectangular_aperture(
     shape: Sequence[int],
     dx: float | Sequence[float],
-    size: Sequence,
+    size: Sequence[Any],
     offset: Sequence[float] = (0.0, 0.0),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return the transmission of a rectangle, with the pixels of its edges weighted by the area inside.
@@ -631,7 +641,7 @@ def axicon_phase(
     index: float | Array = 1.5,
     offset: Sequence[float] = (0.0, 0.0),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return the phase of a thin axicon, −k(n − 1)·tan(angle)·r.
@@ -696,7 +706,7 @@ def spiral_phase(
     dx: float | Sequence[float] = 1.0,
     offset: Sequence[float] = (0.0, 0.0),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return the phase of a spiral plate, charge times the azimuth.
@@ -743,7 +753,7 @@ def cylindrical_lens_phase(
     angle: float | Array = 0.0,
     offset: Sequence[float] = (0.0, 0.0),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return the phase of a thin cylindrical lens, −π·s²/(λf), s being the distance from its axis line.
@@ -806,10 +816,10 @@ def aspheric_lens_phase(
     radius: float | Array,
     index: float | Array = 1.5,
     conic: float | Array = 0.0,
-    coefficients: Sequence = (),
+    coefficients: Sequence[Any] = (),
     offset: Sequence[float] = (0.0, 0.0),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return the phase of a thin plano-aspheric lens, −k(n − 1)·sag(r).
@@ -886,7 +896,7 @@ def metalens_phase(
     wavelength: float | Array,
     offset: Sequence[float] = (0.0, 0.0),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return the phase that focuses a plane wave without spherical aberration, −k(√(r² + f²) − |f|), f > 0.
@@ -951,7 +961,7 @@ def fresnel_zone_plate(
     kind: str = "amplitude",
     offset: Sequence[float] = (0.0, 0.0),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return the transmission of a binary Fresnel zone plate.
@@ -1036,7 +1046,7 @@ def dammann_grating(
     orders: int | Sequence[int] = 5,
     offset: Sequence[float] = (0.0, 0.0),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return the binary phase of a Dammann grating, which splits a beam into equal ones.
@@ -1142,12 +1152,12 @@ def _radius(xp, y, x):
 def zernike_phase(
     nx: int,
     ny: int,
-    coefficients: Mapping,
+    coefficients: Mapping[Any, Any],
     radius: float | Array | None = None,
     dx: float | Sequence[float] | Array = 1.0,
     offset: Sequence[float] = (0.0, 0.0),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return the aberration Σ c·Z as a phase, each Z a Zernike polynomial of root mean square 1 over the disc.
@@ -1229,12 +1239,12 @@ def zernike_phase(
 def zernike_basis(
     nx: int,
     ny: int,
-    modes: Iterable,
+    modes: Iterable[Any],
     radius: float | Array | None = None,
     dx: float | Array = 1.0,
     offset: Sequence[float] = (0.0, 0.0),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return Zernike polynomials of root mean square 1, for sums that are taken again and again.

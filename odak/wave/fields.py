@@ -429,7 +429,7 @@ def produce_phase_only_slm_pattern(
     bits: int = 8,
     default_range: float | None = None,
     illumination: Array | None = None,
-) -> tuple:
+) -> tuple[Any, ...]:
     """Return the field of a hologram quantised for a phase-only modulator, and its integer levels.
 
     Parameters
@@ -625,7 +625,7 @@ def power_of(field):
     return _array.namespace(field).sum(abs(field) ** 2)
 
 
-def decompose_double_phase(tensor: Array) -> tuple:
+def decompose_double_phase(tensor: Array) -> tuple[Any, ...]:
     """Return the two checkerboard parts of an image, each packed into half the columns.
 
     Parameters

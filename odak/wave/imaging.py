@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from numbers import Number
+from types import ModuleType
 from typing import Any
 
 from odak import _array, _validate
@@ -20,10 +21,10 @@ def pupil_function(
     dx: float | Sequence[float],
     wavelength: float,
     numerical_aperture: float | Array,
-    aberrations: Mapping | None = None,
+    aberrations: Mapping[Any, Any] | None = None,
     obscuration: float | Array = 0.0,
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
     dtype: Any = None,
 ) -> Array:

@@ -26,7 +26,7 @@ _NAMED = 5
 @_validate.takes_units("distance", "dx", "wavelength")
 def hologram_in_chunks(
     target: Any,
-    folder: str | os.PathLike,
+    folder: str | os.PathLike[str],
     n_iterations: int,
     distance: float,
     dx: float | tuple[float, float],

@@ -19,7 +19,7 @@ METHODS = ("split-step", "wave propagation")
 @_validate.takes_units("dx", "dz", "wavelength")
 def propagate_through_medium(
     field: Array,
-    index: Array | Iterable,
+    index: Array | Iterable[Any],
     dx: float | Sequence[float],
     dz: float | Array,
     wavelength: float | Array,

@@ -35,7 +35,7 @@ def gerchberg_saxton(
     *,
     pixel_fill: float | None = None,
     accelerated: bool = False,
-) -> tuple:
+) -> tuple[Any, ...]:
     """Return a phase-only hologram of an image, by alternating projections (Gerchberg and Saxton, Optik 35, 1972).
 
     The planes are twice the image's size: the amplitude is constrained inside the image's window and free around it.
@@ -317,7 +317,7 @@ def spot_hologram(
     illumination: Array | None = None,
     fixed_phase_after: int | None = None,
     seed: Any = None,
-) -> tuple:
+) -> tuple[Any, ...]:
     """Return a phase-only hologram that focuses light into points of space, of equal or given intensities.
 
     The field of each spot is a lens and a prism, which is a column times a row, so that sums over all spots and
@@ -444,7 +444,7 @@ def weighted_gerchberg_saxton(
     initial_phase: Array | None = None,
     fixed_phase_after: int | None = None,
     seed: Any = None,
-) -> tuple:
+) -> tuple[Any, ...]:
     """Return a phase-only hologram whose far field, as in the focal plane of a lens, has the target's amplitude.
 
     Each iteration adapts the weights of the target's amplitude where it is not zero, until the far field is

@@ -7,6 +7,7 @@ treat leading axes as a batch, propagate them. Fields vary as exp(i(kz − ωt))
 
 import math
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Any
 
 from odak import _array, _validate
@@ -168,7 +169,7 @@ def q_plate(
     retardance: float | Array = 180.0,
     angle: float = 0.0,
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return the Jones matrices of a q-plate: a retarder whose fast axis rotates with the azimuth.
@@ -294,11 +295,11 @@ def thin_film_transfer(
     shape: Sequence[int],
     dx: float | Sequence[float],
     wavelength: float,
-    indices: Sequence,
-    thicknesses: Sequence,
+    indices: Sequence[Any],
+    thicknesses: Sequence[Any],
     *,
     reflect: bool = False,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
 ) -> Array:
     """Return the transfer function of a stack of thin films for the transverse components of a polarised field.

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from numbers import Number
+from types import ModuleType
 from typing import Any
 
 from odak import _array, _validate
@@ -1036,7 +1037,7 @@ def get_propagation_kernel(
     scale: int = 1,
     samples: Sequence[int] = (1, 1, 1, 1),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
     dtype: Any = None,
 ) -> Array:

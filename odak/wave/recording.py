@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ def reference_wave(
     angles: Sequence[float] | Array = (0.0, 0.0),
     amplitude: float | Array = 1.0,
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Any = None,
     dtype: Any = None,
 ) -> Array:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -95,7 +96,7 @@ class SamplingReport(Criteria):
     tolerance: float
     predicted_error: float
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> dict[Any, Any]:
         """Return the report as a plain dictionary (JSON-ready but for an infinite Fresnel number)."""
         return asdict(self)
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from odak import _array, _validate
 from odak._array import Array
@@ -28,7 +29,7 @@ def eye_image(
     pupil_diameter: float | Array = 4e-3,
     focus: float | Array | None = None,
     rotation: Sequence[float | Array] | Array = (0.0, 0.0),
-    aberrations: Mapping | None = None,
+    aberrations: Mapping[Any, Any] | None = None,
 ) -> Array:
     """Return the retinal field of an eye that looks at a field, on the samples of the latter.
 

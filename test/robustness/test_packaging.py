@@ -28,7 +28,7 @@ def pinned_names(*files):
 
 def declared_names():
     groups = [PROJECT["dependencies"], *PROJECT["optional-dependencies"].values()]
-    return {name_of(requirement) for group in groups for requirement in group} - {"odak"}
+    return {name_of(requirement) for group in groups for requirement in group} - {PROJECT["name"]}
 
 
 def explained_names():

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import torch
 from torch import nn
@@ -124,17 +125,17 @@ class spec_track(nn.Module):
 
     def fit(
         self,
-        trainloader: Iterable,
-        testloader: Iterable,
+        trainloader: Iterable[Any],
+        testloader: Iterable[Any],
         number_of_epochs: int = 100,
         learning_rate: float = 1e-5,
         weight_decay: float = 1e-5,
-        directory: str | os.PathLike = "./output",
+        directory: str | os.PathLike[str] = "./output",
         *,
         patience: int | None = None,
         seed: int | None = None,
         mixed_precision: bool = False,
-        checkpoint: str | os.PathLike | None = None,
+        checkpoint: str | os.PathLike[str] | None = None,
         progress: bool = True,
     ) -> TrainingHistory:
         """Train the network by Adam; its final weights are those of the lowest validation loss.
@@ -203,7 +204,7 @@ class spec_track(nn.Module):
         save_torch_tensor(os.path.join(folder, "log", "validation_log.pt"), self.validation_history)
         return history
 
-    def save_weights(self, filename: str | os.PathLike = "./weights.pt") -> None:
+    def save_weights(self, filename: str | os.PathLike[str] = "./weights.pt") -> None:
         """Write the network's weights to a ``.pt`` or ``.pth`` file, atomically.
 
         Parameters
@@ -213,7 +214,7 @@ class spec_track(nn.Module):
         """
         save_weights(self.network, filename)
 
-    def load_weights(self, filename: str | os.PathLike = "./weights.pt") -> None:
+    def load_weights(self, filename: str | os.PathLike[str] = "./weights.pt") -> None:
         """Read the network's weights from a file and put the network in evaluation mode.
 
         Parameters

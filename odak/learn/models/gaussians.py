@@ -321,7 +321,7 @@ class gaussians_2d(nn.Module):
         """
         self.model.initialize_from_image(image, x, y, seed=seed)
 
-    def save_weights(self, weights_filename: str | os.PathLike) -> None:
+    def save_weights(self, weights_filename: str | os.PathLike[str]) -> None:
         """Write the parameters to a ``.pt`` or ``.pth`` file, atomically.
 
         Parameters
@@ -340,7 +340,7 @@ class gaussians_2d(nn.Module):
 
     def load_weights(
         self,
-        weights_filename: str | os.PathLike | None = None,
+        weights_filename: str | os.PathLike[str] | None = None,
         device: torch.device | str | None = "cpu",
     ) -> None:
         """Read the parameters from a file of :meth:`save_weights`, and switch to evaluation.
@@ -761,7 +761,7 @@ class gaussian_3d_volume(nn.Module):
         ground_truth: torch.Tensor,
         epoch_id: int = 0,
         epoch_count: int = 1,
-        weights: Mapping = DEFAULT_WEIGHTS,
+        weights: Mapping[Any, Any] = DEFAULT_WEIGHTS,
     ) -> torch.Tensor:
         """Return the loss of an estimate, with penalties on the parameters.
 
@@ -794,13 +794,13 @@ class gaussian_3d_volume(nn.Module):
         self,
         points: torch.Tensor,
         ground_truth: torch.Tensor,
-        loss_weights: Mapping,
+        loss_weights: Mapping[Any, Any],
         learning_rate: float = 1e-2,
         number_of_epochs: int = 10,
         scheduler_power: float = 1,
         save_at_every: int = 1,
         max_norm: float | None = None,
-        weights_filename: str | os.PathLike | None = None,
+        weights_filename: str | os.PathLike[str] | None = None,
         *,
         verbose: bool = True,
     ) -> None:
@@ -870,7 +870,7 @@ class gaussian_3d_volume(nn.Module):
             description="Gaussians",
         )
 
-    def save_weights(self, weights_filename: str | os.PathLike) -> None:
+    def save_weights(self, weights_filename: str | os.PathLike[str]) -> None:
         """Write the parameters to a ``.pth``, ``.pt`` or ``.bin`` file, atomically.
 
         Parameters
@@ -888,7 +888,7 @@ class gaussian_3d_volume(nn.Module):
 
     def load_weights(
         self,
-        weights_filename: str | os.PathLike | None = None,
+        weights_filename: str | os.PathLike[str] | None = None,
         device: torch.device | str | None = "cpu",
     ) -> None:
         """Read the parameters from a file of :meth:`save_weights`, and switch to evaluation.

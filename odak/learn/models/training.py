@@ -79,19 +79,19 @@ _LESS_MEMORY = "use smaller batches, mixed_precision=True or device='cpu'; the t
 def train(
     model: nn.Module,
     loss: Callable[[Any, Any], torch.Tensor],
-    batches: Iterable,
+    batches: Iterable[Any],
     epochs: int = 100,
     *,
-    validation: Iterable | None = None,
-    optimizer: torch.optim.Optimizer | Callable | None = None,
+    validation: Iterable[Any] | None = None,
+    optimizer: torch.optim.Optimizer | Callable[..., Any] | None = None,
     learning_rate: float = 1e-3,
-    scheduler: Callable | None = None,
+    scheduler: Callable[..., Any] | None = None,
     max_norm: float | None = None,
     patience: int | None = None,
     seed: int | None = None,
     device: torch.device | str | None = None,
     mixed_precision: bool = False,
-    checkpoint: str | os.PathLike | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
     checkpoint_every: int = 1,
     callback: Callable[[int, TrainingHistory], bool | None] | None = None,
     progress: bool = True,
@@ -483,7 +483,9 @@ EXTENSIONS = (".pt", ".pth")
 _LISTED = 20
 
 
-def save_weights(module: nn.Module, filename: str | os.PathLike, *, extensions: Iterable[str] = EXTENSIONS) -> None:
+def save_weights(
+    module: nn.Module, filename: str | os.PathLike[str], *, extensions: Iterable[str] = EXTENSIONS
+) -> None:
     """Write the state dict of a module to a file, atomically.
 
     Parameters
@@ -519,7 +521,7 @@ def save_weights(module: nn.Module, filename: str | os.PathLike, *, extensions: 
 
 def load_weights(
     module: nn.Module,
-    filename: str | os.PathLike,
+    filename: str | os.PathLike[str],
     *,
     device: torch.device | str | None = None,
     extensions: Iterable[str] = EXTENSIONS,

@@ -104,8 +104,8 @@ def decoded_in_float32(function: Callable[P, R]) -> Callable[P, R]:
 @decoded_in_float32
 def change_primaries(
     image: torch.Tensor,
-    source: str | Sequence = "BT.709",
-    target: str | Sequence = "BT.2020",
+    source: str | Sequence[Any] = "BT.709",
+    target: str | Sequence[Any] = "BT.2020",
     cones: str = "Bradford",
 ) -> torch.Tensor:
     """Return linear RGB of one set of primaries as linear RGB of another; the white of one becomes that of the other.
@@ -207,7 +207,7 @@ class ColorTable:
             raise ValueError(f"highest must be above lowest in each channel, got {self.highest} and {self.lowest}")
 
     @classmethod
-    def read(cls, path: str | os.PathLike) -> "ColorTable":
+    def read(cls, path: str | os.PathLike[str]) -> "ColorTable":
         """Read a ``.cube`` file.
 
         Parameters

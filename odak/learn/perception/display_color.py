@@ -11,7 +11,7 @@ import os
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -168,7 +168,9 @@ def spectrum_to_xyz(spectrum: torch.Tensor, wavelengths: torch.Tensor | Sequence
     return torch.trapezoid(spectrum[..., None, :] * color_matching_functions(axis), axis)
 
 
-def read_spectra(path: str | os.PathLike, wavelengths: torch.Tensor | Sequence[float] | None = None) -> torch.Tensor:
+def read_spectra(
+    path: str | os.PathLike[str], wavelengths: torch.Tensor | Sequence[float] | None = None
+) -> torch.Tensor:
     """Read measured spectra from a text file.
 
     Parameters
@@ -429,7 +431,7 @@ class display_color_hvs(nn.Module):
         distance_from_screen: float = 800,
         pixel_pitch: float = 0.311,
         read_spectrum: str = "tensor",
-        primaries_spectrum: torch.Tensor | str | os.PathLike | None = None,
+        primaries_spectrum: torch.Tensor | str | os.PathLike[str] | None = None,
         device: torch.device | str = torch.device("cpu"),  # noqa: B008
         *,
         cones: str = "Gaussian",
@@ -469,7 +471,7 @@ class display_color_hvs(nn.Module):
         """Same as ``s_normalized``."""
         return self.s_normalized
 
-    def forward(self, input_image: torch.Tensor, ground_truth: torch.Tensor, gaze: Any = None) -> torch.Tensor:
+    def forward(self, input_image: torch.Tensor, ground_truth: torch.Tensor, gaze: object = None) -> torch.Tensor:
         """Return the mean squared difference of two pictures in opponent colours.
 
         Parameters
@@ -515,7 +517,7 @@ class display_color_hvs(nn.Module):
         """
         return tuple(self._lines(BACKLIGHT_GAUSSIANS))
 
-    def initialize_random_spectrum_normalized(self, dataset: Any) -> torch.Tensor:
+    def initialize_random_spectrum_normalized(self, dataset: torch.Tensor | np.ndarray) -> torch.Tensor:
         """Return a measured spectrum as a smooth curve: a fitted sum of three Gaussians.
 
         Parameters

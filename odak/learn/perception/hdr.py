@@ -7,7 +7,7 @@ docstrings name.
 """
 
 import math
-from typing import Any
+from typing import overload
 
 import torch
 
@@ -163,12 +163,20 @@ def hlg_decode(signal: torch.Tensor) -> torch.Tensor:
     return torch.where(signal > 0.5, bright, signal**2 / 3)
 
 
-def hlg_system_gamma(peak_luminance: float) -> Any:
+@overload
+def hlg_system_gamma(peak_luminance: float) -> float: ...
+
+
+@overload
+def hlg_system_gamma(peak_luminance: torch.Tensor) -> torch.Tensor: ...
+
+
+def hlg_system_gamma(peak_luminance: float | torch.Tensor) -> float | torch.Tensor:
     """Return the system gamma of an HLG display (ITU-R BT.2100-2, notes to table 5).
 
     Parameters
     ----------
-    peak_luminance : float
+    peak_luminance : float or torch.Tensor
         Luminance of white in cd/m².
 
     Returns
@@ -204,7 +212,7 @@ def hlg_to_luminance(
     ----------
     signal : torch.Tensor
         HLG R′G′B′ ``[..., 3, H, W]`` with the primaries of BT.2020, 0 … 1.
-    peak_luminance : float
+    peak_luminance : float or torch.Tensor
         Luminance of white on the display, in cd/m².
     black_luminance : float
         Luminance of black on the display, in cd/m².
@@ -242,7 +250,7 @@ def luminance_to_hlg(
     ----------
     luminance : torch.Tensor
         Of each channel in cd/m², ``[..., 3, H, W]`` with the primaries of BT.2020; below 0 counts as 0.
-    peak_luminance : float
+    peak_luminance : float or torch.Tensor
         Luminance of white on the display, in cd/m².
     black_luminance : float
         Luminance of black on the display, in cd/m².

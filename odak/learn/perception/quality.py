@@ -11,6 +11,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -839,7 +840,7 @@ def content_aware_contrast_ratio(
     eps: float = 1e-6,
     max_iter: int = 100,
     lightness_channel: int = 0,
-) -> dict | list[dict]:
+) -> dict[Any, Any] | list[dict[Any, Any]]:
     """Return the contrast of dark and bright pixels in each window of a picture, and its pooled value.
 
     Parameters

@@ -332,7 +332,7 @@ def intersect_w_sphere(
     return _picked(*core.sphere_hits(ray, sphere))
 
 
-def intersect_w_triangle_batch(ray: torch.Tensor, triangle: torch.Tensor) -> tuple:
+def intersect_w_triangle_batch(ray: torch.Tensor, triangle: torch.Tensor) -> tuple[Any, ...]:
     """Intersect many rays with many triangles.
 
     Parameters

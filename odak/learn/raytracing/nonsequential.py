@@ -368,7 +368,7 @@ class Element:
     def __init__(
         self,
         shape: Shape | triangle_mesh,
-        media: Sequence = (1.0, 1.0),
+        media: Sequence[Any] = (1.0, 1.0),
         interface: Interface | None = None,
         center: Any = None,
         angles: Any = None,

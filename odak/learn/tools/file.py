@@ -70,7 +70,11 @@ def resize(image: torch.Tensor, multiplier: float = 0.5, mode: str = "nearest") 
 
 
 def load_image(
-    fn: str | os.PathLike, normalizeby: float | None = None, torch_style: bool = False, *, color_managed: bool = False
+    fn: str | os.PathLike[str],
+    normalizeby: float | None = None,
+    torch_style: bool = False,
+    *,
+    color_managed: bool = False,
 ) -> torch.Tensor:
     """Read an image from a file; see :func:`odak.tools.file.load_image` for the formats.
 
@@ -114,7 +118,7 @@ def load_image(
 
 
 def save_image(
-    fn: str | os.PathLike,
+    fn: str | os.PathLike[str],
     img: torch.Tensor,
     cmin: float = 0.0,
     cmax: float | None = None,
@@ -173,7 +177,7 @@ def save_image(
     return file.save_image(fn, image, cmin, white, color_depth)
 
 
-def save_torch_tensor(fn: str | os.PathLike, tensor: Any) -> None:
+def save_torch_tensor(fn: str | os.PathLike[str], tensor: Any) -> None:
     """Write a tensor, or whatever :func:`torch.save` takes, to a file.
 
     Parameters
@@ -204,7 +208,9 @@ def save_torch_tensor(fn: str | os.PathLike, tensor: Any) -> None:
         torch.save(tensor, stream)
 
 
-def torch_load(fn: str | os.PathLike, weights_only: bool = True, map_location: torch.device | str | None = None) -> Any:
+def torch_load(
+    fn: str | os.PathLike[str], weights_only: bool = True, map_location: torch.device | str | None = None
+) -> Any:
     """Read what :func:`save_torch_tensor` wrote.
 
     Parameters

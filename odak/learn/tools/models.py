@@ -193,7 +193,7 @@ class multi_layer_perceptron(torch.nn.Module):
             logging.getLogger("odak").info("Fitted in %d steps, loss %.3e", epochs, loss.item())
         return True
 
-    def save_weights(self, filename: str | os.PathLike = "./weights.pt") -> None:
+    def save_weights(self, filename: str | os.PathLike[str] = "./weights.pt") -> None:
         """Write the weights to a ``.pt``, ``.pth`` or ``.pkl`` file, atomically.
 
         Parameters
@@ -204,7 +204,7 @@ class multi_layer_perceptron(torch.nn.Module):
         with replacing(validate_path(filename, _EXTENSIONS)) as stream:
             torch.save(self.state_dict(), stream)
 
-    def load_weights(self, filename: str | os.PathLike = "./weights.pt") -> None:
+    def load_weights(self, filename: str | os.PathLike[str] = "./weights.pt") -> None:
         """Read the weights from a file of :meth:`save_weights`; a file that would run code is refused.
 
         Parameters

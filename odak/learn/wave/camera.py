@@ -139,7 +139,7 @@ class simulated_camera(torch.nn.Module):
         pixel_pitch: float | Sequence[float],
         propagation_type: str = "Bandlimited Angular Spectrum",
         *,
-        slm: Callable | None = None,
+        slm: Callable[..., Any] | None = None,
         aberration: torch.Tensor | None = None,
         illumination: torch.Tensor | None = None,
         exposure: float = 0.25,

@@ -245,7 +245,7 @@ class display_model(torch.nn.Module):
     @classmethod
     def from_calibration(
         cls,
-        calibration: Calibration | str | os.PathLike,
+        calibration: Calibration | str | os.PathLike[str],
         camera_pitch: float | Sequence[float],
         *,
         wavelength: float | None = None,

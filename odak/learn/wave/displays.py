@@ -118,7 +118,7 @@ class Modulator:
     pitch: float | Sequence[float]
     bits: int | None = 8
     fill: float = 0.9
-    response: Callable | None = None
+    response: Callable[..., Any] | None = None
 
     def __post_init__(self):
         object.__setattr__(self, "resolution", _validate.size("resolution", self.resolution))
@@ -254,7 +254,7 @@ class Display(torch.nn.Module):
 
     @classmethod
     def from_calibration(
-        cls, calibration: Calibration | str | os.PathLike, fill: float = 0.9, **options: Any
+        cls, calibration: Calibration | str | os.PathLike[str], fill: float = 0.9, **options: Any
     ) -> "Display":
         """Return the display of a calibrated table: its panel, response, aberration, illumination and distance.
 
@@ -750,7 +750,7 @@ class Problem:
 
     display: Display
     target: torch.Tensor
-    loss: Callable
+    loss: Callable[..., Any]
     start: torch.Tensor
     run: Run
     free: bool = True
@@ -934,7 +934,7 @@ class Network:
     False
     """
 
-    model: Callable
+    model: Callable[..., Any]
 
     @torch.no_grad()
     def solve(self, problem: Problem) -> torch.Tensor:
@@ -1030,7 +1030,7 @@ class DisplayedHologram:
         """Return the levels to send to the panel, int32 ``[F, rows, columns]``."""
         return self.display.modulator.levels(self.phases)
 
-    def table(self) -> list[dict]:
+    def table(self) -> list[dict[Any, Any]]:
         """Return one row of numbers for each plane and colour: lengths in metres, ratios in decibels."""
         return [
             {
@@ -1077,7 +1077,7 @@ def _picture(planes: torch.Tensor) -> torch.Tensor:
 def optimise(
     display: Display,
     target: torch.Tensor | tuple[torch.Tensor, torch.Tensor] | FocalTargets,
-    loss: Callable | None = None,
+    loss: Callable[..., Any] | None = None,
     solver: Any = "lbfgs",
     start: str | torch.Tensor = "gs",
     run: Run | None = None,

@@ -368,7 +368,7 @@ class phase_gradient(nn.Module):
     def __init__(
         self,
         kernel: torch.Tensor | None = None,
-        loss: Callable = nn.MSELoss(),  # noqa: B008
+        loss: Callable[..., Any] = nn.MSELoss(),  # noqa: B008
         device: torch.device | str = "cpu",
     ):
         super().__init__()
@@ -430,7 +430,7 @@ class speckle_contrast(nn.Module):
         self,
         kernel_size: int = 11,
         step_size: int | Sequence[int] = (1, 1),
-        loss: Callable = nn.MSELoss(),  # noqa: B008
+        loss: Callable[..., Any] = nn.MSELoss(),  # noqa: B008
         device: torch.device | str = "cpu",
     ):
         super().__init__()

@@ -124,15 +124,15 @@ class holobeam_multiholo(nn.Module):
 
     def fit(
         self,
-        dataloader: Iterable,
+        dataloader: Iterable[Any],
         number_of_epochs: int = 100,
         learning_rate: float = 1e-5,
-        directory: str | os.PathLike = "./output",
+        directory: str | os.PathLike[str] = "./output",
         save_at_every: int = 100,
         *,
         seed: int | None = None,
         mixed_precision: bool = False,
-        checkpoint: str | os.PathLike | None = None,
+        checkpoint: str | os.PathLike[str] | None = None,
         progress: bool = True,
     ) -> TrainingHistory:
         """Train the network by Adam.
@@ -194,7 +194,7 @@ class holobeam_multiholo(nn.Module):
         self.save_weights(os.path.join(folder, "weights.pt"))
         return history
 
-    def save_weights(self, filename: str | os.PathLike = "./weights.pt") -> None:
+    def save_weights(self, filename: str | os.PathLike[str] = "./weights.pt") -> None:
         """Write the network's weights to a ``.pt`` or ``.pth`` file, atomically.
 
         Parameters
@@ -204,7 +204,7 @@ class holobeam_multiholo(nn.Module):
         """
         save_weights(self.network, filename)
 
-    def load_weights(self, filename: str | os.PathLike = "./weights.pt") -> None:
+    def load_weights(self, filename: str | os.PathLike[str] = "./weights.pt") -> None:
         """Read the network's weights from a file and put the network in evaluation mode.
 
         Parameters
@@ -332,7 +332,9 @@ class focal_surface_light_propagation(nn.Module):
         phase = 2 * torch.pi * images("phase_only_hologram", phase_only_hologram)
         return torch.cat([phase.cos(), phase.sin()], dim=1)
 
-    def load_weights(self, weight_filename: str | os.PathLike, key_mapping_filename: str | os.PathLike) -> None:
+    def load_weights(
+        self, weight_filename: str | os.PathLike[str], key_mapping_filename: str | os.PathLike[str]
+    ) -> None:
         """Read weights whose keys have other names, and put the model in evaluation mode.
 
         Parameters

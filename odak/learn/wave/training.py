@@ -56,8 +56,8 @@ class Run:
     """
 
     progress: bool = True
-    callback: Callable | None = None
-    checkpoint: str | os.PathLike | None = None
+    callback: Callable[..., Any] | None = None
+    checkpoint: str | os.PathLike[str] | None = None
     checkpoint_every: int = 50
     iterations: int = 60
     seed: int = 0

@@ -135,7 +135,7 @@ class Blender(NamedTuple):
         return kept
 
 
-def find_blender(blender: str | os.PathLike | None = None, environ: Mapping[str, str] | None = None) -> Blender:
+def find_blender(blender: str | os.PathLike[str] | None = None, environ: Mapping[str, str] | None = None) -> Blender:
     """Return the Blender that renders: the first that is found in this order.
 
     1. `blender`: a Python interpreter that has the package bpy, the folder of an environment that has one, or a
@@ -769,7 +769,7 @@ class scene(Lines, Shapes, Lenses, Views):
 
     def render(
         self,
-        path: str | os.PathLike | None = None,
+        path: str | os.PathLike[str] | None = None,
         *,
         resolution: Sequence[int] | None = None,
         samples: int | None = None,
@@ -777,7 +777,7 @@ class scene(Lines, Shapes, Lenses, Views):
         denoise: bool | None = None,
         transparent: bool = False,
         seed: int = 0,
-        blender: str | os.PathLike | None = None,
+        blender: str | os.PathLike[str] | None = None,
         timeout: float | None = 3600.0,
         verbose: bool = True,
     ) -> Any:
@@ -842,7 +842,7 @@ class scene(Lines, Shapes, Lenses, Views):
         *,
         resolution: Sequence[int] | None = None,
         device: str | None = None,
-        blender: str | os.PathLike | None = None,
+        blender: str | os.PathLike[str] | None = None,
         timeout: float | None = 3600.0,
         verbose: bool = True,
     ) -> np.ndarray:
@@ -874,9 +874,9 @@ class scene(Lines, Shapes, Lenses, Views):
 
     def save(
         self,
-        path: str | os.PathLike,
+        path: str | os.PathLike[str],
         *,
-        blender: str | os.PathLike | None = None,
+        blender: str | os.PathLike[str] | None = None,
         timeout: float | None = 3600.0,
         verbose: bool = True,
     ) -> str:
@@ -905,7 +905,7 @@ class scene(Lines, Shapes, Lenses, Views):
         return run_for_file(self._document(job), path, blender, timeout, verbose)
 
     @classmethod
-    def load(cls, path: str | os.PathLike) -> "scene":
+    def load(cls, path: str | os.PathLike[str]) -> "scene":
         """Return the scene stored in a ".json" file by :meth:`save`.
 
         Parameters

@@ -314,7 +314,7 @@ def margins(value) -> dict | None:
     return dict(zip(("l", "r", "b", "t"), sides, strict=True))
 
 
-def apply(figure, settings: dict) -> None:
+def apply(figure, settings: dict[Any, Any]) -> None:
     """Apply the template and the size, margins, title and font of the settings; all else stays as it is."""
     values: dict[str, Any] = {
         "width": settings.get("width"),

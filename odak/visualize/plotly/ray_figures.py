@@ -657,7 +657,7 @@ def system_show(
     pattern: str = "rings",
     aim: str = "paraxial",
     title: str | None = None,
-    filename: str | os.PathLike | None = None,
+    filename: str | os.PathLike[str] | None = None,
     show: bool | None = None,
 ) -> rayshow:
     """Show a lens system in space with the rays of its fields, all axes in one scale.

@@ -249,7 +249,7 @@ def _number(line: int, key: str, word: str) -> float:
     return float(word)
 
 
-def read_seq(path: Any, glasses: Mapping | None = None) -> tuple[optical_system, ZmxReport]:
+def read_seq(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optical_system, ZmxReport]:
     """Read a lens of CODE V from its sequence file.
 
     Parameters

@@ -55,7 +55,7 @@ def navarro_eye(
     accommodation: float = 0.0,
     pupil_diameter: float = 4.0,
     wavelengths: float | Sequence[float] = REFERENCE,
-    fields: Sequence = (0.0,),
+    fields: Sequence[Any] = (0.0,),
     object_distance: float = math.inf,
 ) -> optical_system:
     """Return the schematic eye of Navarro as a lens system.
@@ -160,7 +160,7 @@ class LensGradient(Gradient):
 def liou_brennan_eye(
     pupil_diameter: float = 4.0,
     wavelengths: float | Sequence[float] = 555e-9,
-    fields: Sequence = (0.0,),
+    fields: Sequence[Any] = (0.0,),
     object_distance: float = math.inf,
 ) -> optical_system:
     """Return the schematic eye of Liou and Brennan, whose lens has a graded index, as a lens system.

@@ -52,7 +52,7 @@ class Element(NamedTuple):
     c: Any
     k: Any
     h: Any
-    a: tuple
+    a: tuple[Any, ...]
     n1: Any
     n2: Any
 

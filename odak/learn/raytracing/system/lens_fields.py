@@ -124,7 +124,7 @@ class TracedSystem:
         lengths = torch.stack([item.thickness.double().reshape(()) for item in self.system.surfaces]).abs()
         return (lengths.sum() + self.system.object_distance) * self._metres
 
-    def matrix(self) -> list:
+    def matrix(self) -> list[Any]:
         """Return the ray matrix between the two planes at the reference wavelength, lengths in metres."""
         numbers = self.system.prescription([self.system.wavelengths[self.system.reference]])
         (a, b), (c, d) = self._paraxial(numbers)
@@ -142,7 +142,7 @@ class TracedSystem:
         gap = self.system.object_distance / index[..., 0]
         return (found.a, found.b + gap * found.a), (found.c, found.d + gap * found.c)
 
-    def apply(self, field: torch.Tensor, pitch: Any, wavelength: Any) -> tuple:
+    def apply(self, field: torch.Tensor, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
         """Return the field in the image plane of the system and its pixel pitch.
 
         Parameters

@@ -454,7 +454,7 @@ def sensitivity(
     system: Any,
     perturbations: Sequence[Perturbation],
     *,
-    merit: Callable | None = None,
+    merit: Callable[..., Any] | None = None,
     compensators: Sequence[tuple[str, int]] = (),
     iterations: int = 10,
 ) -> Sensitivity:
@@ -525,7 +525,7 @@ def tolerance(
     samples: int = 200,
     seed: int = 0,
     *,
-    merit: Callable | None = None,
+    merit: Callable[..., Any] | None = None,
     compensators: Sequence[tuple[str, int]] = (),
     iterations: int = 10,
 ) -> ToleranceResult:

@@ -35,7 +35,7 @@ _POWERS = ("AD", "AE", "AF", "AG")
 _INERT = frozenset(("DES", "NOT", "SNO", "TCE", "APCK", "GSP", "PFM", "CBK", "CHK"))
 
 
-def read_len(path: Any, glasses: Mapping | None = None) -> tuple[optical_system, ZmxReport]:
+def read_len(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optical_system, ZmxReport]:
     """Read a lens file of OSLO.
 
     Parameters

@@ -62,7 +62,7 @@ class Coating:
     True
     """
 
-    media: Sequence = ()
+    media: Sequence[Any] = ()
     thicknesses: Any = ()
     substrate: Any = None
 
@@ -78,7 +78,7 @@ class Coating:
             raise ValueError(f"thicknesses must have one entry for each of {len(self.media)} media, got {count}")
 
     @classmethod
-    def quarter_waves(cls, media: Sequence, wavelength: float, unit: str = "mm") -> "Coating":
+    def quarter_waves(cls, media: Sequence[Any], wavelength: float, unit: str = "mm") -> "Coating":
         """Return a stack of films a quarter of a wave thick at normal incidence.
 
         Parameters
@@ -1021,7 +1021,7 @@ class optical_system(torch.nn.Module):
         *,
         wavelengths: float | Sequence[float] | None = None,
         reference: int | None = None,
-        fields: Iterable = (0.0,),
+        fields: Iterable[Any] = (0.0,),
         object_distance: float = math.inf,
         image: surface | None = None,
         unit: str = "mm",
@@ -1029,10 +1029,10 @@ class optical_system(torch.nn.Module):
         source: str = "",
         telecentric: bool = False,
         afocal: bool = False,
-        vignetting_factors: Iterable | None = None,
-        field_weights: Iterable | None = None,
-        wavelength_weights: Iterable | None = None,
-        settings: Sequence[tuple] = (),
+        vignetting_factors: Iterable[Any] | None = None,
+        field_weights: Iterable[Any] | None = None,
+        wavelength_weights: Iterable[Any] | None = None,
+        settings: Sequence[tuple[Any, ...]] = (),
         object_material: Any = AIR,
     ):
         super().__init__()

@@ -142,7 +142,7 @@ def save_system(system: optical_system, path: Any) -> None:
         stream.write(text.encode("utf-8"))
 
 
-def system_to_dict(system: optical_system) -> dict:
+def system_to_dict(system: optical_system) -> dict[Any, Any]:
     """Return a system as a dictionary of plain numbers and strings; infinities are null.
 
     Parameters
@@ -313,7 +313,7 @@ def model_numbers(glass: Material) -> list[str]:
     return [repr(glass.nd), repr(glass.vd), *glass.name.split()[3:]]
 
 
-def system_from_dict(entry: dict) -> optical_system:
+def system_from_dict(entry: dict[Any, Any]) -> optical_system:
     """Return the system that :func:`system_to_dict` describes.
 
     Parameters

@@ -190,7 +190,7 @@ THIN = 0.1
 DEFAULT_F_NUMBER = 10.0
 
 
-def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system, ZmxReport]:
+def read_zmx(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optical_system, ZmxReport]:
     """Read a sequential Zemax file.
 
     Parameters

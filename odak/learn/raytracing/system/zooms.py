@@ -58,7 +58,7 @@ class configurations(torch.nn.Module):
     [150.0, 100.0]
     """
 
-    def __init__(self, system: optical_system, settings: Sequence[tuple] | None = None):
+    def __init__(self, system: optical_system, settings: Sequence[tuple[Any, ...]] | None = None):
         super().__init__()
         self.system = checked_system(system)
         given = system.settings if settings is None else checked_settings(settings, len(system.surfaces))
@@ -202,7 +202,7 @@ class configurations(torch.nn.Module):
         ]
         return Prescription(*stacked)._replace(wavelengths=parts[0].wavelengths)
 
-    def each(self, function: Callable, *arguments: Any, **options: Any) -> Any:
+    def each(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
         """Return the results of a function of a system for all configurations.
 
         Parameters

@@ -115,7 +115,7 @@ class ColmapView(NamedTuple):
         return _show.one_line(self)
 
 
-def load_splats(path: str | os.PathLike) -> Splats:
+def load_splats(path: str | os.PathLike[str]) -> Splats:
     """Read a PLY file of 3-D Gaussian splatting.
 
     Parameters
@@ -177,7 +177,7 @@ def load_splats(path: str | os.PathLike) -> Splats:
         raise ValueError(f"{path!r} cannot be read as Gaussians: {error}") from error
 
 
-def save_splats(path: str | os.PathLike, splats: Splats) -> None:
+def save_splats(path: str | os.PathLike[str], splats: Splats) -> None:
     """Write a PLY file of 3-D Gaussian splatting, atomically.
 
     Parameters
@@ -307,7 +307,7 @@ def view_colours(harmonics: torch.Tensor, directions: torch.Tensor) -> torch.Ten
     return (_MIDDLE + (basis[..., None] * harmonics).sum(1)).clamp_min(0)
 
 
-def load_colmap(folder: str | os.PathLike, device: torch.device | str = "cpu") -> list[ColmapView]:
+def load_colmap(folder: str | os.PathLike[str], device: torch.device | str = "cpu") -> list[ColmapView]:
     """Read the cameras of a sparse reconstruction by COLMAP.
 
     Parameters
@@ -448,7 +448,7 @@ def _images_of_binary(content: bytes) -> list:
 EXTENSIONS = (".pth", ".pt")
 
 
-def save(path: str | os.PathLike, contents: dict[str, Any], name: str = "path") -> None:
+def save(path: str | os.PathLike[str], contents: dict[str, Any], name: str = "path") -> None:
     """Write tensors by name to a ``.pth`` or ``.pt`` file, whole or not at all.
 
     Raises
@@ -459,7 +459,9 @@ def save(path: str | os.PathLike, contents: dict[str, Any], name: str = "path") 
     save_torch_tensor(validate_path(path, EXTENSIONS, name=name), contents)
 
 
-def load(path: str | os.PathLike, names: Iterable[str], device: torch.device, name: str = "path") -> dict[str, Any]:
+def load(
+    path: str | os.PathLike[str], names: Iterable[str], device: torch.device, name: str = "path"
+) -> dict[str, Any]:
     """Read what :func:`save` wrote.
 
     Raises
@@ -689,7 +691,7 @@ class complex_2d_gaussians(nn.Module):
         for name, parameter in self.named_parameters():
             parameter.requires_grad_(not (self.merge_opacity and name == "pre_act_opacities"))
 
-    def save_gaussians(self, save_path: str | os.PathLike) -> None:
+    def save_gaussians(self, save_path: str | os.PathLike[str]) -> None:
         """Write the parameters, the size and `merge_opacity` to a ``.pth`` or ``.pt`` file, atomically.
 
         Parameters
@@ -706,7 +708,7 @@ class complex_2d_gaussians(nn.Module):
         save(save_path, {**tensors, "img_size": self.img_size, "merge_opacity": self.merge_opacity}, "save_path")
         logger.info("%d complex Gaussians saved to %s", len(self), save_path)
 
-    def load_gaussians(self, load_path: str | os.PathLike) -> None:
+    def load_gaussians(self, load_path: str | os.PathLike[str]) -> None:
         """Set the parameters and `merge_opacity` to those in a file of :meth:`save_gaussians`, in place.
 
         Parameters
@@ -930,7 +932,7 @@ class complex_3d_gaussians(nn.Module):
         self,
         init_type: str,
         device: torch.device | str,
-        load_path: str | os.PathLike | None = None,
+        load_path: str | os.PathLike[str] | None = None,
         num_points: int | None = None,
         args_prop: Namespace | None = None,
         pointcloud_data: Mapping[str, torch.Tensor] | None = None,
@@ -1290,7 +1292,7 @@ class complex_3d_gaussians(nn.Module):
             None if planes is None else StraightThroughEstimator()(planes),
         )
 
-    def save_gaussians(self, save_path: str | os.PathLike) -> None:
+    def save_gaussians(self, save_path: str | os.PathLike[str]) -> None:
         """Write the seven parameters to a ``.pth`` or ``.pt`` file, atomically.
 
         Parameters

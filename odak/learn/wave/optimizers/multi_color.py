@@ -150,17 +150,17 @@ class multi_color_hologram_optimizer:
         method: str = "multi-color",
         channel_power_filename: str = "",
         device: torch.device | None = None,
-        loss_function: Callable | None = None,
+        loss_function: Callable[..., Any] | None = None,
         peak_amplitude: float = 1.0,
         optimize_peak_amplitude: bool = False,
         img_loss_thres: float = 2e-3,
         reduction: str = "sum",
         *,
-        camera: Callable | None = None,
+        camera: Callable[..., Any] | None = None,
         initial_phase: torch.Tensor | None = None,
         progress: bool = True,
-        callback: Callable | None = None,
-        checkpoint: str | os.PathLike | None = None,
+        callback: Callable[..., Any] | None = None,
+        checkpoint: str | os.PathLike[str] | None = None,
         checkpoint_every: int = 50,
         seed: int | None = None,
     ):
@@ -279,7 +279,7 @@ class multi_color_hologram_optimizer:
         number_of_iterations: int = 100,
         weights: dict[str, float] | Sequence[float] | None = None,
         inject_noise: bool = False,
-        eyebox: dict | None = None,
+        eyebox: dict[Any, Any] | None = None,
         noise_ratio: float = 1e-3,
     ) -> torch.Tensor:
         """Return the optimised phases in radians, ``[F, m, n]``.
@@ -332,7 +332,7 @@ class multi_color_hologram_optimizer:
         self,
         number_of_iterations: int = 100,
         weights: dict[str, float] | Sequence[float] | None = None,
-        eyebox: dict | None = None,
+        eyebox: dict[Any, Any] | None = None,
         bits: int | None = 8,
         inject_noise: bool = False,
         noise_ratio: float = 1e-3,
@@ -384,7 +384,7 @@ class multi_color_hologram_optimizer:
         amplitude = torch.relu(self.amplitude).detach() if self.amplitude.requires_grad else None
         return self.propagator.reconstruct(phases, amplitude)
 
-    def init_loss_function(self, loss_function: Callable | None, reduction: str = "sum") -> None:
+    def init_loss_function(self, loss_function: Callable[..., Any] | None, reduction: str = "sum") -> None:
         """Set the loss function of images and its reduction.
 
         Parameters
@@ -669,7 +669,7 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
         method: str = "multi-color",
         channel_power_filename: str = "",
         device: torch.device | None = None,
-        loss_function: Callable | None = None,
+        loss_function: Callable[..., Any] | None = None,
         peak_amplitude: float = 1.0,
         optimize_peak_amplitude: bool = False,
         img_loss_thres: float = 2e-3,
@@ -769,7 +769,7 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
 
     # Fewer options than with one colour per frame, and one result less.
     def gradient_descent(  # type: ignore[override]
-        self, number_of_iterations: int = 100, weights: Sequence[float] | dict = (1.0, 1.0, 0.0, 0.0)
+        self, number_of_iterations: int = 100, weights: Sequence[float] | dict[Any, Any] = (1.0, 1.0, 0.0, 0.0)
     ) -> torch.Tensor:
         """Return the optimised phases in radians, ``[F, m, n]``.
 
@@ -784,7 +784,7 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
         return super().gradient_descent(number_of_iterations, weights)
 
     def optimize(  # type: ignore[override]
-        self, number_of_iterations: int = 100, weights: Sequence[float] | dict = (1.0, 1.0, 1.0)
+        self, number_of_iterations: int = 100, weights: Sequence[float] | dict[Any, Any] = (1.0, 1.0, 1.0)
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, float]:
         """Optimize, and return the hologram.
 

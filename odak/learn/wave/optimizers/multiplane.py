@@ -3,6 +3,7 @@
 import math
 import os
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 
@@ -117,15 +118,15 @@ class multiplane_hologram_optimizer:
         learning_rate: float = 0.1,
         phase_initial: torch.Tensor | None = None,
         amplitude_initial: torch.Tensor | None = None,
-        loss_function: Callable | None = None,
+        loss_function: Callable[..., Any] | None = None,
         mask_limits: Sequence[float] = (0.2, 0.8, 0.05, 0.95),
         number_of_planes: int = 4,
         zero_mode_distance: float = 0.15,
         device: torch.device | None = None,
         *,
         progress: bool = True,
-        callback: Callable | None = None,
-        checkpoint: str | os.PathLike | None = None,
+        callback: Callable[..., Any] | None = None,
+        checkpoint: str | os.PathLike[str] | None = None,
         checkpoint_every: int = 50,
         seed: int | None = None,
         pixel_fill: float | None = None,
@@ -214,7 +215,7 @@ class multiplane_hologram_optimizer:
         """Collect the parameters."""
         self.parameters = {"phase": self.phase, "offset": self.offset}
 
-    def init_loss_function(self, loss_function: Callable | None = None, reduction: str = "mean") -> None:
+    def init_loss_function(self, loss_function: Callable[..., Any] | None = None, reduction: str = "mean") -> None:
         """Set the loss function of a plane.
 
         Parameters
