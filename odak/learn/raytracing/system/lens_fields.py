@@ -109,6 +109,8 @@ class TracedSystem:
     def __post_init__(self):
         if checked_system(self.system).at_infinity:
             raise ValueError("system must have an object_distance, got one with its object at infinity")
+        if self.system.image is not None:
+            raise ValueError("system must have a plane as its image, got one with an image surface")
         grid = _validate.size("grid", self.grid)
         object.__setattr__(self, "grid", tuple(grid))
         for name, value in (("grid", grid[0]), ("grid", grid[1]), ("points", self.points)):

@@ -164,6 +164,9 @@ def test_what_rays_cannot_tell_is_refused_or_warned_of():
     far = optical_system([surface(14.0, thickness=3.0, material="N-BK7"), surface(thickness=20.0)], 2.0)
     with pytest.raises(ValueError, match="object_distance"):
         TracedSystem(far)
+    curved = optical_system([surface(14.0)], 2.0, object_distance=17.0, image=surface(-20.0))
+    with pytest.raises(ValueError, match="plane as its image"):
+        TracedSystem(curved)
     with pytest.raises(ValueError, match="at least 3"):
         TracedSystem(eyepiece(), grid=(2, 3))
     with pytest.raises(ValueError, match="two finite numbers"):
