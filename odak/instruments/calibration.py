@@ -448,7 +448,8 @@ def calibrate_table(
     check_square_pixels(modulator, camera)
     camera = checked_camera(camera)
     there = (modulator, camera, wavelength)
-    phases, doubt, spread = phases_with_uncertainty(*there, distance)
+    # The focus behind a lens is seen by few pixels.
+    phases, doubt, spread = phases_with_uncertainty(*there, distance, captures=16 if behind_lens else 4)
     warn_of_short_range(phases)
     varies = spread > SPREAD_OF_RESPONSE
     if regions is None and behind_lens:
@@ -2028,6 +2029,8 @@ def illumination_with_uncertainty(
     deviation = (inverse @ (system.T @ left))[: cells * cells]
     sigma = np.sqrt(np.diag(inverse)[: cells * cells] * left.var())
     whole = np.min([part.sizes for part in parts], axis=0) == np.bincount(cell.ravel())
+    # Where captures deviate from the model by more than noise, parts scatter by more than that.
+    sigma = np.maximum(sigma, 1.48 * np.median(abs(deviation[whole]))) if whole.any() else sigma
     dark = np.where(whole & (deviation < -4 * sigma), -deviation, 0)
     y, x = (np.broadcast_to(axis / half, modulator.shape) for axis in _axes(modulator))
     terms = np.stack([x**i * y**j for i, j in powers], axis=-1)
