@@ -30,6 +30,7 @@ NOT_EMULATED = (
     "*.report_figures",
     "odak.learn.raytracing.system.lens_design.*",  # the transforms of torch.func around a copy to the device
     "odak.learn.raytracing.system.zoom_design.*",  # the same
+    "odak.learn.raytracing.system.standard_design",  # the same
     "*.levenberg_marquardt",
     "*.relative_illumination",
     "*.image_figure",
