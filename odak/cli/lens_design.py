@@ -31,6 +31,7 @@ from odak.learn.raytracing.system import (
     standard_design,
     write_zmx,
 )
+from odak.learn.raytracing.system.automatic import default_starts
 from odak.learn.raytracing.system.operands import clear_heights
 from odak.learn.raytracing.system.pupils import AIMS
 from odak.learn.raytracing.system.surfaces import is_break
@@ -94,7 +95,7 @@ class DesignJob:
     aim : str
         "paraxial" or "real", how rays are aimed; real ones for a system only.
     starts : int or None
-        Number of random starts; 16 from flat plates, 1 from a system, by default.
+        Number of random starts; 16 from flat plates, 32 with `substitute`, 1 from a system, by default.
     iterations : int or None
         Steps of each run of least squares; 15 from flat plates, 40 from a system, by default.
     seed : int
@@ -307,7 +308,7 @@ def _from_plates(job: DesignJob, step: Callable[[], Any]):
     glasses = [name for name in materials if name != "stop"]
     lens.name = f"{len(glasses)} elements, {f:g} mm, f/{speed:g}, {2 * field:g}°"
     lens.source = f"designed by odak {versions()['odak']} from flat plates, seed {job.seed}"
-    starts = given.get("starts", 12 if job.aspheric_terms else 16)
+    starts = given.get("starts", default_starts(job.aspheric_terms, given["makers"]))
     did = [
         f"began with {starts} random bendings of flat plates of {', '.join(glasses)}",
         f"grew aperture and field in {len(found.stages)} stages, to f/{speed:g} and {field:g} degrees",

@@ -193,7 +193,8 @@ def automatic_design(
     axial_color : float, optional
         Largest distance between the paraxial images of two wavelengths, in `unit`.
     starts : int, optional
-        Number of random bendings of the plates in the first stage; by default 16 of spheres, 12 of aspheres.
+        Number of random bendings of the plates in the first stage; by default 16 of spheres, 32 with
+        `makers`, 12 of aspheres.
     stages : int
         Number of stages in which aperture and field grow, 1 to 6; with 1 both are full from the beginning. Designs of
         aspheres begin at the same fraction of the curriculum, and divide the rest into shorter stages.
@@ -252,7 +253,7 @@ def automatic_design(
     if angle >= 80:
         raise ValueError(f"half_field must be below 80 degrees, got {half_field}")
     terms = _validate.integer("aspheric_terms", aspheric_terms)
-    starts = _validate.integer("starts", (12 if terms else 16) if starts is None else starts, minimum=1)
+    starts = _validate.integer("starts", default_starts(terms, makers) if starts is None else starts, minimum=1)
     iterations = (6 if terms else 15) if iterations is None else iterations
     seed = _validate.integer("seed", seed)
     stages = _validate.integer("stages", stages, minimum=1)
@@ -442,6 +443,11 @@ def standard_design(
         limit = limits.get("distortion", max(0.02, now if math.isfinite(now) else 0.0))
         operands.append(Operand("distortion", weight=0.5 * height, lower=-0.9 * limit, upper=0.9 * limit))
     return lens_design(system, operands, variables, solves=solves, aim=aim)
+
+
+def default_starts(terms: int, makers: Any) -> int:
+    """Return how many random bendings an automatic design begins with."""
+    return 12 if terms else 32 if makers else 16
 
 
 def _checked_makers(makers: Any) -> tuple[str, ...] | None:
