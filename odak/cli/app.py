@@ -927,7 +927,8 @@ def design(
         str, typer.Option(metavar="paraxial|real", help="Pupil that rays are aimed at; the real one with a SYSTEM.")
     ] = "paraxial",
     starts: Annotated[
-        int | None, typer.Option(metavar="COUNT", help="Random starts.", show_default="16; with a SYSTEM 1")
+        int | None,
+        typer.Option(metavar="COUNT", help="Random starts.", show_default="16, with --substitute 32; with a SYSTEM 1"),
     ] = None,
     iterations: Annotated[
         int | None, typer.Option(metavar="COUNT", help="Steps of each run.", show_default="15; with a SYSTEM 40")
