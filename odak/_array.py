@@ -226,6 +226,21 @@ def is_traced(value) -> bool:
     return is_torch(value) and (value.requires_grad or not is_readable(value))
 
 
+def is_compiling() -> bool:
+    """Return whether torch.compile is following the call."""
+    torch = sys.modules.get("torch")
+    return torch is not None and torch.compiler.is_compiling()
+
+
+def constant_in_graphs(function):
+    """Mark a function of numbers: torch.compile calls it once and takes what it returns, tensors too, as constant.
+
+    The decorator of torch that does the same loads the compiler.
+    """
+    function._dynamo_marked_constant = True
+    return function
+
+
 def outside_graphs(function, *arguments):
     """Return what a function that looks something up returns; torch.compile breaks its graph there."""
     torch = sys.modules.get("torch")

@@ -73,7 +73,8 @@ def operator(function: type[torch.autograd.Function]) -> Callable:
     recorded: Any = type(function.__name__, (torch.autograd.Function,), rules)
 
     def apply(*inputs):
-        if torch.compiler.is_compiling() or in_forward_mode() or in_functional_transform():
+        # The compiler follows no function that has a rule for forward mode.
+        if not torch.compiler.is_compiling() and (in_forward_mode() or in_functional_transform()):
             return function.apply(*inputs)
         return recorded.apply(*inputs)
 

@@ -117,14 +117,14 @@ def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None, 
     }
 
     def face(*args, **options):
-        placed = dict(zip(positional, args, strict=False))
-        if len(args) > len(positional) or not (keywords.issuperset(options) and placed.keys().isdisjoint(options)):
+        given = {**dict(zip(positional, args, strict=False)), **options}
+        if len(given) != len(args) + len(options) or not keywords.issuperset(options):
             unknown = [name for name in options if name not in named]
             if unknown:
                 nearest = _validate.did_you_mean(unknown[0], named)
                 raise TypeError(f"{face.__name__} has no argument {unknown[0]!r}.{nearest}")
             signature.bind(*args, **options)  # raises the error that Python gives for such a call
-        options = {**fixed, **preset, **placed, **options}
+        options = {**fixed, **preset, **given}
         for name, take_off in units.items():
             if name in options:
                 options[name] = take_off(name, options[name])

@@ -75,16 +75,30 @@ class Method:
 # How each method is carried out.
 
 
-def _filter(build: Callable) -> Callable:
-    """Return an `apply` that filters by the transfer function `build`."""
+class _Filter:
+    """An `apply` that filters by the transfer function ``build_for(request)``.
 
-    def apply(field, request: Request):
-        field = spread(field, request.scale)
+    It does so on twice the field's grid, for a linear convolution, or where the request is for a window of it.
+    """
+
+    def __init__(self, build_for: Callable, linear: bool = False):
+        self._build_for, self._linear = build_for, linear
+
+    def kernel(self, field, request: Request):
+        """Return the transfer function times the aperture, for a field of the grid's samples."""
         rows, columns = field.shape[-2:]
-        size = (2 * rows, 2 * columns) if request.window else (rows, columns)
-        return convolve(field, _times_aperture(request.kernel_for(field, build, size), request.aperture, field))
+        size = (2 * rows, 2 * columns) if self._linear or request.window else (rows, columns)
+        return _times_aperture(request.kernel_for(field, self._build_for(request), size), request.aperture, field)
 
-    return apply
+    def __call__(self, field, request: Request):
+        """Return the filtered field."""
+        field = field if self._linear else spread(field, request.scale)
+        return convolve(field, self.kernel(field, request))
+
+
+def _filter(build: Callable) -> _Filter:
+    """Return an `apply` that filters by the transfer function `build`."""
+    return _Filter(lambda request: build)
 
 
 def spread(field, scale: int):
@@ -140,17 +154,6 @@ def _filter_intensity(field, request: Request):
     else:
         kernel = request.kernel_for(field, tf.incoherent_angular_spectrum, size)
     return xp.real(convolve(field, kernel))
-
-
-def _convolve_linearly(build_for: Callable) -> Callable:
-    """Return an `apply` by linear convolution, on twice the field's grid, with the kernel ``build_for(request)``."""
-
-    def apply(field, request: Request):
-        rows, columns = field.shape[-2:]
-        kernel = request.kernel_for(field, build_for(request), (2 * rows, 2 * columns))
-        return convolve(field, _times_aperture(kernel, request.aperture, field))
-
-    return apply
 
 
 @functools.lru_cache(maxsize=16)
@@ -365,13 +368,13 @@ METHODS = (
     Method(
         "Linear Angular Spectrum",
         ("LAS",),
-        _convolve_linearly(lambda request: _linear_angular_spectrum(request.tolerance)),
+        _Filter(lambda request: _linear_angular_spectrum(request.tolerance), linear=True),
         _never,
     ),
     Method(
         "Rayleigh-Sommerfeld",
         ("Rayleigh Sommerfeld", "RS"),
-        _convolve_linearly(lambda request: tf.rayleigh_sommerfeld),
+        _Filter(lambda request: tf.rayleigh_sommerfeld, linear=True),
         _sum_aliases,
         chunked=True,
     ),
@@ -401,6 +404,11 @@ METHODS = (
 )
 _BY_NAME = {spelling.casefold(): method for method in METHODS for spelling in (method.name, *method.aliases)}
 PROPAGATION_TYPES = (*(method.name for method in METHODS), "auto")
+
+
+def kernel_of(method: Method, field, request: Request):
+    """Return the kernel by which a method filters a field, None where it does more than that."""
+    return method.apply.kernel(field, request) if isinstance(method.apply, _Filter) and request.scale == 1 else None
 
 
 def find_method(propagation_type: str) -> Method | None:

@@ -26,6 +26,7 @@ from odak.wave.methods import (
     above_tolerance,
     choose_method,
     find_method,
+    kernel_of,
     linear_kernel_of,
     linear_method,
     method_named,
@@ -133,6 +134,14 @@ def propagate_beam(
         missing = [n for n, v in (("distance", distance), ("dx", dx), ("wavelength", wavelength)) if v is REQUIRED]
         raise TypeError(f"propagate_beam needs distance, dx and wavelength; missing: {', '.join(missing)}")
     # Kernels are looked up and warnings issued: no graph of torch.compile can hold that.
+    if _array.is_compiling() and kernel is None and axes in ((-2, -1), [-2, -1]):
+        geometry = (k, distance, _plain_pair(dx), wavelength, propagation_type, aperture, scale, tolerance)
+        options = (*geometry, _plain_pair(zero_padding), _plain_pair(samples))
+        if all(type(value) in _PLAIN for value in options):
+            field = _array.to_complex(_validate.planes("field", field))
+            transfer = _kernel_in_graphs(tuple(field.shape), field.dtype, str(field.device), *options)
+            if transfer is not None:
+                return _array.convolve_plainly(field, transfer)
     if axes != (-2, -1) and axes != [-2, -1]:
         others = (kernel is None, type(aperture) in (int, float) and aperture == 1, scale == 1)
         if not all(others):
@@ -145,6 +154,22 @@ def propagate_beam(
         field,
         *(k, distance, dx, wavelength, propagation_type, kernel, zero_padding, aperture, scale, samples, tolerance),
     )
+
+
+@_array.constant_in_graphs
+def _kernel_in_graphs(shape, dtype, device, *options):
+    """Return the kernel that is all a propagation of tensors does, for a graph of torch.compile to hold; else None."""
+    try:
+        method, request, (pad, fine, crop), warnings, error = _cached_plan(shape, *options)
+    except (ValueError, TypeError):
+        return None  # an error in a graph would be one of the compiler
+    if fine or error > request.tolerance or budgets() or ((pad or crop) and not request.window):
+        return None
+    import torch
+
+    for message in warnings:
+        warn(message, SamplingWarning)
+    return kernel_of(method, torch.empty(shape, dtype=dtype, device=device), request)
 
 
 def _propagate(

@@ -23,6 +23,7 @@ QUICK = ["Bandlimited Angular Spectrum", "srgb_to_lab"]
 WHOLE_GRAPHS = ["lens_phase", "BlurLoss", "CSFLoss", "PSNR", "SSIM", *representatives.FAMILIES["colour"]]
 WHOLE_GRAPHS = [name for name in WHOLE_GRAPHS if name != "simulate_color_vision_deficiency"]
 WHOLE_GRAPHS += list(representatives.FAMILIES["networks"])
+WHOLE_GRAPHS += ["Bandlimited Angular Spectrum", "Impulse Response Fresnel", "Rayleigh-Sommerfeld"]
 # What torch itself says of its own workings.
 TORCHS_OWN = [r".*torch\.jit\.script.*", r".*autograd\.function\.Function.*should not be instantiated.*"]
 
@@ -107,7 +108,7 @@ def test_compile_is_correct_without_warnings(name):
 
 
 @pytest.mark.parametrize(
-    "name", [n if n in ("SSIM",) else pytest.param(n, marks=pytest.mark.slow) for n in WHOLE_GRAPHS]
+    "name", [n if n in ("SSIM", QUICK[0]) else pytest.param(n, marks=pytest.mark.slow) for n in WHOLE_GRAPHS]
 )
 def test_compile_without_a_break(name):
     function, example, value, _ = case(name)
@@ -115,6 +116,24 @@ def test_compile_without_a_break(name):
         for message in TORCHS_OWN:
             warnings.filterwarnings("ignore", message)
         close(compiled(function, "eager", fullgraph=True)(example), value)
+
+
+@pytest.mark.filterwarnings(f"ignore:{TORCHS_OWN[1]}")
+def test_a_step_of_gradient_descent_is_one_graph():
+    target, phase = torch.rand(16, 16), torch.rand(16, 16, requires_grad=True)
+
+    def loss(phase):
+        field = wave.propagate_beam(wave.unit_phasor(phase), None, 1e-3, 8e-6, 532e-9)
+        return ((wave.intensity(field) - target) ** 2).mean()
+
+    found, expected = compiled(loss, "aot_eager", fullgraph=True)(phase), loss(phase)
+    close(found, expected)
+    close(*(torch.autograd.grad(value, phase)[0] for value in (found, expected)), 2e-5)
+
+
+def test_errors_of_a_compiled_propagation_name_the_argument():
+    with pytest.raises(ValueError, match="dx must be positive"):
+        compiled(lambda field: wave.propagate_beam(field, None, 1e-3, -8e-6, 532e-9), "eager")(torch.ones(8, 8) + 0j)
 
 
 NETWORKS = list(representatives.FAMILIES["networks"])
