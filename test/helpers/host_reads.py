@@ -63,7 +63,7 @@ REASONS = {
         wave/training: check_brightness checked_intensities started
     """,
     "the size of the result, or the memory that it takes, depends on the numbers": """
-        models/gaussians: _compact_runs initialize_from_image
+        models/gaussians: _compact_runs
         perception/foveation: __init__ _strips level_weights
         perception/quality: _split
         perception/csf: foveated_budget
@@ -96,16 +96,17 @@ REASONS = {
         wave/propagators: holograms
     """,
     "a search ends when it has converged: one reading for an iteration of many operations": """
+        models/gaussians: _improve refine
         perception/discrimination: maximum_differentiation twice
         raytracing/nonsequential: follow
         raytracing/surfaces: _search plain
         raytracing/system/automatic: _designed_aspheres _optimised _set_next_stage _with_equal_spots
-        raytracing/system/sequence: _adjoint axis_signs
         raytracing/system/design: restarts
         raytracing/system/eye: accommodation_response
         raytracing/system/optimise: _linearly_compensated least_squares tolerances_for_yield
-        raytracing/system/waves: _peak
         raytracing/system/pupils: _continuation _differences _solve aimed solve_pairs
+        raytracing/system/sequence: _adjoint axis_signs
+        raytracing/system/waves: _peak
         wave/display_models: _match_brightness _numbers _refine cost
         wave/training: step
     """,

@@ -27,8 +27,12 @@ __all__ = ["gaussian_2d", "gaussian_3d_volume", "gaussians_2d"]
 # Number of Gaussians up to which the default widths are used as they are; more of them are narrower, so that together
 # they cover the same area.
 _FEW = 10
-# Samples of an image, times Gaussians, of the linear system that sets the first heights.
-_SYSTEM = 1 << 22
+# Samples of an image per Gaussian that a fit by least squares uses at most.
+_SAMPLES = 32
+# Width of the first Gaussians over the distance of their centres.
+_WIDTH = 1.3
+# First damping of a fit, relative to the curvature along each parameter, and its products with the Jacobian per step.
+_DAMPING, _PRODUCTS = 0.03, 8
 _RANGES = {"widths": (0.1, 0.5), "offsets": (-1.0, 1.0), "rotations": (0.0, 2 * math.pi), "alphas": (0.1, 0.2)}
 
 
@@ -122,8 +126,9 @@ class gaussian_2d(nn.Module):
     ) -> None:
         """Set the parameters so that the sum of the Gaussians approximates an image.
 
-        Centres are drawn with a probability that grows with the gradient of the image, widths follow from the distance
-        to the nearest centres, and the heights are the least-squares solution for the image.
+        Centres are spread by strata with a density that grows with the gradient of the image. Widths follow from this
+        density, rotations from the structure tensor, and the heights are the least-squares solution. A density that
+        follows the gradient is that of Y. Zhang et al., *Image-GS*, SIGGRAPH (2025).
 
         Parameters
         ----------
@@ -152,44 +157,185 @@ class gaussian_2d(nn.Module):
         >>> bool((gaussians.total(x, y)[..., 0] - image).square().mean() < 1e-3)
         True
         """
+        image, x, y = self._sampled(image, x, y)
+        generator = torch.Generator()
+        generator.manual_seed(int(torch.randint(2**62, ())) if seed is None else _validate.integer("seed", seed))
+        down, across = torch.gradient(image)
+        # The constant covers even parts of the image.
+        weight = _smooth(torch.hypot(down, across))
+        weight = weight + 0.5 * weight.mean() + torch.finfo(weight.dtype).tiny
+        # One centre in each of N parts of equal weight along a Z-shaped curve.
+        rows, columns = (torch.arange(size, device=image.device) for size in image.shape)
+        order = (_interleaved(rows)[:, None] * 2 + _interleaved(columns)).flatten().argsort()
+        heaps = weight.flatten()[order].double().cumsum(0)
+        count = self.number_of_elements
+        parts = torch.arange(count) + torch.rand(count, generator=generator, dtype=torch.float64)
+        chosen = order[torch.searchsorted(heaps, parts.to(heaps) / count * heaps[-1]).clamp(max=image.numel() - 1)]
+        # Squared widths in pixels: of the area of one centre, longer along edges than across.
+        area = (_WIDTH**2 * weight.sum() / count / weight).flatten()[chosen]
+        xx, xy, yy = (_smooth(part).flatten()[chosen] for part in (across * across, across * down, down * down))
+        coherence = torch.hypot(xx - yy, 2 * xy) / (xx + yy + torch.finfo(xx.dtype).eps)
+        ratio, angle = 1 + 2 * coherence, torch.atan2(2 * xy, xx - yy) / 2
+        axes = torch.stack([angle.cos(), angle.sin(), -angle.sin(), angle.cos()], dim=-1).view(-1, 2, 2)
+        axes = axes * torch.stack([area / ratio, area * ratio], dim=-1).sqrt()[..., None]
+        # From pixels to coordinates.
+        slopes = torch.stack([part.flatten()[chosen] for z in (x, y) for part in torch.gradient(z)[::-1]], dim=-1)
+        axes = axes @ slopes.view(-1, 2, 2).mT
+        sizes, vectors = torch.linalg.eigh(axes.mT @ axes)
+        self.widths.copy_(sizes.clamp_min(torch.finfo(sizes.dtype).eps).sqrt().T[:, None])
+        self.rotations.copy_(torch.atan2(-vectors[:, 1, 0], vectors[:, 0, 0]))
+        self._centre(slice(None), x.flatten()[chosen], y.flatten()[chosen])
+        self.alphas.zero_()
+        image, x, y = _reduced(image, x, y, count)
+        self._improve(image, x, y, steps=2, heights_only=True)
+
+    @torch.no_grad()
+    def refine(
+        self,
+        image: torch.Tensor,
+        x: torch.Tensor | None = None,
+        y: torch.Tensor | None = None,
+        *,
+        steps: int = 30,
+        moved: float = 0.1,
+    ) -> None:
+        """Bring the sum of the Gaussians closer to an image by damped least squares.
+
+        Each step solves the linearised problem for all parameters by conjugate gradients (Höllein et al. 2025). Before
+        every fourth step of the first three quarters, the weakest Gaussians move to where the image is approximated
+        worst, so that their number stays (Kerbl et al. 2023; Kheradmand et al. 2024), until that no longer helps.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            Intensities ``[H, W]``. An image of many more pixels than the Gaussians can represent is reduced first.
+        x : torch.Tensor, optional
+            Abscissae of the pixels ``[H, W]``; by default −1 to 1 along the columns.
+        y : torch.Tensor, optional
+            Ordinates of the pixels ``[H, W]``; by default −1 to 1 along the rows.
+        steps : int
+            Number of steps.
+        moved : float
+            Share of the Gaussians that move at a time, 0 to 1.
+
+        Raises
+        ------
+        ValueError
+            If the shapes differ, the image has fewer than two rows or columns, or a number is outside its range.
+
+        References
+        ----------
+        - B. Kerbl et al., *3D Gaussian splatting for real-time radiance field rendering*, ACM TOG 42 (2023).
+        - S. Kheradmand et al., *3D Gaussian splatting as Markov chain Monte Carlo*, NeurIPS (2024).
+        - X. Zhang et al., *GaussianImage*, ECCV (2024).
+        - L. Höllein et al., *3DGS-LM: faster Gaussian-splatting optimization with Levenberg-Marquardt*, ICCV (2025).
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.models import gaussian_2d
+        >>> y, x = torch.meshgrid(torch.linspace(-1, 1, 40), torch.linspace(-1, 1, 40), indexing="ij")
+        >>> image = 0.8 * torch.exp(-((x - 0.2) ** 2 + y**2) / 0.1)
+        >>> gaussians = gaussian_2d(30)
+        >>> gaussians.initialize_from_image(image, seed=0)
+        >>> gaussians.refine(image, steps=8)
+        >>> bool((gaussians.total(x, y)[..., 0] - image).square().mean() < 1e-5)
+        True
+        """
+        steps, moved = _validate.integer("steps", steps, minimum=0), _validate.real("moved", moved)
+        if not 0 <= moved <= 1:
+            raise ValueError(f"moved must be from 0 to 1, got {moved!r}")
+        image, x, y = self._sampled(image, x, y)
+        image, x, y = _reduced(image, x, y, self.number_of_elements)
+        count, error = int(moved * self.number_of_elements), self._improve(image, x, y, steps=0)
+        for done in range(0, steps, 4):
+            before = [parameter.clone() for parameter in self.parameters()]
+            if count and done < 0.75 * steps:
+                self._move(image, x, y, count)
+                self._improve(image, x, y, steps=1, heights_only=True)
+            reached = self._improve(image, x, y, steps=min(4, steps - done))
+            if reached > error:
+                count = 0
+                self._restore(before)
+            else:
+                error = reached
+
+    def _sampled(self, image, x, y):
+        """Return an image and the coordinates of its pixels, checked."""
         image = features("image", image)
         if image.ndim != 2 or min(image.shape) < 2:
             raise ValueError(f"image must be [H, W] with at least two rows and columns, got {list(image.shape)}")
-        rows, columns = image.shape
-        image = image.detach().to(self.alphas)
-        grid = torch.meshgrid(torch.linspace(-1, 1, rows), torch.linspace(-1, 1, columns), indexing="ij")
+        grid = torch.meshgrid(*(torch.linspace(-1, 1, size) for size in image.shape), indexing="ij")
         y, x = (found if given is None else given for given, found in zip((y, x), grid, strict=True))
-        x, y = (features(name, value).detach().to(self.alphas) for name, value in (("x", x), ("y", y)))
-        _validate.alike(image=image, x=x, y=y)
-        for name, value in (("image", image), ("x", x), ("y", y)):
+        named = {"image": image, "x": features("x", x), "y": features("y", y)}
+        _validate.alike(**named)
+        for name, value in named.items():
             _validate.real(name, value)
-        generator = torch.Generator()
-        generator.manual_seed(int(torch.randint(2**62, ())) if seed is None else _validate.integer("seed", seed))
-        slopes = torch.gradient(image)
-        weight = torch.hypot(*slopes)
-        # A fifth of the centres are spread evenly, so that even parts of the image are covered.
-        weight = weight + 0.25 * weight.mean() + torch.finfo(weight.dtype).tiny
-        count = self.number_of_elements
-        chosen = torch.multinomial(
-            weight.flatten().cpu(), count, replacement=count > image.numel(), generator=generator
-        )
-        chosen = chosen.to(image.device)
-        centres = torch.stack([x.flatten()[chosen], y.flatten()[chosen]], dim=-1)
-        step = ((x.max() - x.min()) / columns + (y.max() - y.min()) / rows) / 2
-        nearest = torch.cdist(centres, centres).topk(min(4, count), largest=False).values[:, 1:]
-        spread = nearest.mean(-1) if count > 1 else (x.max() - x.min())[None] / 4
-        width = (1.2 * spread).clamp(min=float(1.2 * step), max=float(x.max() - x.min()) / 2)
-        self.widths.copy_(width.expand(2, 1, -1))
-        self.offsets.copy_(-centres.T[:, None])
-        self.rotations.zero_()
-        samples = torch.arange(0, image.numel(), max(1, -(-image.numel() * count // _SYSTEM)), device=image.device)
-        self.alphas.fill_(1.0)
-        # Values of the Gaussians without the limit of the height.
-        unit = torch.atanh(self(x.flatten()[samples, None], y.flatten()[samples, None]).clamp(max=1 - 1e-6))
-        gram = unit.T @ unit
-        gram.diagonal().add_(1e-3 * gram.diagonal().mean())
-        heights = torch.linalg.solve(gram.double(), (unit.T @ image.flatten()[samples]).double())
-        self.alphas.copy_(torch.atanh(heights.clamp(-0.9, 0.9))[None])
+        return [value.detach().to(self.alphas) for value in named.values()]
+
+    def _centre(self, which, x, y):
+        cosine, sine = self.rotations[0, which].cos(), self.rotations[0, which].sin()
+        self.offsets[:, 0, which] = -torch.stack([x * cosine - y * sine, x * sine + y * cosine])
+
+    def _move(self, image, x, y, count):
+        """Move the `count` Gaussians of least energy to the largest residuals."""
+        error = _smooth(self.total(x, y)[..., 0] - image).abs()
+        largest = nn.functional.max_pool2d(error[None, None], 5, 1, 2)[0, 0]
+        peaks = error.where(error == largest, 0).flatten().topk(min(count, error.numel())).indices
+        weak = (self.alphas[0].tanh().abs() * self.widths.prod(0)[0].abs().sqrt()).argsort()[: len(peaks)]
+        self.rotations[0, weak] = 0.0
+        for width, z, size in zip(self.widths, (x, y), x.shape[::-1], strict=True):
+            width[0, weak] = 2 * (z.max() - z.min()) / size
+        self._centre(weak, x.flatten()[peaks], y.flatten()[peaks])
+        self.alphas[0, weak] = 0.0
+
+    def _improve(self, image, x, y, steps, heights_only=False):
+        """Take Levenberg–Marquardt steps; return the sum of squared residuals."""
+        points, damping = torch.stack([x.flatten(), y.flatten()], dim=-1), _DAMPING
+        kept = slice(5, 6) if heights_only else slice(6)
+        parts, residual = self._tangents(image, points, kept)
+        for _ in range(steps):
+            change = torch.zeros_like(self.alphas[0])[:, None].repeat(1, 6)
+            change[:, kept] = _damped_solution(parts, residual, len(change), damping)
+            before = [parameter.clone() for parameter in self.parameters()]
+            self.offsets += change[:, 2:4].T[:, None] * self.widths
+            self.widths *= change[:, :2].T[:, None].clamp(-0.5, 0.5).exp()
+            self.rotations += change[:, 4]
+            self.alphas.add_(change[:, 5]).clamp_(-3, 3)
+            tried = self._tangents(image, points, kept)
+            if tried[1].square().sum() < residual.square().sum():
+                (parts, residual), damping = tried, max(damping / 3, _DAMPING / 30)
+            else:
+                damping *= 5
+                self._restore(before)
+        return residual.square().sum()
+
+    def _restore(self, values):
+        for parameter, value in zip(self.parameters(), values, strict=True):
+            parameter.copy_(value)
+
+    def _tangents(self, image, points, kept):
+        """Return parts of the Jacobian by ln w, o/w, ρ and α, and the residuals."""
+        rows, residual, parts = self._rows(), image.flatten().clone(), []
+        for places, near in _runs(points, _boxes(rows, self.alphas[0], 1e-3)):
+            values, u, v = points.new_empty(3, len(near), len(places))
+            _exponentials(points[places], rows[near], values, v, u)
+            alpha, (w0, w1), (o0, o1) = (
+                z[..., near, None] for z in (self.alphas[0], self.widths[:, 0], self.offsets[:, 0])
+            )
+            limited = (alpha * values).tanh()
+            residual[places] -= limited.sum(0)
+            slope = (1 - limited.square()) * values
+            along_u, along_v = -2 * alpha * slope * u, -2 * alpha * slope * v
+            turned = along_v * (u * w0 - o0) / w1 - along_u * (v * w1 - o1) / w0
+            columns = (-along_u * u, -along_v * v, along_u, along_v, turned, slope)[kept]
+            parts.append((places, near, torch.stack(columns, dim=1)))
+        return parts, residual
+
+    def _rows(self):
+        cosine, sine = self.rotations[0].cos(), self.rotations[0].sin()
+        (w0, w1), (o0, o1) = self.widths[:, 0], self.offsets[:, 0]
+        return torch.stack([cosine / w0, -sine / w0, o0 / w0, sine / w1, cosine / w1, o1 / w1], dim=-1)
 
     def forward(self, x: torch.Tensor, y: torch.Tensor, residual: float = 1e-6) -> torch.Tensor:
         """Return the value of each Gaussian at points.
@@ -233,11 +379,8 @@ class gaussian_2d(nn.Module):
             ``[..., 1]``.
         """
         x, y = torch.broadcast_tensors(*_coordinates(x, y))
-        cosine, sine = self.rotations[0].cos(), self.rotations[0].sin()
-        (w0, w1), (o0, o1) = self.widths[:, 0], self.offsets[:, 0]
-        rows = torch.stack([cosine / w0, -sine / w0, o0 / w0, sine / w1, cosine / w1, o1 / w1], dim=-1)
         points = torch.stack([x.flatten(), y.flatten()], dim=-1)
-        return sum_of_soft_gaussians(points, rows, self.alphas[0]).view(x.shape)
+        return sum_of_soft_gaussians(points, self._rows(), self.alphas[0]).view(x.shape)
 
 
 class gaussians_2d(nn.Module):
@@ -320,6 +463,32 @@ class gaussians_2d(nn.Module):
             Seed of the centres; drawn from torch's generator by default.
         """
         self.model.initialize_from_image(image, x, y, seed=seed)
+
+    def refine(
+        self,
+        image: torch.Tensor,
+        x: torch.Tensor | None = None,
+        y: torch.Tensor | None = None,
+        *,
+        steps: int = 30,
+        moved: float = 0.1,
+    ) -> None:
+        """Bring the sum closer to an image by damped least squares, see :meth:`gaussian_2d.refine`.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            Intensities ``[H, W]``.
+        x : torch.Tensor, optional
+            Abscissae of the pixels ``[H, W]``; by default −1 to 1 along the columns.
+        y : torch.Tensor, optional
+            Ordinates of the pixels ``[H, W]``; by default −1 to 1 along the rows.
+        steps : int
+            Number of steps.
+        moved : float
+            Share of the Gaussians that move at a time, 0 to 1.
+        """
+        self.model.refine(image, x, y, steps=steps, moved=moved)
 
     def save_weights(self, weights_filename: str | os.PathLike[str]) -> None:
         """Write the parameters to a ``.pt`` or ``.pth`` file, atomically.
@@ -464,23 +633,28 @@ def _exponentials(points, rows, out, v, u=None):
 
 def _parts(points, rows, alphas, count):
     """Yield indices of some points and of the Gaussians near them, and `count` buffers ``[Gaussians, points]``."""
-    boxes = _boxes(rows, alphas)
     at_once = max(1, _PART.get(points.device.type, _PART["cuda"]) // _RUN)
     memory = points.new_empty(count, at_once * _RUN)
-    for places in _compact_runs(points, boxes):
-        low, high = points[places].aminmax(dim=0)
-        # With these comparisons a Gaussian with NaN is kept.
-        far = ((boxes[0] > high) | (boxes[1] < low)).any(-1)
-        for near in (~far).nonzero()[:, 0].split(at_once):
+    for places, close in _runs(points, _boxes(rows, alphas, torch.finfo(rows.dtype).eps)):
+        for near in close.split(at_once):
             if len(near):
                 shape = len(near), len(places)
                 yield places, near, [part[: shape[0] * shape[1]].view(shape) for part in memory]
 
 
-def _boxes(rows, alphas):
-    """Return the lower and upper corners ``[n, 2]`` of the boxes outside which terms are below rounding error."""
+def _runs(points, boxes):
+    """Yield indices of some points and of the Gaussians near them."""
+    for places in _compact_runs(points, boxes):
+        low, high = points[places].aminmax(dim=0)
+        # With these comparisons a Gaussian with NaN is kept.
+        far = ((boxes[0] > high) | (boxes[1] < low)).any(-1)
+        yield places, (~far).nonzero()[:, 0]
+
+
+def _boxes(rows, alphas, least):
+    """Return the lower and upper corners ``[n, 2]`` of the boxes outside which terms are below `least`."""
     six, size = rows.double(), alphas.double().abs()
-    reach = (size.clamp_min(1).log() - math.log(torch.finfo(rows.dtype).eps)).sqrt()
+    reach = (size.clamp_min(1).log() - math.log(least)).sqrt()
     inverse = torch.linalg.inv_ex(torch.stack([six[:, :2], six[:, 3:5]], dim=1)).inverse
     centre = -(inverse @ six[:, [2, 5], None])[..., 0]
     half = inverse.square().sum(-1).sqrt() * reach[:, None]
@@ -506,6 +680,51 @@ def _interleaved(number):
     for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
         number = (number | (number << shift)) & mask
     return number
+
+
+def _smooth(image):
+    """Return means over 5 × 5 pixels."""
+    return nn.functional.avg_pool2d(image[None, None], 5, 1, 2, count_include_pad=False)[0, 0]
+
+
+def _reduced(image, x, y, count):
+    """Return the three with at most so many pixels as a fit of `count` Gaussians uses."""
+    factor = math.sqrt(_SAMPLES * count / image.numel())
+    if factor >= 1:
+        return image, x, y
+    size = [max(2, round(factor * length)) for length in image.shape]
+    return nn.functional.interpolate(torch.stack([image, x, y])[None], size, mode="area")[0]
+
+
+def _damped_solution(parts, residual, count, damping):
+    """Return the step ``[count, columns]`` of damped least squares by preconditioned conjugate gradients."""
+    columns = parts[0][2].shape[1]
+    right = residual.new_zeros(count, columns)
+    blocks = residual.new_zeros(count, columns, columns)
+    for places, near, part in parts:
+        right.index_add_(0, near, (part.flatten(0, 1) @ residual[places, None]).view(-1, columns))
+        blocks.index_add_(0, near, part @ part.mT)
+    diagonal = blocks.diagonal(dim1=1, dim2=2)
+    damped = damping * (diagonal + 0.01 * diagonal.mean(0)) + torch.finfo(right.dtype).tiny
+    factors = torch.linalg.cholesky_ex(blocks + torch.diag_embed(damped)).L
+
+    def preconditioned(vector):
+        return torch.cholesky_solve(vector[..., None], factors)[..., 0]
+
+    step, left = torch.zeros_like(right), right
+    direction = aligned = preconditioned(left)
+    power = (left * aligned).sum()
+    for _ in range(_PRODUCTS * 6 // columns):
+        image = damped * direction
+        for _, near, part in parts:
+            flat = part.flatten(0, 1)
+            image.index_add_(0, near, (flat @ (direction[near].view(1, -1) @ flat).T).view(-1, columns))
+        length = power / (direction * image).sum().clamp_min(torch.finfo(power.dtype).tiny)
+        step, left = step + length * direction, left - length * image
+        aligned = preconditioned(left)
+        before, power = power, (left * aligned).sum()
+        direction = aligned + power / before.clamp_min(torch.finfo(power.dtype).tiny) * direction
+    return step
 
 
 # Read-only, for it is a default argument.

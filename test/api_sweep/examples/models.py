@@ -145,6 +145,8 @@ BY_CALL = {
         "x": tensor(4, 5),
         "y": tensor(4, 5),
     },
+    "odak.learn.models.gaussian_2d.refine": {"image": tensor(4, 5), "x": tensor(4, 5), "y": tensor(4, 5), "steps": 2},
+    "odak.learn.models.gaussians_2d.refine": {"image": tensor(4, 5), "x": tensor(4, 5), "y": tensor(4, 5), "steps": 2},
     "odak.learn.models.hash_grid_encoder": {
         "dimensions": 2,
         "levels": 2,

@@ -4,12 +4,15 @@ import logging
 import math
 import os
 import pickle
+from importlib.resources import files
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import odak.tools
 from odak.learn.models import gaussian_2d, gaussians, gaussians_2d
 
 
@@ -260,6 +263,74 @@ def test_more_gaussians_than_pixels_start_too():
     model.initialize_from_image(torch.eye(4), seed=0)
     assert all(bool(torch.isfinite(parameter).all()) for parameter in model.parameters())
     gaussians_2d(1).initialize_from_image(torch.eye(4), seed=0)
+
+
+def decibels(model, x, y, image):
+    shown = formula(model.model, x, y).sum(-1).detach().numpy()
+    return -10 * math.log10(np.mean((shown - image.numpy()) ** 2))
+
+
+def test_gaussians_are_refined_at_their_number():
+    x, y, image = photo_like()
+    model = gaussians_2d(80)
+    model.initialize_from_image(image, seed=3)
+    # A quarter of them are of no use.
+    model.model.offsets.data[..., ::4] = 5.0
+    start, count = decibels(model, x, y, image), model.total_params
+    state = [value.clone() for value in model.parameters()]
+    model.refine(image, moved=0.0, steps=12)
+    staying = decibels(model, x, y, image)
+    for parameter, value in zip(model.parameters(), state, strict=True):
+        parameter.data.copy_(value)
+    model.refine(image, x, y, steps=12)
+    assert start + 5 < staying < decibels(model, x, y, image) - 2
+    assert sum(value.numel() for value in model.parameters()) == count
+    for wrong in ({"steps": -1}, {"moved": 1.5}):
+        with pytest.raises(ValueError, match=next(iter(wrong))):
+            model.refine(image, **wrong)
+
+
+def test_coordinates_of_any_scale_and_direction_start_alike():
+    x, y, image = photo_like()
+    x, y, image = x.double(), y.double(), image.double()
+    turned, plain = gaussians_2d(60).double(), gaussians_2d(60).double()
+    plain.initialize_from_image(image, x, y, seed=1)
+    turned.initialize_from_image(image, 5 * y + 2, -3 * x, seed=1)
+    torch.testing.assert_close(turned(5 * y + 2, -3 * x), plain(x, y), rtol=0, atol=1e-4)
+
+
+def test_tangents_are_those_of_autograd():
+    x, y, image = photo_like(6, 8)
+    model, points = gaussian_2d(3).double(), torch.stack([x.flatten(), y.flatten()], dim=-1).double()
+    with torch.no_grad():
+        model.alphas.fill_(0.7)
+        parts, _ = model._tangents(image.double(), points, slice(6))
+    (places, near, found), names = parts[0], ("widths", "offsets", "rotations", "alphas")
+
+    def values(*parameters):
+        return torch.func.functional_call(
+            model, dict(zip(names, parameters, strict=True)), tuple(points[:, :, None].unbind(1))
+        )
+
+    given = tuple(getattr(model, name).detach() for name in names)
+    exact = torch.autograd.functional.jacobian(lambda *z: values(*z).sum(-1), given)
+    scaled = [part.flatten(1, -2) * scale for part, scale in zip(exact, (given[0][:, 0],) * 2 + (1, 1), strict=True)]
+    # Values below a thousandth of the height are left out.
+    torch.testing.assert_close(
+        found, torch.cat(scaled, dim=1)[places][:, :, near].permute(2, 1, 0), rtol=1e-9, atol=1e-2
+    )
+
+
+@pytest.mark.slow
+def test_a_thousand_gaussians_of_a_photograph_above_34_db():
+    photo = torch.as_tensor(odak.tools.load_image(files("odak") / "assets" / "photo.png")[..., :3] / 255).mean(-1)
+    photo = torch.nn.functional.interpolate(photo[None, None].float(), (128, 192), mode="area")[0, 0]
+    x, y = grid(128, 192, torch.float32)
+    model = gaussians_2d(1000)
+    model.initialize_from_image(photo, seed=0)
+    assert decibels(model, x, y, photo) > 26.5
+    model.refine(photo)
+    assert decibels(model, x, y, photo) > 34
 
 
 @pytest.mark.slow
