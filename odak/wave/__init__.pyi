@@ -69,6 +69,7 @@ from .imaging import optical_transfer_function as optical_transfer_function
 from .imaging import point_spread_function as point_spread_function
 from .imaging import pupil_function as pupil_function
 from .large_holograms import hologram_in_chunks as hologram_in_chunks
+from .large_holograms import propagate_on_disk as propagate_on_disk
 from .media import propagate_through_medium as propagate_through_medium
 from .media import scattered_field as scattered_field
 from .methods import PROPAGATION_TYPES as PROPAGATION_TYPES

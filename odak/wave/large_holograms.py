@@ -1,22 +1,32 @@
-"""Phase-only holograms larger than memory: gradient descent and Gerchberg–Saxton on arrays stored in chunks on disk."""
+"""Fields and phase-only holograms larger than memory, on arrays stored in chunks on disk."""
 
 import json
 import math
 import os
 import shutil
+import tempfile
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import fft
 from tqdm import tqdm
 
 from odak import _array, _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.tools.paths import validate_path
+from odak.wave.methods import find_method
 from odak.wave.propagation import propagate_beam
-from odak.wave.transfer_functions import pitches, whole_lines
+from odak.wave.transfer_functions import by_way_of, pitches, whole_lines
 
+_ON_DISK = (
+    "Bandlimited Angular Spectrum",
+    "Angular Spectrum",
+    "Transfer Function Fresnel",
+    "Impulse Response Fresnel",
+)
 METHODS = ("gradient descent", "Gerchberg-Saxton")
 _DECAYS = (0.9, 0.999)
 # Damaged chunks that a warning names.
@@ -197,6 +207,155 @@ def _starting_phase(da, amplitude, initial_phase):
         bends.append(place**2 / (8 * n))
     cycles = bends[0][:, None] + bends[1]
     return (2 * math.pi * (cycles - da.round(cycles))).astype(np.float32)
+
+
+@_validate.takes_units("distance", "dx", "wavelength")
+def propagate_on_disk(
+    field: Any,
+    path: str | os.PathLike,
+    distance: float,
+    dx: float | tuple[float, float],
+    wavelength: float,
+    propagation_type: str = "Bandlimited Angular Spectrum",
+    memory: int = 1 << 30,
+    progress: bool = True,
+) -> Any:
+    """Propagate a field that is larger than memory, through files, in memory that is bounded.
+
+    Use it where :func:`propagate_beam` of a Dask array would need a cluster that moves its chunks to disk: here the two
+    rearrangements of rows and columns go through one stored array of twice the field's size, and each pass reads and
+    writes it once. A field that fits into memory twice is faster without.
+
+    Parameters
+    ----------
+    field : dask.array.Array or array
+        Complex field ``[rows, columns]``, complex64 or complex128; of a Dask array, such as ``dask.array.from_zarr``
+        returns it, the chunks are computed where they are needed.
+    path : str or os.PathLike
+        Zarr array to write the result to; it appears whole, and replaces an earlier one.
+    distance : float
+        Distance in metres.
+    dx : float or pair of float
+        Pixel pitch in metres, one number or a pair (rows, columns).
+    wavelength : float
+        Wavelength in metres.
+    propagation_type : str
+        "Bandlimited Angular Spectrum", "Angular Spectrum", "Transfer Function Fresnel" or "Impulse Response Fresnel".
+    memory : int
+        Bytes that the blocks of all threads may take together.
+    progress : bool
+        Whether to show a bar.
+
+    Returns
+    -------
+    dask.array.Array
+        The result ``[rows, columns]``, padded by zeros while it was computed, as it is stored.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+    ImportError
+        If Dask or Zarr is not installed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import numpy as np
+    >>> from odak.wave import propagate_beam, propagate_on_disk
+    >>> field = np.exp(1j * np.linspace(0, 9, 48 * 64)).reshape(48, 64)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     stored = propagate_on_disk(field, folder + "/far.zarr", 2e-3, 8e-6, 532e-9, progress=False).compute()
+    >>> options = {"propagation_type": "Bandlimited Angular Spectrum", "zero_padding": (True, False, True)}
+    >>> bool(abs(stored - propagate_beam(field, None, 2e-3, 8e-6, 532e-9, **options)).max() < 1e-12)
+    True
+    """
+    da = _require_dask()
+    import dask
+
+    method = find_method(propagation_type)
+    propagation_type = _validate.one_of("propagation_type", method.name if method else "auto", _ON_DISK)
+    path, memory = Path(validate_path(path, name="path")), _validate.integer("memory", memory, minimum=1 << 16)
+    progress = _validate.flag("progress", progress)
+    field = da.asarray(_array.to_complex(_validate.image("field", field)))
+    if field.ndim != 2:
+        raise ValueError(f"field must be [rows, columns], got the shape {tuple(field.shape)}")
+    if path.exists() and not any((path / name).is_file() for name in ("zarr.json", ".zarray")):
+        raise ValueError(f"path must be new or a Zarr array, which is replaced; {str(path)!r} is something else")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    threads = os.cpu_count() or 1
+    # A block is there as it is read, as its spectrum, and as the transfer function or the result.
+    block = max(1, memory // (4 * threads))
+    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", suffix=".part", dir=path.parent) as folder:
+
+        def through_files(field, kernel):
+            _filtered_on_disk(field, kernel, Path(folder), block, threads, progress)
+            return field
+
+        token = by_way_of.set(through_files)
+        try:
+            with dask.config.set({"array.chunk-size": block}):
+                padded = (True, False, True)
+                propagate_beam(field, None, distance, dx, wavelength, propagation_type, zero_padding=padded)
+        finally:
+            by_way_of.reset(token)
+        if path.exists():
+            os.replace(path, Path(folder) / "former")
+        os.replace(Path(folder) / "result", path)
+    return da.from_zarr(str(path))
+
+
+def _filtered_on_disk(field, kernel, folder: Path, block: int, threads: int, progress: bool) -> None:
+    """Write the field filtered by a transfer function as a Zarr array ``result`` in a folder."""
+    import zarr
+
+    (rows, columns), (height, width), dtype = field.shape, kernel.shape, field.dtype
+    lines = max(1, min(rows, block // (width * dtype.itemsize)))
+    stops = [int(stop) for stop in np.cumsum(kernel.chunks[1])]
+    spans = list(zip([0, *stops[:-1]], stops, strict=True))
+    result = zarr.open_array(
+        str(folder / "result"), mode="w", shape=(rows, columns), chunks=(lines, columns), dtype=dtype
+    )
+    # The spectra of rows lie on disk span by span of columns, so that both passes read and write long runs.
+    path = folder / "spectrum"
+    path.touch()
+
+    def write(start, stop, first, values):
+        with open(path, "r+b") as stream:
+            stream.seek((start * rows + first * (stop - start)) * dtype.itemsize)
+            stream.write(np.ascontiguousarray(values).data)
+
+    def read(start, stop, first, count):
+        with open(path, "rb") as stream:
+            stream.seek((start * rows + first * (stop - start)) * dtype.itemsize)
+            return np.fromfile(stream, dtype, count * (stop - start)).reshape(count, stop - start)
+
+    def along_rows(first):
+        given = np.asarray(field[first : first + lines].compute(scheduler="synchronous"))
+        spectrum = fft.fft(given, n=width, axis=1)
+        for start, stop in spans:
+            write(start, stop, first, spectrum[:, start:stop])
+
+    def along_columns(number):
+        start, stop = spans[number]
+        spectrum = fft.fft(read(start, stop, 0, rows), n=height, axis=0)
+        spectrum *= kernel.blocks[0, number].compute(scheduler="synchronous")
+        write(start, stop, 0, fft.ifft(spectrum, axis=0, overwrite_x=True)[:rows])
+
+    def back(first):
+        count = min(lines, rows - first)
+        spectrum = np.concatenate([read(start, stop, first, count) for start, stop in spans], 1)
+        result[first : first + count] = fft.ifft(spectrum, axis=1, overwrite_x=True)[:, :columns]
+
+    starts = range(0, rows, lines)
+    passes = ((along_rows, starts), (along_columns, range(len(spans))), (back, starts))
+    with (
+        tqdm(total=sum(len(items) for _, items in passes), unit="block", disable=not progress) as bar,
+        ThreadPoolExecutor(threads) as pool,
+    ):
+        for work, items in passes:
+            for _ in pool.map(work, items):
+                bar.update()
 
 
 def _require_dask():

@@ -173,3 +173,38 @@ def test_a_dark_target_is_refused(tmp_path):
     pytest.importorskip("zarr")
     with pytest.raises(ValueError, match="target must be finite and not all zero"):
         hologram_in_chunks(np.zeros((8, 8)), tmp_path, 1, **PROBLEM)
+
+
+@pytest.mark.parametrize("method", ["AS", "Bandlimited Angular Spectrum", "TR Fresnel", "Impulse Response Fresnel"])
+def test_propagation_through_files_is_that_in_memory(method, random, tmp_path):
+    field = random.normal(size=(54, 75)) + 1j * random.normal(size=(54, 75))
+    chunked = da.from_array(field.astype(np.complex64), chunks=(20, 30))
+    geometry = {"distance": 5e-3, "dx": (8e-6, 7e-6), "wavelength": 532e-9, "propagation_type": method}
+    stored = odak.wave.propagate_on_disk(chunked, tmp_path / "far.zarr", **geometry, memory=1 << 17, progress=False)
+    expected = odak.wave.propagate_beam(field, None, **geometry, zero_padding=(True, False, True))
+    found = stored.compute()
+    assert found.dtype == np.complex64 and abs(found - expected).max() < 2e-6 * abs(expected).max()
+    # What is there is replaced, and nothing else remains.
+    again = odak.wave.propagate_on_disk(2 * field, tmp_path / "far.zarr", **geometry, progress=False)
+    assert abs(again.compute() - 2 * expected).max() < 1e-12 * abs(expected).max()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["far.zarr"]
+
+
+def test_propagation_through_files_leaves_no_pieces(tmp_path):
+    geometry = {"distance": 1e-3, "dx": 8e-6, "wavelength": 532e-9, "progress": False}
+    field = np.ones((16, 16), complex)
+    (tmp_path / "notes").mkdir()
+    with pytest.raises(ValueError, match="path must be new or a Zarr array"):
+        odak.wave.propagate_on_disk(field, tmp_path / "notes", **geometry)
+    odak.wave.propagate_on_disk(field, tmp_path / "far.zarr", **geometry)
+
+    def broken():
+        raise OSError("no space left on device")
+
+    lazy = da.map_blocks(lambda: broken(), chunks=((16,), (16,)), dtype=complex, meta=np.empty((0, 0), complex))
+    with pytest.raises(OSError, match="no space left"):
+        odak.wave.propagate_on_disk(lazy, tmp_path / "far.zarr", **geometry)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["far.zarr", "notes"]
+    assert da.from_zarr(str(tmp_path / "far.zarr")).shape == (16, 16)
+    # The next propagation of a Dask array is one in memory again.
+    assert odak.wave.propagate_beam(da.ones((8, 8), dtype=complex), None, 1e-3, 8e-6, 532e-9, "AS").compute().any()

@@ -246,6 +246,7 @@ BY_CALL = {
         "apertures": numbers(32, 32),
     },
     "odak.wave.gerchberg_saxton_3d": {"target_type": "double constraint", "coefficients": [1.0, 0.5, 1.0]},
+    "odak.wave.propagate_on_disk": {"path": Build(lambda folder: folder / "far.zarr")},
     "odak.wave.hologram_in_chunks": {
         "target": numbers(4, 5),
         "folder": Build(lambda folder: folder / "hologram"),
