@@ -167,10 +167,10 @@ def test_a_calibration_shows_what_is_uncertain():
     table = SimulatedTable(seed=1, shape=(32, 32), camera_shape=(40, 48))
     found = Calibration.nominal(table.modulator, table.camera, 532e-9, 20e-3)
     page = page_of(found)
-    assert page["distance"][0] == "20 mm" and page.notes == [] and page.drawn(0).min() == 255
+    assert page["light path"][0] == "20 mm" and page.notes == [] and page.drawn(0).min() == 255
     doubtful = replace(found, phases=found.phases / 2, uncertainty={"phases": 0.2, "distance": 1e-4})
     page = page_of(doubtful)
-    assert page["distance"] == ["20 mm", "± 0.0001 m"]
+    assert page["light path"] == ["20 mm", "± 0.0001 m"]
     assert "phases by 0.2 rad" in page.notes[0] and "increase the range" in page.notes[1] and len(page.notes) == 2
 
 

@@ -38,7 +38,9 @@ REASONS = {
         perception/display_color: _checked_axis individual_cone_fundamentals metameric_failure spectrum_to_xyz
         perception/metameric: _metamer
         perception/quality: _require_positive
+        raytracing/system/automatic: glasses standard_design
         raytracing/system/design: __init__ _now
+        raytracing/system/operands: glass_hull nearest_glasses
         raytracing/system/environment: _expand
         raytracing/system/eye: _traced_terms
         raytracing/system/lens_fields: __init__ _check _traced apply
@@ -101,7 +103,7 @@ REASONS = {
         raytracing/nonsequential: follow
         raytracing/surfaces: _search plain
         raytracing/system/automatic: _designed_aspheres _optimised _set_next_stage _with_equal_spots
-        raytracing/system/design: restarts
+        raytracing/system/design: _take_glasses best_of restarts
         raytracing/system/eye: accommodation_response
         raytracing/system/optimise: _linearly_compensated least_squares tolerances_for_yield
         raytracing/system/pupils: _continuation _differences _solve aimed solve_pairs
@@ -113,6 +115,8 @@ REASONS = {
 }
 # Those whose syntax does not show it, such as `float(loss)`.
 AT_RUN_TIME = {
+    "models/gaussians:_improve",
+    "models/gaussians:refine",
     "raytracing/system/lens_fields:products",
     "raytracing/system/design:_now",
     "raytracing/system/optimise:iso_10110_tolerances",

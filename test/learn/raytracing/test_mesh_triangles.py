@@ -357,7 +357,7 @@ def test_embree_finds_what_the_search_finds():
 def test_missing_embree_says_what_to_install(monkeypatch):
     monkeypatch.setattr(mesh, "has_embree", lambda: False)
     vertices, faces = icosphere(0, torch.float32)
-    with pytest.raises(ImportError, match=r"pip install odak\[mesh\]"):
+    with pytest.raises(ImportError, match=r"pip install embreex"):
         triangle_mesh(vertices, faces, backend="embree")
     assert bool(triangle_mesh(vertices, faces).intersect(random_rays(50, 18, dtype=torch.float32)).hit.any())
 
