@@ -19,6 +19,7 @@ from .bench import Polarizer as Polarizer
 from .bench import RectangularAperture as RectangularAperture
 from .bench import ThinLens as ThinLens
 from .bench import WavePlate as WavePlate
+from .bench import filter_in_focal_plane as filter_in_focal_plane
 from .bench import lens_fourier_transform as lens_fourier_transform
 from .bench import optical_bench as optical_bench
 from .bench import propagate_abcd as propagate_abcd

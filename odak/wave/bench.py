@@ -202,6 +202,105 @@ def lens_fourier_transform(
     return propagate_abcd(field, matrix, dx, wavelength, output_dx, output_shape, distance + focal_length)
 
 
+@_validate.takes_units("focal_length", "dx", "wavelength")
+def filter_in_focal_plane(
+    field: Array,
+    mask: Callable,
+    focal_length: float,
+    dx: float | Sequence[float],
+    wavelength: float,
+    scales: int = 3,
+) -> Array:
+    """Return a field after a lens, a mask in its focal plane and a second lens of the same focal length.
+
+    Use it for masks with detail much finer than a diffraction pattern, such as the vortex or the small stop of a
+    coronagraph: about the axis they are sampled on several scales, each 8 times finer than the one before.
+
+    Parameters
+    ----------
+    field : array
+        Complex field ``[..., rows, columns]`` in the front focal plane of the first lens.
+    mask : callable
+        ``mask(y, x)`` returns the amplitude transmission at places in metres from the axis, for arrays that broadcast.
+    focal_length : float
+        Focal length of both lenses in metres.
+    dx : float or sequence of float
+        Pixel pitch of the field in metres, one number or a pair (rows, columns).
+    wavelength : float
+        Wavelength in metres.
+    scales : int
+        Number of samplings of the focal plane. With 1 the whole plane has two samples for each λ·focal_length/(N·dx).
+
+    Returns
+    -------
+    array
+        Complex field ``[..., rows, columns]`` in the back focal plane of the second lens, of the same pitch: the field
+        given, turned by 180° and filtered. Differentiable in the field.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Notes
+    -----
+    The mask is taken apart by smooth windows about the axis, which add up to one, and each part is a Fourier transform
+    to its own window and back (Soummer, Pueyo, Sivaramakrishnan and Vanderbei, Opt. Express 15, 15935 (2007)). Of the
+    light of a disc behind a vortex of charge 2, all of which should leave the disc (Mawet, Riaud, Absil and Surdej,
+    Astrophys. J. 633, 1191 (2005)), 4e-5 remain with one scale, and 3.5e-6 and 9e-7 with two or more for discs of 205
+    and 410 pixels across: what remains then is due to the pixels of its edge. A mask of ones is met to 6e-6.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import circular_aperture, filter_in_focal_plane
+    >>> def vortex(y, x):
+    ...     turn = x + 1j * y
+    ...     return (turn / np.maximum(abs(turn), 1e-30)) ** 2
+    >>> star = circular_aperture((128, 128), 1e-4, 5.1e-3) + 0j
+    >>> left = filter_in_focal_plane(star, vortex, 1.0, 1e-4, 1e-6)
+    >>> inside = circular_aperture((128, 128), 1e-4, 4.6e-3) > 0
+    >>> bool((abs(left[inside]) ** 2).sum() < 2e-5 * (abs(star) ** 2).sum())
+    True
+    """
+    field = _array.to_complex(_validate.image("field", field))
+    _validate.function("mask", mask)
+    focal_length = _validate.constant("focal_length", focal_length, positive=True)
+    wavelength = _validate.constant("wavelength", wavelength, positive=True)
+    steps = [_validate.constant("dx", step, positive=True) for step in pitches(dx)]
+    scales = _validate.integer("scales", scales, minimum=1)
+    xp, shape = _array.namespace(field), tuple(field.shape[-2:])
+    like = xp.zeros((), dtype=xp.float64, device=_array.device_of(field))
+    finest = [wavelength * focal_length / (2 * n * step) for n, step in zip(shape, steps, strict=True)]
+    radius = _WINDOW_RADIUS * max(finest)
+    radii = [radius / _FINER**i for i in range(scales - 1)]
+    grids = [(finest, tuple(2 * n for n in shape))]
+    grids += [([2 * r / _WINDOW_SAMPLES] * 2, (_WINDOW_SAMPLES, _WINDOW_SAMPLES)) for r in radii]
+    result = 0.0
+    for i, (there, counts) in enumerate(grids):
+        y, x = (centred(like, n, axis) * step for n, step, axis in zip(counts, there, (-2, -1), strict=True))
+        share = xp.ones_like(y * x) if i == 0 else _inside(y, x, radii[i - 1])
+        share = share - _inside(y, x, radii[i]) if i < len(radii) else share
+        seen, _ = lens_fourier_transform(field, focal_length, steps, wavelength, None, there, counts)
+        seen = seen * xp.astype(_array.cast(mask(y, x), seen) * share, field.dtype)
+        back, _ = lens_fourier_transform(seen, focal_length, there, wavelength, None, steps, shape)
+        result = result + back
+    return result
+
+
+# Of the finer samplings of a focal plane: samples along a side, radius of the first in samples of the whole plane, and
+# how much finer each is than the one before.
+_WINDOW_SAMPLES, _WINDOW_RADIUS, _FINER = 256, 32, 8
+
+
+def _inside(y, x, radius: float):
+    """Return a window that is 1 within half a radius and 0 outside it, smooth in all derivatives."""
+    xp = _array.namespace(y)
+    share = xp.clip(2 * xp.sqrt(y**2 + x**2) / radius - 1, 1e-9, 1 - 1e-9)
+    falling, rising = xp.exp(-1 / (1 - share)), xp.exp(-1 / share)
+    return falling / (falling + rising)
+
+
 def _is_pair(matrix) -> bool:
     """Return whether a ray matrix is a pair of them, for rows and columns."""
     return isinstance(matrix, tuple) and len(matrix) == 2 and _is_matrix(matrix[0])

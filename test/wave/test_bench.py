@@ -446,3 +446,26 @@ def test_a_lens_transforms_a_gaussian_into_its_spectrum():
 def test_fraunhofer_names_the_lens_where_the_far_field_is_not_meant():
     with pytest.warns(odak.SamplingWarning, match="lens_fourier_transform is for the focal plane of a lens"):
         odak.wave.propagate_beam(np.ones((64, 64), complex), None, 0.2, 8e-6, WAVELENGTH, "Fraunhofer")
+
+
+@pytest.mark.parametrize("xp", ["numpy", "torch"])
+def test_a_vortex_sends_the_light_of_a_disc_out_of_it(xp):
+    # Mawet et al. (2005): behind a charge of 2 the disc of radius a is dark, and around it the amplitude is (a/r)².
+    n, radius, wave = 256, 10.2e-3, odak.wave if xp == "numpy" else odak.learn.wave
+    disc = odak.wave.circular_aperture((n, n), 1e-4, radius) + 0j
+    field = disc if xp == "numpy" else torch.from_numpy(disc)
+    module = np if xp == "numpy" else torch
+
+    def vortex(y, x):
+        turn = x + 1j * y
+        return (turn / module.clip(abs(turn), 1e-30, None)) ** 2
+
+    one, several = (wave.filter_in_focal_plane(field, vortex, 1.0, 1e-4, 1e-6, scales=s) for s in (1, 3))
+    r = np.hypot(*np.meshgrid(*[(np.arange(n) - n // 2) * 1e-4] * 2, indexing="ij"))
+    leaks = [float((abs(np.asarray(v))[r < 0.9 * radius] ** 2).sum() / (disc.real**2).sum()) for v in (one, several)]
+    assert leaks[1] < 1e-5 and leaks[0] > 5 * leaks[1]
+    ring = (r > 1.05 * radius) & (r < 1.2 * radius)
+    assert abs(abs(np.asarray(several))[ring] * (r[ring] / radius) ** 2 - 1).mean() < 0.02
+    same = np.asarray(wave.filter_in_focal_plane(field, lambda y, x: 1 + 0 * y * x, 1.0, 1e-4, 1e-6))
+    turned = np.roll(disc[::-1, ::-1], 1, (0, 1)) * np.exp(2j * np.pi * 4 / 1e-6) * -1
+    np.testing.assert_allclose(same, turned, atol=2e-5)

@@ -8,6 +8,7 @@ from odak.wave.bench import Polarizer as Polarizer
 from odak.wave.bench import RectangularAperture as RectangularAperture
 from odak.wave.bench import ThinLens as ThinLens
 from odak.wave.bench import WavePlate as WavePlate
+from odak.wave.bench import filter_in_focal_plane as filter_in_focal_plane
 from odak.wave.bench import lens_fourier_transform as lens_fourier_transform
 from odak.wave.bench import optical_bench as optical_bench
 from odak.wave.bench import propagate_abcd as propagate_abcd
