@@ -124,7 +124,10 @@ def test_a_folder_that_does_not_answer(tmp_path):
 
 
 def test_drivers_of_the_package_are_registered():
-    with pytest.raises(ValueError, match="'file-camera', 'file-modulator', 'screen', 'video'"):
+    with pytest.raises(
+        ValueError,
+        match="'file-camera', 'file-modulator', 'genicam', 'micro-manager-camera', 'micro-manager-modulator', 'screen'",
+    ):
         instruments.open_instrument("none")
 
 
