@@ -276,7 +276,7 @@ def filter_in_focal_plane(
     radii = [radius / _FINER**i for i in range(scales - 1)]
     grids = [(finest, tuple(2 * n for n in shape))]
     grids += [([2 * r / _WINDOW_SAMPLES] * 2, (_WINDOW_SAMPLES, _WINDOW_SAMPLES)) for r in radii]
-    result = 0.0
+    result: Any = 0.0
     for i, (there, counts) in enumerate(grids):
         y, x = (centred(like, n, axis) * step for n, step, axis in zip(counts, there, (-2, -1), strict=True))
         share = xp.ones_like(y * x) if i == 0 else _inside(y, x, radii[i - 1])

@@ -124,10 +124,7 @@ def test_a_folder_that_does_not_answer(tmp_path):
 
 
 def test_drivers_of_the_package_are_registered():
-    with pytest.raises(
-        ValueError,
-        match="'file-camera', 'file-modulator', 'genicam', 'micro-manager-camera', 'micro-manager-modulator', 'screen'",
-    ):
+    with pytest.raises(ValueError, match="'file-modulator', 'genicam', .*'micro-manager-modulator', 'screen', 'video'"):
         instruments.open_instrument("none")
 
 
