@@ -205,7 +205,7 @@ def lens_fourier_transform(
 @_validate.takes_units("focal_length", "dx", "wavelength")
 def filter_in_focal_plane(
     field: Array,
-    mask: Callable,
+    mask: Callable[..., Any],
     focal_length: float,
     dx: float | Sequence[float],
     wavelength: float,

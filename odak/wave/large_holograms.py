@@ -15,6 +15,7 @@ from scipy import fft
 from tqdm import tqdm
 
 from odak import _array, _validate
+from odak._array import Array
 from odak._warnings import AccuracyWarning, warn
 from odak.tools.paths import validate_path
 from odak.wave.methods import find_method
@@ -211,15 +212,15 @@ def _starting_phase(da, amplitude, initial_phase):
 
 @_validate.takes_units("distance", "dx", "wavelength")
 def propagate_on_disk(
-    field: Any,
-    path: str | os.PathLike,
+    field: Array,
+    path: str | os.PathLike[str],
     distance: float,
     dx: float | tuple[float, float],
     wavelength: float,
     propagation_type: str = "Bandlimited Angular Spectrum",
     memory: int = 1 << 30,
     progress: bool = True,
-) -> Any:
+) -> Array:
     """Propagate a field that is larger than memory, through files, in memory that is bounded.
 
     Use it where :func:`propagate_beam` of a Dask array would need a cluster that moves its chunks to disk: here the two
