@@ -111,10 +111,11 @@ def test_phase_response_of_small_and_large_ranges(span):
             (2.4e-4, 0.0),
             r"on the side of smaller columns: move the camera by at least 0\.\d+ mm toward smaller",
         ),
-        (
+        pytest.param(
             (96, 128),
             (0.0, -1.6e-4),
             r"on the side of larger rows: move the camera by at least 0\.\d+ mm toward larger rows",
+            marks=pytest.mark.slow,
         ),
         ((150, 128), (0.0, 0.0), r"the light of the modulator is \d+ pixels, .* mm, wider than it along rows"),
     ],
@@ -168,7 +169,7 @@ def test_fringing_fields_do_not_falsify_the_phase_response_in_silence(fringing, 
     assert error < 0.1 or any(issubclass(w.category, AccuracyWarning) for w in told)
 
 
-@pytest.mark.parametrize("seed", [17, 18, 19])
+@pytest.mark.parametrize("seed", [17, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (18, 19))])
 def test_a_response_that_varies_is_reported_where_it_is_not_measured(seed):
     """The filter of the tests makes the warning an error, which ends the calibration."""
     table = instruments.SimulatedTable(

@@ -258,7 +258,7 @@ def test_frames_older_than_the_pattern_or_the_exposure_are_named(late):
         response(table, older)
 
 
-@pytest.mark.parametrize(("count", "value"), [(1, 4095), (6, 4095), (6, 3000)])
+@pytest.mark.parametrize(("count", "value"), [pytest.param(1, 4095, marks=pytest.mark.slow), (6, 4095), (6, 3000)])
 def test_stuck_pixels_do_not_set_the_exposure(count, value):
     """A saturated one ended in an exposure of 15 ns, six in an error of the phase response."""
     table, places = laboratory(), np.random.default_rng(1).integers(60, 140, (count, 2))

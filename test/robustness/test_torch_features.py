@@ -131,6 +131,7 @@ def test_a_step_of_gradient_descent_is_one_graph():
     close(*(torch.autograd.grad(value, phase)[0] for value in (found, expected)), 2e-5)
 
 
+@pytest.mark.slow
 def test_errors_of_a_compiled_propagation_name_the_argument():
     with pytest.raises(ValueError, match="dx must be positive"):
         compiled(lambda field: wave.propagate_beam(field, None, 1e-3, -8e-6, 532e-9), "eager")(torch.ones(8, 8) + 0j)

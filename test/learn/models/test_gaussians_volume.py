@@ -197,6 +197,7 @@ def test_fit_without_a_file_or_without_epochs(tmp_path, monkeypatch):
         model.optimize(points, truth * math.nan, {}, number_of_epochs=1, verbose=False)
 
 
+@pytest.mark.slow
 def test_no_graph_stays_behind():
     model = volume()
     points, truth = ball(4)
