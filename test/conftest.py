@@ -2,6 +2,7 @@ import functools
 import gc
 import os
 import subprocess
+import time
 import zlib
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import hypothesis
 import numpy as np
 import pytest
 
+_BEGUN = time.monotonic()
 # What imports and collection make stays to the end: nothing is gained by looking through it for garbage.
 gc.disable()
 
@@ -32,6 +34,13 @@ def pytest_addoption(parser):
         type=_turn,
         metavar="K/N",
         help="of the slow tests, take those of turn K of N, and all in files changed within the last day",
+    )
+
+    parser.addoption(
+        "--budget",
+        type=float,
+        metavar="SECONDS",
+        help="skip slow tests that have not begun by then; those of the turn come first",
     )
 
 
@@ -93,13 +102,12 @@ def pytest_collection_modifyitems(config, items):
         left_out = [
             item
             for item in items
-            if item.get_closest_marker("slow")
-            and item.path not in changed
-            and zlib.crc32(item.nodeid.encode()) % turns != turn
+            if item.get_closest_marker("slow") and item.path not in changed and not _is_of(turn, turns, item)
         ]
         config.hook.pytest_deselected(items=left_out)
         taken = set(items).difference(left_out)
-        items[:] = [item for item in items if item in taken]
+        # Those of the turn come first, so that all are run in as many turns however short the time is.
+        items[:] = sorted((item for item in items if item in taken), key=lambda item: not _is_of(turn, turns, item))
 
     for item in items:
         if "cuda" in item.keywords and not torch.cuda.is_available():
@@ -109,6 +117,16 @@ def pytest_collection_modifyitems(config, items):
         # Not item.keywords: they hold the names of folders too.
         if item.get_closest_marker("blender") and not _has_blender():
             item.add_marker(pytest.mark.skip(reason="no Blender: name a Python with bpy by ODAK_BLENDER_PYTHON"))
+
+
+def _is_of(turn, turns, item):
+    return zlib.crc32(item.nodeid.encode()) % turns == turn
+
+
+def pytest_runtest_setup(item):
+    budget = item.config.option.budget
+    if budget and item.get_closest_marker("slow") and time.monotonic() - _BEGUN > budget:
+        pytest.skip(f"left for another turn: {budget:.0f} s are over")
 
 
 @functools.cache
