@@ -76,7 +76,7 @@ def ray_matrix(path: float | Lens) -> tuple[float, float]:
     """Return A and B of a light path: x and the angle at the modulator give A·x + B·angle on the camera."""
     if isinstance(path, Lens):
         return path.ray_matrix
-    return 1.0, float(_validate.number("distance", path, positive=True))
+    return 1.0, _validate.constant("distance", path, positive=True)
 
 
 def plane_points(pixels: ArrayT, shape: tuple[int, int], homography: Array, distortion: Array | float) -> ArrayT:

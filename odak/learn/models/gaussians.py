@@ -15,7 +15,7 @@ from torch.utils.checkpoint import checkpoint
 
 from odak import _validate
 from odak._warnings import ArgumentWarning, warn
-from odak.learn._tensors import checked_device, tensor, trainable
+from odak.learn._tensors import checked_device, takes_constants, tensor, trainable
 from odak.learn.models.layers import features
 from odak.learn.models.training import EXTENSIONS, load_weights, save_weights, train
 from odak.learn.tools.function import evaluate_3d_gaussians
@@ -189,6 +189,7 @@ class gaussian_2d(nn.Module):
         image, x, y = _reduced(image, x, y, count)
         self._improve(image, x, y, steps=2, heights_only=True)
 
+    @takes_constants("moved")
     @torch.no_grad()
     def refine(
         self,
@@ -242,7 +243,7 @@ class gaussian_2d(nn.Module):
         >>> bool((gaussians.total(x, y)[..., 0] - image).square().mean() < 1e-5)
         True
         """
-        steps, moved = _validate.integer("steps", steps, minimum=0), _validate.real("moved", moved)
+        steps, moved = _validate.integer("steps", steps, minimum=0), _validate.constant("moved", moved)
         if not 0 <= moved <= 1:
             raise ValueError(f"moved must be from 0 to 1, got {moved!r}")
         image, x, y = self._sampled(image, x, y)

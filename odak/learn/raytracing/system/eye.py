@@ -570,7 +570,7 @@ def retinal_image(
         raise ValueError(
             f"picture must have {len(planes)} planes of {len(waves)} wavelengths, got {tuple(picture.shape)}"
         )
-    pitch = _validate.constant("pitch", pitch, positive=True)
+    pitch, accommodation = _validate.constant("pitch", pitch, positive=True), _accommodation(accommodation)
     rows, columns = picture.shape[-2:]
     total: Any = 0.0
     for index, vergence in enumerate(planes):
@@ -579,7 +579,7 @@ def retinal_image(
         light = stack[..., index, :, :, :]
         padded = torch.nn.functional.pad(light.reshape(1, -1, rows, columns), (margin,) * 4, mode="replicate")
         size = tuple(padded.shape[-2:])
-        transfer = _kept_transfer(size, pitch, tuple(waves), pupil_diameter, float(accommodation), vergence)
+        transfer = _kept_transfer(size, pitch, tuple(waves), pupil_diameter, accommodation, vergence)
         padded = padded.reshape(*light.shape[:-2], *size)
         seen = torch.fft.irfft2(torch.fft.rfft2(padded) * transfer.to(padded), size)
         total = total + seen[..., margin : margin + rows, margin : margin + columns]
