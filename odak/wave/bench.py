@@ -248,7 +248,7 @@ def filter_in_focal_plane(
     to its own window and back (Soummer, Pueyo, Sivaramakrishnan and Vanderbei, Opt. Express 15, 15935 (2007)). Of the
     light of a disc behind a vortex of charge 2, all of which should leave the disc (Mawet, Riaud, Absil and Surdej,
     Astrophys. J. 633, 1191 (2005)), 4e-5 remain with one scale, and 3.5e-6 and 9e-7 with two or more for discs of 205
-    and 410 pixels across: what remains then is due to the pixels of its edge. A mask of ones is met to 6e-6.
+    and 410 pixels across: what remains then is due to the pixels of its edge. A mask of ones is met to 1e-5.
 
     Examples
     --------
