@@ -16,19 +16,15 @@ from odak.cli.files import REPORT, SILENT, Notices, announce, claim, claiming, w
 from odak.cli.job import InputError, did_you_mean
 from odak.cli.report import collected_warnings, versions
 from odak.instruments import Calibration
-from odak.instruments.calibration import (
-    UNITS,
-    distance_with_uncertainty,
-    illumination_with_uncertainty,
-    lens_phase,
-    phases_with_uncertainty,
-    regions_with_uncertainty,
-    spots_phase,
-    wavefront_with_uncertainty,
-)
+from odak.instruments.calibration import UNITS
 from odak.instruments.exposures import set_exposure
+from odak.instruments.focus import distance_with_uncertainty
+from odak.instruments.illumination import illumination_with_uncertainty
+from odak.instruments.phase_response import phases_with_uncertainty, regions_with_uncertainty
 from odak.instruments.protocols import checked_camera
 from odak.instruments.simulated import REALISTIC
+from odak.instruments.spots import lens_phase, spots_phase
+from odak.instruments.wavefronts import wavefront_with_uncertainty
 from odak.tools.paths import replacing
 
 SIMULATED, RESULTS = "simulated", "calibration"

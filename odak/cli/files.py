@@ -584,7 +584,7 @@ def quantise(hologram: "torch.Tensor", bits: int, response: Response | None = No
     if response is not None:
         import torch
 
-        from odak.instruments.calibration import nearest_levels
+        from odak.instruments.phase_response import nearest_levels
 
         phase = hologram.detach().cpu().to(torch.complex128).angle().numpy() - response.wavefront
         return torch.from_numpy(nearest_levels(phase, response.phases).astype("int32"))
@@ -646,7 +646,7 @@ def load_pattern(path: Path, bits: int, response: Response | None = None) -> "to
     grey = torch.round(load_image(str(path), normalizeby=None).double() * white)
     if response is None:
         return phase_of(grey, bits)
-    from odak.instruments.calibration import phases_of_levels
+    from odak.instruments.phase_response import phases_of_levels
 
     levels = (grey.long() >> (file_depth(bits) - bits)).numpy()
     return torch.from_numpy(phases_of_levels(levels, response.phases) + response.wavefront)

@@ -8,9 +8,9 @@ from scipy.ndimage import map_coordinates
 
 from odak import _validate
 from odak._warnings import ConvergenceWarning, warn
-from odak.instruments.calibration import nearest_levels
 from odak.instruments.exposures import set_exposure
 from odak.instruments.mapping import Registration
+from odak.instruments.phase_response import nearest_levels
 from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
 from odak.wave import spot_hologram, uniformity
 

@@ -12,7 +12,7 @@ from PIL import Image
 from odak import instruments
 from odak.cli import files, main
 from odak.cli.job import Job
-from odak.instruments import calibration as calibrating
+from odak.instruments import spots
 
 pytest.importorskip("h5py", reason="h5py is not installed")
 
@@ -103,7 +103,7 @@ def test_drivers_of_another_package_are_found_and_used(tmp_path, monkeypatch, ca
     assert main([*arguments, "--output", str(tmp_path / "found")]) == 0
     report = json.loads((tmp_path / "found" / "report.json").read_text())
     assert report["found"]["exposure"] == camera.exposure != 1e-3
-    lens = calibrating.lens_phase(panel, 532e-9, 20e-3)
+    lens = spots.lens_phase(panel, 532e-9, 20e-3)
     shown = instruments.Calibration.nominal(panel, camera, 532e-9, 20e-3).levels(lens)
     assert np.array_equal(sys.modules.pop("rig_drivers").tables[4]._levels, shown)
     # Values are printed with their units.
@@ -248,7 +248,7 @@ def test_captures_stand_beside_their_prediction(tmp_path, capsys):
     )
     assert np.allclose(known.registration.plane_points(pixels), truth.plane_points(pixels, (80, 80)))
     instruments.save_calibration(tmp_path / "table.h5", known)
-    level = known.levels(calibrating.lens_phase(table.modulator, 532e-9, 4e-3) + np.pi * (np.indices((40, 40))[0] > 17))
+    level = known.levels(spots.lens_phase(table.modulator, 532e-9, 4e-3) + np.pi * (np.indices((40, 40))[0] > 17))
     Image.fromarray(level.astype(np.uint8)).save(tmp_path / "pattern.png")
     arguments = ["capture", str(tmp_path / "pattern.png"), "--seed", "3", *SMALL, "--option", "simulated.reflection=0"]
     correlations = []

@@ -11,8 +11,7 @@ import pytest
 from laboratory import Laboratory, without_defocus
 
 from odak import AccuracyWarning, instruments
-from odak.instruments import calibration as calibrating
-from odak.instruments import protocols
+from odak.instruments import calibration, focus, phase_response, protocols, registration, spots
 
 
 class Blind:
@@ -62,7 +61,7 @@ def fresh_seed(number):
 
 
 def low_modes(modulator):
-    return calibrating._modes(modulator, 2)[[0, 1, calibrating._DEFOCUS]]
+    return spots.aberration_modes(modulator, 2)[[0, 1, spots.DEFOCUS]]
 
 
 def rms(values):
@@ -123,7 +122,7 @@ def test_phase_response_of_small_and_large_ranges(span):
 def test_a_camera_that_does_not_see_the_panel_is_told_where_to_move(shape, offset, message):
     table = Laboratory(shape, distance=0.01, camera_shape=(200, 260), offset=offset)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(calibrating, "phases_with_uncertainty", lambda *_: (table.phases, 0.0, 0.0))
+        patch.setattr(calibration, "phases_with_uncertainty", lambda *_: (table.phases, 0.0, 0.0))
         with pytest.raises(RuntimeError, match=message):
             instruments.calibrate_table(*instruments_of(table), 532e-9, 0.01)
     assert table.camera.taken < 150
@@ -135,15 +134,15 @@ def test_the_middle_of_a_panel_that_is_larger_than_the_camera():
     wavefront = np.pi * (x**2 * y[:, None] + 0.5 * x**3)
     table = Laboratory((150, 128), distance=0.02, camera_shape=(200, 260), wavefront=wavefront)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(calibrating, "phases_with_uncertainty", lambda *_: (table.phases, 0.0, 0.0))
-        patch.setattr(calibrating, "illumination_with_uncertainty", lambda part, *_, **__: (np.ones(part.shape), 0.0))
+        patch.setattr(calibration, "phases_with_uncertainty", lambda *_: (table.phases, 0.0, 0.0))
+        patch.setattr(calibration, "illumination_with_uncertainty", lambda part, *_, **__: (np.ones(part.shape), 0.0))
         found = instruments.calibrate_table(*instruments_of(table), 532e-9, 0.02, partial=True)
     seen = np.flatnonzero(found.amplitude.any(-1))
     assert found.amplitude.shape == (150, 128) and 90 < len(seen) < 140 and found.amplitude[seen].all()
     assert seen.mean() == pytest.approx(74.5)
     part = np.s_[seen[0] : seen[-1] + 1]
     low = np.stack(np.broadcast_arrays(x, y[part, None], x**2 + y[part, None] ** 2))
-    assert rms(calibrating.without((found.wavefront - wavefront)[part], low)) < 2 * np.pi / 100
+    assert rms(spots.without((found.wavefront - wavefront)[part], low)) < 2 * np.pi / 100
     assert found.distance == pytest.approx(0.02, rel=2e-3)
 
 
@@ -191,7 +190,7 @@ def test_a_modulator_that_does_not_modulate_is_reported():
 def test_wavefront_within_a_hundredth_of_a_wavelength(calibrated):
     table, found = calibrated
     low = low_modes(table.modulator)
-    error = calibrating.without(found.wavefront - table.truth.wavefront, low)
+    error = spots.without(found.wavefront - table.truth.wavefront, low)
     assert rms(error) < 2 * np.pi / 100 < 0.1 * rms(table.truth.wavefront)
 
 
@@ -222,7 +221,7 @@ UNCERTAIN = ("phases", "registration", "wavefront", "distance", "amplitude")
 
 def errors_of(found, table):
     truth = table.truth
-    wavefront = calibrating.without(found.wavefront - truth.wavefront, low_modes(table.modulator))
+    wavefront = spots.without(found.wavefront - truth.wavefront, low_modes(table.modulator))
     return {
         "phases": np.abs(found.phases - truth.phases * truth.response.mean()).max(),
         "registration": distance_in_pixels(found.registration, table).max(),
@@ -270,10 +269,10 @@ def test_a_corrected_spot_is_as_bright_as_an_ideal_one(calibrated):
     ideal = instruments.SimulatedTable(
         1, misalignment=False, aberration=0.0, nonlinearity=False, distance_error=0.0, reflection=0.0, **SMALLER
     )
-    nominal = calibrating.lens_phase(ideal.modulator, 532e-9, SMALLER["distance"]) % (2 * np.pi)
+    nominal = spots.lens_phase(ideal.modulator, 532e-9, SMALLER["distance"]) % (2 * np.pi)
     linear = np.rint(nominal * 255 / (2 * np.pi)).astype(int)
     peaks = []
-    corrected = found.levels(calibrating.lens_phase(table.modulator, found.wavelength, found.distance))
+    corrected = found.levels(spots.lens_phase(table.modulator, found.wavelength, found.distance))
     for there, levels in ((table, corrected), (table, linear), (ideal, linear)):
         there.modulator.show(levels)
         light, _ = there.intensity()
@@ -336,7 +335,7 @@ def test_large_wavefront_seen_by_a_camera_that_is_turned_and_mirrored():
             *there, known, iterations=iterations, captures=1 + start, start=found if start else None
         )
         taken += there[1].taken - before
-        error = calibrating.without(found - table.truth.wavefront, low)
+        error = spots.without(found - table.truth.wavefront, low)
         assert rms(error) < bound * 2 * np.pi / 100
     assert taken <= 30
 
@@ -402,7 +401,7 @@ def test_a_response_that_varies_over_the_modulator_does_not_shift_the_image():
     errors = errors_of(found, table)
     assert all(errors[name] < found.uncertainty[name] for name in errors)
     assert distance_in_pixels(found.registration, table).max() < 0.1
-    error = calibrating.without(found.wavefront - table.truth.wavefront, low_modes(table.modulator))
+    error = spots.without(found.wavefront - table.truth.wavefront, low_modes(table.modulator))
     assert rms(error) < 2 * np.pi / 100
     assert rms(found.amplitude - table.truth.amplitude / table.truth.amplitude.max()) < 0.02
     assert found.regional_phases.shape == (3, 3, 256)
@@ -457,9 +456,9 @@ def test_registration_and_wavefront_through_a_lens():
     registration = instruments.register_camera(*there, wavefront=wavefront)
     wavefront = instruments.measure_wavefront(*there, registration, iterations=2, start=wavefront)
     # Tilts belong to the registration; the defocus, of a camera beside the focus, does not.
-    tilts = calibrating._modes(table.modulator, 1)
-    assert rms(calibrating.without(wavefront - surface, tilts)) < 2 * np.pi / 200
-    left = calibrating.without(surface - wavefront, calibrating._modes(table.modulator, 4)[2:])
+    tilts = spots.aberration_modes(table.modulator, 1)
+    assert rms(spots.without(wavefront - surface, tilts)) < 2 * np.pi / 200
+    left = spots.without(surface - wavefront, spots.aberration_modes(table.modulator, 4)[2:])
     by_tilt = [np.gradient(left, table.modulator.pitch)[axis].mean() * 532e-9 * focal / (2 * np.pi) for axis in (1, 0)]
     points = np.random.default_rng(0).uniform(-3e-4, 3e-4, (100, 2))
     pixels = registration.camera_pixels(points)
@@ -484,7 +483,7 @@ def test_calibration_through_a_lens(tmp_path):
         # Of so few pixels, some parts seem darker than the polynomial.
         warnings.filterwarnings("ignore", "the illumination is uncertain", AccuracyWarning)
         found = instruments.calibrate_table(*instruments_of(table), 532e-9, lens)
-    wrong = calibrating.without(found.wavefront - surface, calibrating._modes(table.modulator, 1))
+    wrong = spots.without(found.wavefront - surface, spots.aberration_modes(table.modulator, 1))
     assert rms(wrong) < 2 * np.pi / 200
     assert rms(wrong) < found.uncertainty["wavefront"]
     assert np.abs(found.phases - table.phases).max() < 0.02
@@ -496,9 +495,9 @@ def test_calibration_through_a_lens(tmp_path):
     instruments.save_calibration(tmp_path / "table.h5", found)
     read = instruments.load_calibration(tmp_path / "table.h5")
     assert read.distance == lens
-    levels = read.levels(calibrating.spots_phase(table.modulator, 532e-9, lens, points[:9]))
+    levels = read.levels(spots.spots_phase(table.modulator, 532e-9, lens, points[:9]))
     table.modulator.show(levels)
-    capture, ideal = table.light(0, 0, 220, 240), calibrating.predicted_capture(read, levels)
+    capture, ideal = table.light(0, 0, 220, 240), calibration.predicted_capture(read, levels)
     away = np.hypot(*np.moveaxis(read.registration.plane_points(np.indices((220, 240))[::-1].T), -1, 0)).T > 5e-5
     assert np.corrcoef(capture[away], ideal[away])[0, 1] > 0.999
 
@@ -518,7 +517,7 @@ def test_an_aberration_of_a_wavelength_and_a_response_that_varies(seed):
     """Registration 0.1 pixels, wavefront λ/100, phases 0.02 rad; the illumination is not measured."""
     table = instruments.SimulatedTable(seed, **SMALLER, aberration=1.0, regional=0.05, flicker=0.01)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(calibrating, "illumination_with_uncertainty", lambda *_, **__: (table.truth.amplitude, 0.0))
+        patch.setattr(calibration, "illumination_with_uncertainty", lambda *_, **__: (table.truth.amplitude, 0.0))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AccuracyWarning)
             found = instruments.calibrate_table(*instruments_of(table), 532e-9, SMALLER["distance"])
@@ -531,17 +530,17 @@ def test_an_aberration_of_a_wavelength_and_a_response_that_varies(seed):
 def test_sharpest_focus_has_the_astigmatism_of_the_table():
     """Its error is below λ/400, with a wrong registration and where the estimate is wrong by λ/10."""
     table = instruments.SimulatedTable(fresh_seed(22), shape=(96, 96), distance=12e-3, camera_shape=(140, 140))
-    truth, modes = table.truth, calibrating._modes(table.modulator, 2)
+    truth, modes = table.truth, spots.aberration_modes(table.modulator, 2)
     low = low_modes(table.modulator)
-    astigmatism = calibrating.without(modes[2] - 0.5 * modes[4], low)
+    astigmatism = spots.without(modes[2] - 0.5 * modes[4], low)
     wrong = truth.wavefront + astigmatism * (0.2 * np.pi / astigmatism.std())
     sheared = truth.homography @ np.array([[1.0, 0.02, 0.0], [0.02, 1.0, 0.0], [0.0, 0.0, 1.0]])
     known = instruments.Registration(sheared, truth.distortion, table.camera.shape)
     there = (*instruments_of(table), 532e-9, truth.distance, truth.phases, known)
     # Parabolas through sharpness of a tenth of a wavelength beside the peak, and then nearer to it.
     for _ in range(3):
-        wrong = calibrating.astigmatism_by_focus(*there, wrong, captures=4)
-    assert rms(calibrating.without(wrong - truth.wavefront, low)) < 2 * np.pi / 400
+        wrong = focus.astigmatism_by_focus(*there, wrong, captures=4)
+    assert rms(spots.without(wrong - truth.wavefront, low)) < 2 * np.pi / 400
 
 
 def test_a_camera_that_sees_few_spots_is_reported():
@@ -551,7 +550,7 @@ def test_a_camera_that_sees_few_spots_is_reported():
         pytest.raises(RuntimeError, match=r"\d+ of 36 spots lie inside the image"),
         pytest.MonkeyPatch.context() as patch,
     ):
-        patch.setattr(calibrating, "_centroid", lambda frame, place, reach: np.asarray(place, float) * 2.8)
+        patch.setattr(registration, "centroid", lambda frame, place, reach: np.asarray(place, float) * 2.8)
         instruments.register_camera(*instruments_of(table), 532e-9, 20e-3, table.truth.phases)
 
 
@@ -585,7 +584,7 @@ def aligned(laboratory):
 def distance_found(wrong, shape, bits=8, distance=0.1, **options):
     table = Laboratory(shape, distance=distance, bits=bits)
     there = (*instruments_of(table), table.wavelength, distance * (1 + wrong), table.phases, aligned(table))
-    return calibrating.distance_with_uncertainty(*there, **options)[0] / distance
+    return focus.distance_with_uncertainty(*there, **options)[0] / distance
 
 
 def test_distance_of_a_panel_whose_depth_of_focus_is_narrow():
@@ -637,7 +636,7 @@ def test_spots_that_do_not_move_with_the_pattern_are_reported():
 def test_nearest_levels_are_nearest():
     phases = np.random.default_rng(0).uniform(-4, 9, 16)
     wanted = np.random.default_rng(1).uniform(-20, 20, (30, 20))
-    found = calibrating.nearest_levels(wanted, phases)
+    found = phase_response.nearest_levels(wanted, phases)
     apart = np.abs(np.angle(np.exp(1j * (phases[None, None] - wanted[..., None]))))
     assert np.allclose(np.take_along_axis(apart, found[..., None], -1)[..., 0], apart.min(-1))
 

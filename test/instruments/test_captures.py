@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from odak import instruments
-from odak.instruments import array_files, calibration, captures
+from odak.instruments import array_files, calibration_files, captures
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -139,12 +139,12 @@ def test_nonsense_in_calibrations_is_refused_by_its_name(values, told, end, tmp_
     instruments.save_calibration(path, found)
     before = path.read_bytes()
     with pytest.raises((ValueError, TypeError), match=f"^{told}"):
-        calibration._checked(calibration._values(found) | values)
+        calibration_files._checked(calibration_files._values(found) | values)
     # As a file that another program wrote: without the checks of this one.
     with monkeypatch.context() as without:
-        written = calibration._values(found) | values
-        without.setattr(calibration, "_checked", lambda values: values)
-        without.setattr(calibration, "_values", lambda given: written)
+        written = calibration_files._values(found) | values
+        without.setattr(calibration_files, "_checked", lambda values: values)
+        without.setattr(calibration_files, "_values", lambda given: written)
         instruments.save_calibration(path, found)
     assert path.read_bytes() != before
     with pytest.raises(ValueError, match=rf"a\.{end}' cannot be read as a calibration: {told}"):

@@ -8,8 +8,7 @@ import pytest
 from laboratory import Altered, Laboratory
 
 from odak import AccuracyWarning, instruments
-from odak.instruments import calibration as calibrating
-from odak.instruments import protocols
+from odak.instruments import phase_response, protocols, spots
 
 SMALL = {"shape": (32, 32), "distance": 4e-3, "camera_shape": (48, 48)}
 
@@ -20,10 +19,10 @@ def fresh_seed(number):
 
 def test_exposure_reaches_a_share_of_the_range():
     table = instruments.SimulatedTable(fresh_seed(1), **SMALL)
-    lens = calibrating.lens_phase(table.modulator, 532e-9, 4e-3)
+    lens = spots.lens_phase(table.modulator, 532e-9, 4e-3)
     for start in (1e-6, 1.0):
         table.camera.exposure = start
-        show = lambda: table.modulator.show(calibrating.nearest_levels(lens, table.truth.phases))  # noqa: E731
+        show = lambda: table.modulator.show(phase_response.nearest_levels(lens, table.truth.phases))  # noqa: E731
         instruments.set_exposure(table.camera, show, level=0.5)
         assert 0.35 < table.camera.capture().max() / 4095 < 0.6
     with pytest.raises(ValueError, match="level must be below"):
@@ -33,9 +32,9 @@ def test_exposure_reaches_a_share_of_the_range():
 def test_a_wide_range_of_brightness_is_captured():
     table = instruments.SimulatedTable(fresh_seed(2), **SMALL)
     # A spot, a thousand times as bright as what surrounds it.
-    lens = calibrating.lens_phase(table.modulator, 532e-9, 4e-3)
+    lens = spots.lens_phase(table.modulator, 532e-9, 4e-3)
     instruments.set_exposure(
-        table.camera, lambda: table.modulator.show(calibrating.nearest_levels(lens, table.truth.phases))
+        table.camera, lambda: table.modulator.show(phase_response.nearest_levels(lens, table.truth.phases))
     )
     single = table.camera.exposure
     dark = instruments.measure_dark(table.camera, table.laser)
@@ -95,8 +94,8 @@ def test_the_time_constant_of_a_table_with_all_faults_is_found(seed):
 @pytest.mark.parametrize("seed", [6, 7])
 def test_the_axis_of_the_modulator_is_found(seed):
     table = instruments.SimulatedTable(fresh_seed(seed), **SMALL, polarisation=True, aberration=0.05)
-    phase = calibrating.lens_phase(table.modulator, 532e-9, 4e-3)
-    levels = calibrating.nearest_levels(phase, table.truth.phases)
+    phase = spots.lens_phase(table.modulator, 532e-9, 4e-3)
+    levels = phase_response.nearest_levels(phase, table.truth.phases)
     found = instruments.measure_polarisation(table.modulator, table.camera, table.polariser, levels, dark=4.1)
     assert abs(found.angle - table.truth.polarisation) < 0.5 and found.uncertainty < 0.5
     assert table.polariser.angle == found.angle and found.contrast > 20

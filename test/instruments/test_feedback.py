@@ -46,7 +46,7 @@ def test_feedback_through_a_hidden_aberration():
     after = evenness(hidden_light(table, points, radius))
     places = np.column_stack([points, np.full(25, 20e-3)])
     blind = spot_hologram(places, (144, 144), 532e-9, 8e-6, 30, seed=0)[0]
-    modulator.show(instruments.calibration.nearest_levels(np.angle(blind), phases))
+    modulator.show(instruments.phase_response.nearest_levels(np.angle(blind), phases))
     before = evenness(hidden_light(table, points, radius))
     assert before < 0.9
     assert after > 0.99

@@ -18,7 +18,8 @@ from odak.instruments import (
     register_camera,
     set_exposure,
 )
-from odak.instruments.calibration import nearest_levels, spots_phase
+from odak.instruments.phase_response import nearest_levels
+from odak.instruments.spots import spots_phase
 
 table = SimulatedTable(seed=7)
 modulator, camera = table.modulator, table.camera

@@ -1,0 +1,318 @@
+"""Distance from modulator to camera and astigmatism, from the sharpness of a spot over focal lengths."""
+
+import math
+from functools import partial
+
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from odak import _validate
+from odak._warnings import AccuracyWarning, warn
+from odak.instruments.exposures import set_exposure
+from odak.instruments.mapping import Lens, Registration
+from odak.instruments.phase_response import nearest_levels, without_lens
+from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
+from odak.instruments.spots import (
+    DEFOCUS,
+    aberration_modes,
+    averaged,
+    brightest,
+    deflected,
+    lens_phase,
+    pixel_axes,
+    read_around,
+    unsaturated,
+    without,
+)
+
+__all__ = ["measure_distance"]
+
+# Range of the astigmatism that is tried on either side, in radians (root mean square).
+ASTIGMATISM = 2 * np.pi * 0.1
+# Step of a sweep of focal lengths in units of the depth of focus, wavelength/width², of the aperture it is made with;
+# the sharpness falls to half 3.5 units from its peak. Sweeps at most.
+SWEPT, LARGEST_SWEEPS = 2.4, 12
+# Standard deviation of the squared distance from the middle of a square is its area over this.
+EVEN_SQUARE = math.sqrt(90)
+# Error of the sharpest focus in units of the depth of focus, without aberration and noise.
+FOCUS = 0.04
+
+
+@_validate.takes_units("wavelength", "distance")
+def measure_distance(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float | Lens,
+    phases: np.ndarray,
+    registration: Registration,
+    *,
+    wavefront: np.ndarray | float = 0.0,
+    span: float = 0.15,
+    samples: int = 15,
+    captures: int = 4,
+) -> float:
+    """Measure the distance from a modulator to a camera by the lens of sharpest focus.
+
+    The depth of focus λ/NA² of all pixels may be a thousandth of the distance or less. A first sweep of focal lengths
+    uses only as many pixels in the middle as are needed for a depth of focus of some steps, with the light of the
+    others deflected; sweeps with more pixels, and narrower ranges, follow until all pixels are used.
+
+    Parameters
+    ----------
+    modulator : Modulator
+        The modulator.
+    camera : Camera
+        The camera.
+    wavelength : float
+        Vacuum wavelength in metres.
+    distance : float
+        Nominal distance in metres.
+    phases : numpy.ndarray
+        Phase of each level in radians, from :func:`measure_phase_response` or :func:`measure_regional_response`.
+    registration : Registration
+        Mapping of the camera, from :func:`register_camera`.
+    wavefront : numpy.ndarray or float
+        Aberration in radians that is corrected; its defocus is excluded, as it cannot be distinguished from the
+        distance.
+    span : float
+        Half the range of the focal lengths of the first sweep, as a fraction of the distance, below 1.
+    samples : int
+        Number of focal lengths of each sweep.
+    captures : int
+        Number of captures that are averaged for each in the last sweep; the others take one.
+
+    Returns
+    -------
+    float
+        The distance in metres.
+
+    Raises
+    ------
+    RuntimeError
+        If no spot is detected, or the sharpness has no peak; the message says what the camera captured.
+
+    Warns
+    -----
+    AccuracyWarning
+        If the sharpest focus of the first sweep lies at an end of the range; the search continues beyond it.
+
+    Examples
+    --------
+    >>> from odak.instruments import Registration, SimulatedTable, measure_distance
+    >>> table = SimulatedTable(seed=1, shape=(32, 32), distance=4e-3, camera_shape=(48, 48), aberration=0.05)
+    >>> known = Registration(table.truth.homography, table.truth.distortion, table.camera.shape)
+    >>> there = (table.modulator, table.camera, 532e-9, 4e-3)
+    >>> found = measure_distance(*there, table.truth.phases, known, wavefront=table.truth.wavefront)
+    >>> bool(abs(found / table.truth.distance - 1) < 0.02)
+    True
+    """
+    there = (modulator, camera, wavelength, distance, phases, registration)
+    return distance_with_uncertainty(*there, wavefront, span, samples, captures)[0]
+
+
+def astigmatism_by_focus(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float | Lens,
+    phases: np.ndarray,
+    registration: Registration,
+    wavefront: np.ndarray,
+    captures: int = 1,
+) -> np.ndarray:
+    """Return a wavefront in radians with the astigmatism of the sharpest focus on the axis.
+
+    Unlike the displacements of the spots of lenslets, the sharpness does not depend on the registration. Its logarithm
+    is a parabola of the astigmatism, through three captures for each of the two directions.
+    """
+    modes = aberration_modes(modulator, 2)
+    low = modes[[0, 1, DEFOCUS]]
+    read_around(camera, np.rint(registration.camera_pixels(np.zeros(2))).astype(int), 14)
+    lens = lens_phase(modulator, wavelength, distance)
+
+    def show(surface: np.ndarray) -> None:
+        modulator.show(nearest_levels(lens - surface, phases))
+
+    # The focus of the right astigmatism may be three times as bright.
+    set_exposure(camera, partial(show, wavefront), level=0.25)
+    for mode in modes[[DEFOCUS - 1, DEFOCUS + 1]]:
+        mode = without(mode, low)
+        mode = mode * (ASTIGMATISM / mode.std())
+        values = []
+        for step in (-1, 0, 1):
+            show(wavefront + step * mode)
+            values.append(math.log(_sharpness(averaged(camera, captures))))
+        below, middle, above = values
+        bend = below + above - 2 * middle
+        # Far from the peak, the curve is no parabola.
+        peak = np.clip((below - above) / (2 * bend), -2, 2) if bend < 0 else np.sign(above - below)
+        wavefront = wavefront + float(peak) * mode
+    camera.region = None
+    return wavefront
+
+
+def _sharpness(frame: np.ndarray) -> float:
+    """Return the mean intensity of a spot, weighted by itself, as a share of the light."""
+    light = _above_floor(frame)
+    total = float(light.sum())
+    if total == 0:
+        raise RuntimeError(f"no spot was captured: all pixels around its place have {frame.flat[0]:g} counts")
+    return float((light**2).sum()) / total**2
+
+
+def _above_floor(frame: np.ndarray) -> np.ndarray:
+    """Return the counts above those beside a spot: the mean of the middle half, for a median is a whole number."""
+    return np.clip(frame - np.sort(frame, axis=None)[frame.size // 4 : -(frame.size // 4)].mean(), 0, None)
+
+
+def _check_focus(camera: Camera, powers: np.ndarray) -> None:
+    """Raise an error if a capture of the sharpest focus of a sweep of powers has no spot."""
+    frame = unsaturated(camera)
+    smooth = uniform_filter(frame, 3)
+    beside = float(np.median(smooth))
+    # A median of deviations is 0.67 standard deviations, and 0 where all counts are the same.
+    noise = 1.5 * float(np.median(abs(smooth - beside))) + 0.1
+    if smooth.max() - beside < 6 * noise:
+        camera.region = None
+        raise RuntimeError(
+            f"no focus was found among focal lengths from {1 / powers[-1]:.4g} m to {1 / powers[0]:.4g} m: at an "
+            f"exposure of {camera.exposure:.3g} s the brightest of {frame.size} pixels has {frame.max():.0f} of "
+            f"{(1 << camera.bits) - 1} counts, and those around it {beside:.0f} ± {noise:.2g}; check that the laser is "
+            "on, that the registration is that of this camera, and the distance, or use a larger span"
+        )
+
+
+def distance_with_uncertainty(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float | Lens,
+    phases: np.ndarray,
+    registration: Registration,
+    wavefront: np.ndarray | float = 0.0,
+    span: float = 0.15,
+    samples: int = 15,
+    captures: int = 4,
+) -> tuple[float, float]:
+    """Return the distance from a modulator to a camera, and its uncertainty in metres.
+
+    The parameters are those of :func:`measure_distance`. The error of the wavefront is not in the uncertainty.
+    """
+    distance = without_lens(distance, "measure_wavefront finds the defocus")
+    check_square_pixels(modulator, camera)
+    camera = checked_camera(camera)
+    distance = float(_validate.number("distance", distance, positive=True))
+    span, samples = _validate.number("span", span, positive=True), _validate.integer("samples", samples, minimum=5)
+    if span >= 1:
+        raise ValueError(f"span must be a share of the distance below 1, got {span:g}")
+    correction = np.asarray(wavefront, float)
+    if correction.ndim:
+        correction = without(correction, aberration_modes(modulator, 2)[[0, 1, DEFOCUS]])
+    y, x = pixel_axes(modulator)
+    largest = max(modulator.shape) * modulator.pitch
+    place = registration.camera_pixels(np.zeros(2))
+
+    def depth_of(width: float) -> float:
+        """Return the depth of focus as a power, wavelength/width² of a square, of the light that reaches the axis."""
+        across, down = (
+            np.clip(np.sinc(a * modulator.pitch / (wavelength * distance)), 0, None) * (abs(a) <= width / 2)
+            for a in (x, y)
+        )
+        share = down * across / (down.sum() * across.sum())
+        squares = x**2 + y**2
+        return wavelength / (EVEN_SQUARE * math.sqrt((share * (squares - (share * squares).sum()) ** 2).sum()))
+
+    def show(power: float, width: float) -> None:
+        phase = lens_phase(modulator, wavelength, 1 / power) - correction
+        if width < largest:
+            phase = np.where(np.maximum(abs(x), abs(y)) <= width / 2, phase, deflected(modulator))
+        modulator.show(nearest_levels(phase, phases))
+
+    def look(width: float, half: float) -> None:
+        """Read the camera where the light of a width lies whose focus is off by a power, and three Airy discs more."""
+        extent = half * distance * width / 2 + 3 * wavelength * distance / min(width, smallest)
+        read_around(camera, np.rint(place).astype(int), max(14, math.ceil(extent / camera.pitch)))
+
+    # The focus of a small aperture is deep, and its sweep misses none; the apertures that follow search near it.
+    smallest = min(modulator.shape) * modulator.pitch
+    low, high = 1 / (distance * (1 + span)), 1 / (distance * (1 - span))
+    step = (high - low) / (samples - 1)
+    peak, half, depth = (low + high) / 2, (high - low) / 2 + step, depth_of(largest)
+    sweeps = 0
+    while sweeps == 0 or half > 1.5 * depth:
+        powers = np.linspace(peak - half, peak + half, samples)
+        step = powers[1] - powers[0]
+        width = min(largest, math.sqrt(SWEPT * wavelength / step))
+        look(width, half)
+        show(peak, width)
+        set_exposure(camera)
+        values = np.empty(samples)
+        spots = []
+        for number, power in enumerate(powers):
+            show(power, width)
+            frame = unsaturated(camera)
+            spots.append(brightest(frame) + (camera.region or (0, 0))[1::-1])
+            values[number] = ((_above_floor(frame) / camera.exposure) ** 2).sum()
+        best = int(values.argmax())
+        show(powers[best], width)
+        _check_focus(camera, powers)
+        if sweeps == 0 and best in (0, samples - 1):
+            warn("the sharpest focus lies at an end of the range of distances: use a larger span", AccuracyWarning)
+        place, peak = np.asarray(spots[best], float), powers[best]
+        if 0 < best < samples - 1:
+            below, middle, above = values[best - 1 : best + 2]
+            peak += step * (above - below) / (2 * (2 * middle - below - above))
+        # Where the focus lies at an end, the next sweep is as wide.
+        if 0 < best < samples - 1 or sweeps > LARGEST_SWEEPS:
+            half = max(1.5 * depth, 1.2 * step)
+        half = min(half, 0.9 * peak)
+        sweeps += 1
+    look(largest, 0.0)
+    show(peak, largest)
+    set_exposure(camera, level=0.45)
+    # Within the depth of focus the sharpness is a parabola.
+    powers = peak + np.linspace(-half, half, samples)
+    values = np.empty(samples)
+    for number, power in enumerate(powers):
+        show(power, largest)
+        values[number] = _sharpness(averaged(camera, captures))
+    camera.region = None
+    peak, doubt = _vertex(powers, values, depth)
+    # Pixels send light into an envelope about the axis, and not about the direction to the focus: the sharpness of an
+    # ideal table is not even either. Its vertex is some hundredths of the depth of focus beside the distance.
+    ideal = [_ideal_sharpness(modulator, camera, wavelength, 1 / peak, power) for power in powers]
+    found = 1 / (2 * peak - _vertex(powers, np.array(ideal), depth)[0])
+    return found, math.hypot(doubt, FOCUS * depth) * found**2
+
+
+def _vertex(powers: np.ndarray, values: np.ndarray, depth: float) -> tuple[float, float]:
+    """Return the power of the largest sharpness, by a parabola within the depth of focus, and its uncertainty."""
+    peak = powers[values.argmax()]
+    near = np.abs(powers - peak) <= 1.2 * depth
+    system = np.vander((powers[near] - peak) / depth, 3)
+    curve, *_ = np.linalg.lstsq(system, values[near], rcond=None)
+    left = values[near] - system @ curve
+    covariance = np.linalg.pinv(system.T @ system) * (left @ left) / max(left.size - 3, 1)
+    bend, slope, _ = curve
+    if bend >= 0 or abs(slope) > -4 * bend:
+        raise RuntimeError(
+            f"no sharpest focus was found near {1 / peak:.4g} m: among focal lengths from {1 / powers[-1]:.4g} m to "
+            f"{1 / powers[0]:.4g} m the sharpness varies by {np.ptp(values) / values.max():.1%}, without a peak; "
+            "average more captures"
+        )
+    toward = np.array([slope / (2 * bend**2), -1 / (2 * bend), 0])
+    return float(peak - slope / (2 * bend) * depth), 2 * math.sqrt(toward @ covariance @ toward) * depth
+
+
+def _ideal_sharpness(modulator: Modulator, camera: Camera, wavelength: float, distance: float, power: float) -> float:
+    """Return the sharpness of a lens of a power on an evenly lit panel, whose light is a product of two axes."""
+    pixel, lines = modulator.pitch, []
+    # Two points of each of 29 pixels of the camera give their means.
+    places = np.add.outer(np.arange(-14, 15), np.array([-1, 1]) / math.sqrt(12)).ravel() * camera.pitch
+    for at in (axis.ravel() for axis in pixel_axes(modulator)):
+        away = places[:, None] - at
+        waves = np.sinc(pixel * away / (wavelength * distance)) * np.exp(1j * np.pi / wavelength * away**2 / distance)
+        light = np.abs(waves @ np.exp(-1j * np.pi / wavelength * power * at**2)) ** 2
+        lines.append(light.reshape(-1, 2).mean(-1))
+    return _sharpness(np.outer(*lines))

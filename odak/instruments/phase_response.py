@@ -1,0 +1,549 @@
+"""Phase of each level of a modulator, for the whole of it and by regions."""
+
+import math
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from scipy.interpolate import CubicSpline, make_interp_spline
+from scipy.ndimage import uniform_filter
+
+from odak import _validate
+from odak._warnings import AccuracyWarning, warn
+from odak.instruments.exposures import STALE, set_exposure
+from odak.instruments.mapping import Lens, Registration
+from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
+from odak.instruments.spots import averaged, brightest, deflected, lens_phase, pixel_axes, read_around
+
+__all__ = ["measure_phase_response", "measure_regional_response"]
+
+# Part of the circle in radians that the phases of levels may leave out.
+LARGEST_GAP = 0.15 * np.pi
+# Columns of other levels beside the border of the two halves, and rows and columns of pixels evaluated at most.
+GUARD, LARGEST_WINDOW = 3, 201
+# Rows and columns of pixels of a region at least.
+SMALLEST_REGION = 12
+
+
+def nearest_levels(phase: np.ndarray, phases: np.ndarray) -> np.ndarray:
+    """Return the levels whose phases are nearest to a phase, modulo 2π.
+
+    Parameters
+    ----------
+    phase : numpy.ndarray
+        Phase in radians.
+    phases : numpy.ndarray
+        Phase of each level in radians ``[levels]``, or of the levels of regions ``[region rows, region columns,
+        levels]``, between whose middles it is interpolated by a cubic spline.
+    """
+    if phases.ndim == 3:
+        return _regional_levels(phase, phases)
+    wrapped = np.mod(phases, 2 * np.pi)
+    order = np.argsort(wrapped, kind="stable")
+    sorted_phases = wrapped[order]
+    wanted = np.mod(phase, 2 * np.pi)
+    above = np.searchsorted(sorted_phases, wanted) % len(order)
+    below = above - 1
+
+    def apart(index):
+        difference = np.abs(sorted_phases[index] - wanted)
+        return np.minimum(difference, 2 * np.pi - difference)
+
+    return order[np.where(apart(above) < apart(below), above, below)]
+
+
+def _regional_levels(phase: np.ndarray, tables: np.ndarray) -> np.ndarray:
+    """Return the levels whose phases are nearest at each pixel, the tables of regions interpolated by splines."""
+    found = np.empty(phase.shape, dtype=np.int64)
+    down, across = (between_regions(n, parts) for n, parts in zip(phase.shape, tables.shape[:2], strict=True))
+    for row, shares in enumerate(down):
+        apart = np.mod(across @ np.tensordot(shares, tables, axes=1) - phase[row][:, None], 2 * np.pi)
+        found[row] = np.minimum(apart, 2 * np.pi - apart).argmin(-1)
+    return found
+
+
+def phases_of_levels(levels: np.ndarray, phases: np.ndarray) -> np.ndarray:
+    """Return the phases in radians that levels ``[rows, columns]`` show: the inverse of :func:`nearest_levels`.
+
+    Parameters
+    ----------
+    levels : numpy.ndarray
+        Integers ``[rows, columns]``.
+    phases : numpy.ndarray
+        Phase of each level in radians ``[levels]``, or of the levels of regions ``[region rows, region columns,
+        levels]``.
+    """
+    if phases.ndim == 1:
+        return phases[levels]
+    down, across = (between_regions(n, parts) for n, parts in zip(levels.shape, phases.shape[:2], strict=True))
+    return np.stack(
+        [
+            np.take_along_axis(across @ np.tensordot(shares, phases, axes=1), row[:, None], axis=1)[:, 0]
+            for shares, row in zip(down, levels, strict=True)
+        ]
+    )
+
+
+def between_regions(pixels: int, parts: int) -> np.ndarray:
+    """Return the weights ``[pixels, parts]`` of values in the middles of regions along an axis, for a cubic spline.
+
+    Up to four regions it is the polynomial through all of them, which continues to the edges of the modulator.
+    """
+    if parts == 1:
+        return np.ones((pixels, 1))
+    places = (np.arange(pixels) + 0.5) * parts / pixels - 0.5
+    return make_interp_spline(np.arange(parts), np.eye(parts), k=min(parts - 1, 3))(places)
+
+
+@_validate.takes_units("wavelength", "distance")
+def measure_phase_response(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float | Lens,
+    *,
+    samples: int = 25,
+    captures: int = 4,
+) -> np.ndarray:
+    """Measure the phase of each level of a modulator.
+
+    One half of the panel shows a level g, the same everywhere; the light of the other half is deflected onto that of
+    the first by a fixed pattern. Behind them the field is A·e^{iφ(g)} + B, so that the intensity of each pixel of the
+    camera is a sum of a constant, cos φ(g) and sin φ(g), whatever the aberration, the illumination and the alignment
+    are. The two largest principal components of the captures are such sums too; the ellipse on which they lie gives the
+    phase. The halves take turns, and the mean of the two is returned.
+
+    Parameters
+    ----------
+    modulator : Modulator
+        The modulator.
+    camera : Camera
+        The camera, roughly at `distance`. Its exposure is set for light that is not focused.
+    wavelength : float
+        Vacuum wavelength in metres.
+    distance : float or Lens
+        Nominal distance from the modulator to the camera in metres, or the lens between them. Behind a lens both halves
+        form the focus on the axis, and the sign of the phases, for which the image turns by 180°, is taken to be
+        positive.
+    samples : int
+        Number of levels measured, at least 8; those between are interpolated by a cubic spline.
+    captures : int
+        Number of captures that are averaged for each pattern; four times as many behind a lens, whose focus few pixels
+        see.
+
+    Returns
+    -------
+    numpy.ndarray
+        Phases in radians ``[2^bits]``, less that of level 0, unwrapped; they fall with the level where a lens pattern
+        focuses for that sign.
+        Where the response varies over the panel, it is a mean over what lies near the line between the halves.
+
+    Raises
+    ------
+    RuntimeError
+        If no change of the phase with the level is detected by the camera.
+
+    Warns
+    -----
+    AccuracyWarning
+        If the captures deviate from such sums by more than 10 %: a level does not have the same phase at all pixels;
+        if the phases leave out more than 0.15π of 2π; or if the camera sees no focus that would tell their sign.
+
+    Notes
+    -----
+    Principal components of interferograms: Vargas, Antonio Quiroga and Belenguer, Opt. Lett. 36, 1326 (2011).
+
+    The levels measured are Chebyshev's points, because the response often bends most near the ends of its range.
+
+    Fringing fields smooth the phase across the border of the two halves, over some tenths of a pixel, and nowhere else.
+    The rows along the border alternately show the lowest and the highest level: the light that the border scatters has
+    opposite signs in the two cases where they are 2π apart, up to a sum of a constant and cos φ.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.instruments import SimulatedTable, measure_phase_response
+    >>> table = SimulatedTable(seed=1, shape=(32, 32), distance=4e-3, camera_shape=(48, 48), aberration=0.05)
+    >>> phases = measure_phase_response(table.modulator, table.camera, 532e-9, 4e-3, samples=9)
+    >>> bool(np.abs(phases - table.truth.phases).max() < 0.02)
+    True
+    """
+    phases, _, spread = phases_with_uncertainty(modulator, camera, wavelength, distance, samples, captures)
+    _warn_of_deviations(spread)
+    warn_of_short_range(phases)
+    return phases
+
+
+def phases_with_uncertainty(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float | Lens,
+    samples: int = 25,
+    captures: int = 4,
+) -> tuple[np.ndarray, float, float]:
+    """Return the phase of each level, its uncertainty, and the deviation of the captures from one phase at all pixels.
+
+    The parameters are those of :func:`measure_phase_response`.
+    """
+    check_square_pixels(modulator, camera)
+    camera = checked_camera(camera)
+    top = (1 << _validate.integer("modulator.bits", modulator.bits, minimum=1)) - 1
+    levels = _measured_levels(top, samples)
+    lens_phase(modulator, wavelength, distance)  # checks the lengths
+    columns = modulator.shape[1]
+    left = np.arange(columns) < columns // 2
+    if isinstance(distance, Lens):
+        captures = 4 * captures
+        pattern = np.full(modulator.shape, (top + 1) // 2)
+    else:
+        pattern = _onto_the_other_half(modulator, wavelength, distance, top)
+    border = np.s_[:, columns // 2 - GUARD : columns // 2 + GUARD]
+    pattern[border] = _guard(modulator, top)[border]
+    modulator.show(np.where(left, pattern, (top + 1) // 2))
+    if isinstance(distance, Lens):
+        # Interference may make the focus twice as bright.
+        set_exposure(camera, level=0.35)
+        focus = brightest(averaged(camera, 1))
+        _, b = distance.ray_matrix
+        width = wavelength * abs(b) / (min(modulator.shape) * modulator.pitch * camera.pitch)
+        read_around(camera, focus, int(min(3 * width + 6, (min(camera.shape) - 1) // 2)))
+        step = 1
+    else:
+        reach = int(min(0.4 * columns * modulator.pitch / camera.pitch + 1, (min(camera.shape) - 1) // 2))
+        step = 1 + 2 * reach // LARGEST_WINDOW
+        read_around(camera, np.array(camera.shape[::-1]) // 2, reach)
+        set_exposure(camera)
+    check_frames_are_new(modulator, camera, nearest_levels(deflected(modulator), np.array([0, np.pi])) * (top + 1) // 2)
+    found = []
+    for fixed in (left, ~left):
+        frames = []
+        for level in levels:
+            modulator.show(np.where(fixed, pattern, level))
+            frames.append(averaged(camera, captures)[::step, ::step].ravel())
+        found.append(_phases_of_interference(np.stack(frames)))
+    camera.region = None
+    (one, first), (other, second) = found
+    seen = (one + other) / 2
+    if not isinstance(distance, Lens):
+        seen = seen * _sign(modulator, camera, wavelength, distance, levels, seen)
+    phases, fewer = (CubicSpline(levels[used], seen[used])(np.arange(top + 1)) for used in (np.s_[:], np.s_[::2]))
+    # Near level 0, a power law is interpolated by half the samples with about twice the error. What captures deviate
+    # from one phase at all pixels, as a share of the interference, is about the error that fringing fields cause.
+    within = levels[-1 - (len(levels) + 1) % 2]
+    interpolation = 1.5 * float(np.abs(phases - fewer)[:within].max())
+    spread = max(first, second)
+    return phases, math.hypot(float(np.abs(one - other).max()), interpolation, spread), spread
+
+
+def _onto_the_other_half(modulator: Modulator, wavelength: float, distance: float, top: int) -> np.ndarray:
+    """Return the levels that deflect the light of each half of a modulator onto that of the other."""
+    # The lens narrows the light of a half to two thirds, away from the border, whose fringing fields disturb.
+    columns = modulator.shape[1]
+    focal, size = 3 * distance, columns * modulator.pitch
+    shift = min(size / 2, max(0.9 * wavelength * distance / (2 * modulator.pitch) - size / 12, size / 8))
+    y, x = pixel_axes(modulator)
+    side = np.where(np.arange(columns) < columns // 2, -1, 1)
+    away = x - side * size / 4
+    lens = -2 * np.pi / wavelength * (side * away * shift / distance + (away**2 + y**2) / (2 * focal))
+    return nearest_levels(lens, np.arange(top + 1) * 2 * np.pi / (top + 1))
+
+
+def _sign(
+    modulator: Modulator, camera: Camera, wavelength: float, distance: float, levels: np.ndarray, phases: np.ndarray
+) -> int:
+    """Return the sign of phases of levels, which interference does not tell, as that for which a lens focuses."""
+    y, x = pixel_axes(modulator)
+    # The focus of so small an aperture is deep enough for a nominal distance.
+    inside = np.maximum(abs(x), abs(y)) <= 3 * math.sqrt(wavelength * distance)
+    lens = np.where(inside, lens_phase(modulator, wavelength, distance), deflected(modulator))
+    every = CubicSpline(levels, phases)(np.arange(levels[-1] + 1))
+    peaks = []
+    for sign in (1, -1):
+        modulator.show(nearest_levels(lens, sign * every))
+        if sign == 1:
+            set_exposure(camera)
+        smooth = uniform_filter(averaged(camera, 1), 3)
+        peaks.append(float(smooth.max() - np.median(smooth)))
+    if max(peaks) < 2 * min(peaks):
+        warn(
+            "whether the phase grows or falls with the level is not known and is taken to grow: a lens pattern and its "
+            f"inverse give spots of {peaks[0]:.0f} and {peaks[1]:.0f} counts; check the distance, and that the camera "
+            "sees the axis of the modulator",
+            AccuracyWarning,
+        )
+        return 1
+    return 1 if peaks[0] > peaks[1] else -1
+
+
+def check_frames_are_new(modulator: Modulator, camera: Camera, other: np.ndarray, count: int = 5) -> None:
+    """Raise an error if a camera returns frames of the pattern before, after another one `other` was shown."""
+    first, second = (camera.capture(1)[0].astype(float) for _ in range(2))
+    modulator.show(other)
+    frames = [camera.capture(1)[0].astype(float) for _ in range(count)]
+    last = frames[-1]
+    before = (first + second) / 2
+    if ((last - before) ** 2).mean() < 9 * ((first - second) ** 2).mean():
+        return
+    older = [((frame - before) ** 2).mean() < ((frame - last) ** 2).mean() for frame in frames]
+    if any(older):
+        raise RuntimeError(
+            STALE.format(sum(older), "a new pattern was shown", "the one before")
+            + f"; or set a longer settling_time of the modulator, now {modulator.settling_time:g} s"
+        )
+
+
+def _guard(modulator: Modulator, top: int) -> np.ndarray:
+    """Return the levels beside the border of a part that shows one level g: 0 and the highest in alternate rows.
+
+    Fringing fields smooth the phase across that border, between 0 and φ(g) or between φ(g) and about 2π. The light that
+    this scatters has opposite signs in the two cases, up to a sum of a constant and cos φ.
+    """
+    return np.broadcast_to(np.arange(modulator.shape[0])[:, None] % 2 * top, modulator.shape).copy()
+
+
+def _measured_levels(top: int, samples: int) -> np.ndarray:
+    """Return the levels whose phases are measured, Chebyshev's points, which are denser at the ends of the range."""
+    count = _validate.integer("samples", samples, minimum=8)
+    return np.unique(np.rint(top / 2 * (1 - np.cos(np.pi * np.arange(count) / (count - 1)))).astype(int))
+
+
+def _phases_of_interference(frames: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the phase of each of the frames ``[n, pixels]``, whose pixels are a + b·cos φ + c·sin φ.
+
+    The second result is the size of what deviates from such sums, as a share of the smaller of their two components.
+    """
+    frames = frames - frames.mean(0)
+    values, vectors = np.linalg.eigh(frames @ frames.T)
+    values = np.clip(values, 0, None) ** 0.5
+    x, y = vectors[:, -1] * len(frames) ** 0.5, vectors[:, -2] * len(frames) ** 0.5
+    # The ellipse x² q0 + x y q1 + y² q2 + x l0 + y l1 = 1 through the points, made a circle.
+    system = np.stack([x * x, x * y, y * y, x, y], axis=-1)
+    (xx, xy, yy, *linear), *_ = np.linalg.lstsq(system, np.ones(len(x)), rcond=None)
+    form = np.array([[xx, xy / 2], [xy / 2, yy]])
+    sizes, axes = np.linalg.eigh(form)
+    noise = values[1]
+    if sizes[0] <= 0 or values[-2] < 3 * noise:
+        raise RuntimeError(
+            "the camera must observe how the interference of the two halves of the modulator depends on the level; the "
+            f"first two principal components of its captures are {values[-1]:.3g} and {values[-2]:.3g}, the noise "
+            f"{noise:.3g}"
+        )
+    centre = -np.linalg.solve(2 * form, np.array(linear))
+    circle = axes * np.sqrt(sizes) @ axes.T @ (np.stack([x, y]) - centre[:, None])
+    phases = np.unwrap(np.arctan2(circle[1], circle[0]))
+    other = math.sqrt(max(values[-3] ** 2 - values[1] ** 2, 0)) / values[-2]
+    phases = phases - phases[0]
+    return phases if phases[-1] >= 0 else -phases, other
+
+
+def _warn_of_deviations(other: float) -> None:
+    """Warn if captures deviate much from those of levels with one phase at all pixels."""
+    if other > 0.1:
+        warn(
+            f"the phase response is uncertain: captures deviate by {other:.0%} from those of levels with one phase at "
+            "all pixels, because of fringing fields between them, or a response that varies over the panel or in time",
+            AccuracyWarning,
+        )
+
+
+def warn_of_short_range(phases: np.ndarray) -> None:
+    """Warn if the phases of the levels leave out a part of the circle, which holograms need."""
+    wrapped = np.sort(np.mod(phases, 2 * np.pi))
+    gap = float(np.diff(wrapped, append=wrapped[0] + 2 * np.pi).max())
+    if gap > LARGEST_GAP:
+        warn(
+            f"the phases of the levels leave out {gap / np.pi:.2g}π of 2π: patterns get the nearest phase there and "
+            "lose light to the zero order; increase the range of the modulator (voltages, look-up table), or use a "
+            "shorter wavelength",
+            AccuracyWarning,
+        )
+
+
+@_validate.takes_units("wavelength", "distance")
+def measure_regional_response(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float | Lens,
+    registration: Registration,
+    *,
+    wavefront: np.ndarray | float = 0.0,
+    regions: Sequence[int] = (3, 3),
+    samples: int = 15,
+    captures: int = 4,
+) -> np.ndarray:
+    """Measure the phase of each level in regions of a modulator, whose response varies over it.
+
+    The regions of a column show a level g, the same everywhere; the light of the column beside it is deflected onto
+    them by a fixed pattern. The intensity of each pixel of the camera is then a sum of a constant, cos φ(g) and
+    sin φ(g), as in :func:`measure_phase_response`, with the phase of the part of the modulator that is in front of the
+    pixel; the principal components are those of the pixels in front of the middle of a region.
+
+    Parameters
+    ----------
+    modulator : Modulator
+        The modulator.
+    camera : Camera
+        The camera.
+    wavelength : float
+        Vacuum wavelength in metres.
+    distance : float
+        Distance from the modulator to the camera in metres.
+    registration : Registration
+        Mapping of the camera, from :func:`register_camera`.
+    wavefront : numpy.ndarray or float
+        Aberration in radians, which displaces the light of a region.
+    regions : sequence of int
+        Rows and columns of regions, two or more in all, of at least 12 pixels along each side.
+    samples : int
+        Number of levels measured, at least 8; those between are interpolated by a cubic spline.
+    captures : int
+        Number of captures that are averaged for each pattern.
+
+    Returns
+    -------
+    numpy.ndarray
+        Phases in radians ``[region rows, region columns, 2^bits]``, less that of level 0 of the region; they are taken
+        to grow with the level, but for :func:`calibrate_table`, which knows the sign.
+
+    Warns
+    -----
+    AccuracyWarning
+        If the captures deviate from such sums by more than 10 %.
+
+    Examples
+    --------
+    >>> from odak.instruments import Registration, SimulatedTable, measure_regional_response
+    >>> table = SimulatedTable(seed=1, shape=(32, 32), distance=4e-3, camera_shape=(96, 96), aberration=0.05)
+    >>> known = Registration(table.truth.homography, table.truth.distortion, table.camera.shape)
+    >>> phases = measure_regional_response(
+    ...     table.modulator, table.camera, 532e-9, 4e-3, known, regions=(1, 2), samples=9, captures=1
+    ... )
+    >>> phases.shape, bool(abs(phases - table.truth.phases).max() < 0.1)
+    ((1, 2, 256), True)
+    """
+    there = (modulator, camera, wavelength, distance, registration)
+    return regions_with_uncertainty(*there, wavefront, regions, samples, captures)[0]
+
+
+def regions_with_uncertainty(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float | Lens,
+    registration: Registration,
+    wavefront: np.ndarray | float = 0.0,
+    regions: Sequence[int] = (3, 3),
+    samples: int = 15,
+    captures: int = 4,
+    whole: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the phase of each level in regions, and the uncertainty of each region in radians ``[rows, columns]``.
+
+    The parameters are those of :func:`measure_regional_response`, and `whole` the phase of each level of the whole
+    modulator, less whose multiples the phases are interpolated between the levels that are measured.
+    """
+    distance = without_lens(distance, "its pixels send light to the same places")
+    check_square_pixels(modulator, camera)
+    camera = checked_camera(camera)
+    rows, columns = modulator.shape
+    down, across = _validate.size("regions", regions)
+    if rows < SMALLEST_REGION * down or columns < SMALLEST_REGION * across:
+        raise ValueError(
+            f"regions must have at least {SMALLEST_REGION} pixels along each side, "
+            f"got {down} x {across} of {rows} x {columns}"
+        )
+    if down * across == 1:
+        raise ValueError(f"regions must be two or more, got {[down, across]}")
+    if across == 1:
+        turned = Registration(registration.homography[[1, 0, 2]], registration.distortion, registration.shape)
+        there = (_Transposed(modulator), camera, wavelength, distance, turned)
+        found, uncertainty = regions_with_uncertainty(
+            *(*there, np.broadcast_to(wavefront, modulator.shape).T, (1, down), samples, captures, whole)
+        )
+        return found.swapaxes(0, 1), uncertainty.T
+    top = (1 << _validate.integer("modulator.bits", modulator.bits, minimum=1)) - 1
+    levels = _measured_levels(top, samples)
+    y, x = (
+        [part * modulator.pitch for part in np.array_split(np.arange(n) - n // 2, parts)]
+        for n, parts in ((rows, down), (columns, across))
+    )
+    number = np.repeat(np.arange(across), [len(part) for part in x])
+    # Rows and columns of the camera that the light of each pixel of the modulator reaches.
+    slopes = np.gradient(np.broadcast_to(wavefront, modulator.shape), modulator.pitch)[::-1]
+    points = np.stack(np.meshgrid(np.concatenate(x), np.concatenate(y)), axis=-1)
+    reached = registration.camera_pixels(points + wavelength * distance / (2 * np.pi) * np.stack(slopes, axis=-1))
+    reached = reached.reshape(-1, 2)[:, ::-1]
+    step = np.diff(registration.camera_pixels(np.array([[0.0, 0.0], [modulator.pitch, 0.0]])), axis=0)
+    neighbours = 2 * math.ceil(np.linalg.norm(step)) + 1
+
+    def on_the_camera(values: np.ndarray) -> np.ndarray:
+        """Return the sums of values of the modulator's pixels over neighbourhoods of the camera's."""
+        edges = (np.arange(registration.shape[0] + 1) - 0.5, np.arange(registration.shape[1] + 1) - 0.5)
+        sums, *_ = np.histogram2d(reached[:, 0], reached[:, 1], edges, weights=values.ravel())
+        return uniform_filter(sums, neighbours, mode="constant")
+
+    lit = on_the_camera(np.ones(modulator.shape))
+    # Mean points x, y of the modulator whose light a pixel of the camera receives: near caustics there are several.
+    seen_at = [on_the_camera(values) / np.where(lit > 1e-9, lit, np.nan) for values in (points[..., 0], points[..., 1])]
+    # Light of the edges spreads over about this width.
+    spread = math.sqrt(wavelength * distance)
+
+    def taper(values: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        size = ends[-1] - ends[0]
+        width = size - 2 * min(spread, 0.3 * size)
+        return np.cos(np.pi * np.clip((values - ends.mean()) / width, -0.5, 0.5))
+
+    if whole is None:
+        whole = np.arange(top + 1.0)
+    camera.region = None
+    phases, others = np.empty((down, across, top + 1)), np.empty((down, across))
+    for column in range(across):
+        beside = column + 1 if column + 1 < across else column - 1
+        slope = 2 * np.pi / (wavelength * distance) * (x[column].mean() - x[beside].mean())
+        deflected = np.rint(np.mod(slope * x[beside], 2 * np.pi) * (top + 1) / (2 * np.pi)).astype(int) % (top + 1)
+        border = np.abs(np.arange(columns) - np.flatnonzero(number == beside).mean()) < len(x[beside]) / 2 + GUARD
+        pattern = _guard(modulator, top)
+        pattern[:, number == beside] = deflected
+
+        def show(level: int, pattern=pattern, border=border) -> None:
+            modulator.show(np.where(border, pattern, level))
+
+        # Without a taper, light that fringing fields scatter at the border resembles the interference.
+        weights = [np.nan_to_num(taper(seen_at[0], x[column]) * taper(seen_at[1], part)) for part in y]
+        places = [weight > 0.01 for weight in weights]
+        for row, place in enumerate(places):
+            if place.sum() < 2 * len(levels):
+                raise RuntimeError(f"region {[row, column]} of the modulator lies outside the camera's image")
+        set_exposure(camera, partial(show, (top + 1) // 2))
+        frames = []
+        for level in levels:
+            show(int(level))
+            frame = averaged(camera, captures)
+            frames.append([(weight * frame)[place] for weight, place in zip(weights, places, strict=True)])
+        for row, seen in enumerate(zip(*frames, strict=True)):
+            found, others[row, column] = _phases_of_interference(np.stack(seen))
+            found = found * (1 if whole[-1] >= whole[0] else -1)
+            like = whole * (found @ whole[levels]) / (whole[levels] @ whole[levels])
+            phases[row, column] = like + CubicSpline(levels, found - like[levels])(np.arange(top + 1))
+    _warn_of_deviations(others.max())
+    return phases, others
+
+
+def without_lens(path: float | Lens, reason: str) -> float:
+    """Return a distance, and raise an error that gives the reason for a lens."""
+    if isinstance(path, Lens):
+        raise TypeError(f"distance must be a number: behind a lens {reason}, got {path!r}")
+    return path
+
+
+class _Transposed:
+    """Modulator whose rows are the columns of another."""
+
+    def __init__(self, modulator: Modulator):
+        self.modulator, self.shape, self.pitch = modulator, modulator.shape[::-1], modulator.pitch
+        self.bits, self.settling_time = modulator.bits, modulator.settling_time
+
+    def show(self, levels: np.ndarray) -> None:
+        self.modulator.show(levels.T)
