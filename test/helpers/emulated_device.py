@@ -122,6 +122,20 @@ class Lift(torch.autograd.Function):
         return gradient.held if isinstance(gradient, Emulated) else gradient
 
 
+class Lower(torch.autograd.Function):
+    """Copy a tensor of the device to the CPU, and its gradient back, which torch itself would make without numbers."""
+
+    @staticmethod
+    def forward(ctx, tensor):
+        """Copy from there."""
+        return tensor.detach().held.clone()
+
+    @staticmethod
+    def backward(ctx, gradient):
+        """Copy there."""
+        return gradient if isinstance(gradient, Emulated) else Emulated(gradient)
+
+
 def _of_the_cpu(kind: type) -> type:
     """Return a class whose objects are those of `kind` for the CPU, whatever the device asked for."""
 
@@ -190,7 +204,7 @@ class EmulatedDevice(TorchFunctionMode):
         if name == "cuda" or (device is not None and is_emulated(device)):
             tensor = tensor if isinstance(tensor, Emulated) else Lift.apply(tensor)
         elif device is not None and isinstance(tensor, Emulated):
-            tensor = torch.Tensor.to(tensor, device="cpu")
+            tensor = Lower.apply(tensor)
         tensor = tensor if dtype is None else torch.Tensor.to(tensor, dtype=dtype)
         return tensor.clone() if keywords.get("copy") else tensor
 

@@ -7,7 +7,7 @@ import torch
 import torch._dynamo
 import torch.distributed as dist
 
-from odak.learn.wave import across_ranks, propagate_beam
+from odak.learn.wave import Descent, Display, Iris, Modulator, Run, across_ranks, optimise, propagate_beam
 
 LIGHT = (None, 2e-3, 8e-6, 532e-9)
 
@@ -112,3 +112,55 @@ def check_second_derivatives():
         found.append(torch.autograd.grad(sum(part.square().sum() for part in first), (x, weight)))
     for a, b in zip(*found, strict=True):
         torch.testing.assert_close(a, b, rtol=1e-12, atol=1e-15)
+
+
+def colour_display():
+    """Return a display of two colours, two planes and two frames, both colours in both frames."""
+    powers = torch.rand(2, 2, generator=torch.Generator().manual_seed(2)) + 0.1
+    panel = Modulator((12, 16), 8e-6, bits=None)
+    return Display(panel, [639e-9, 473e-9], [2e-3, 3e-3], 2, powers, iris=Iris(3e-3, 0.1))
+
+
+def pictures(count):
+    """Return targets for it in double precision, the same in every process."""
+    generator = torch.Generator().manual_seed(5)
+    return [torch.rand(2, 2, 12, 16, dtype=torch.float64, generator=generator) for _ in range(count)]
+
+
+def check_shared_holograms(rank, ranks, file):
+    """Compare holograms that the ranks share with those of one process, in one of these processes."""
+    torch.set_num_threads(1)
+    dist.init_process_group("gloo", init_method=f"file://{file}", rank=rank, world_size=ranks)
+    try:
+        display, run, solver = colour_display(), Run(iterations=3, progress=False), Descent(powers=True)
+        targets = pictures(3)
+        alone = [optimise(display, target, solver=solver, run=run) for target in targets]
+        shared = optimise(display, targets[0], solver=solver, run=run, devices="distributed")
+        torch.testing.assert_close(torch.tensor(shared.losses), torch.tensor(alone[0].losses), rtol=1e-12, atol=0)
+        torch.testing.assert_close(shared.images, alone[0].images, rtol=1e-9, atol=1e-9)
+        torch.testing.assert_close(shared.display.powers, alone[0].display.powers, rtol=1e-9, atol=0)
+        found = optimise(display, targets, solver=solver, run=run, devices="distributed")
+        for one, other in zip(alone, found, strict=True):
+            assert torch.equal(one.phases, other.phases) and one.losses == other.losses
+            assert torch.equal(one.display.powers, other.display.powers)
+        check_stops_and_failures(rank, ranks, display, targets)
+    finally:
+        dist.destroy_process_group()
+
+
+def check_stops_and_failures(rank, ranks, display, targets):
+    """Check that one rank stops or fails for all, and that ranks without a part take part all the same."""
+    stopping = Run(iterations=5, progress=False, callback=lambda i, loss: rank == 1 and i == 1)
+    assert len(optimise(display, targets[0], run=stopping, devices="distributed").losses) == 2
+    small = Display(Modulator((12, 16), 8e-6), 532e-9, 2e-3)
+    picture = targets[0][0, 0]
+    one, other = (optimise(small, picture, run=stopping, devices=devices) for devices in ("distributed", ["cpu"]))
+    torch.testing.assert_close(torch.tensor(one.losses), torch.tensor(other.losses)[:2], rtol=1e-12, atol=0)
+    broken = [torch.full_like(picture, 200.0) if number == 0 else picture for number in range(ranks)]
+    try:
+        optimise(small, broken, run=Run(iterations=1, progress=False), devices="distributed")
+    except (ValueError, RuntimeError) as error:
+        assert "divide by 255" in str(error) and isinstance(error, RuntimeError) == (rank != 0)
+        assert rank == 0 or f"rank 0 of {ranks} failed" in str(error)
+    else:
+        raise AssertionError("a picture of 0 … 255 was accepted")

@@ -1,6 +1,11 @@
 """A batch of propagations spread over the GPUs of one machine: from one process, or with one process per GPU."""
 
+import collections
+import itertools
+import math
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import nullcontext
 from typing import Any
 
 import torch
@@ -145,6 +150,106 @@ def across_ranks(
     return _join([result], lambda pieces: _Gather.apply(pieces[0], count, group).to(home))
 
 
+DISTRIBUTED = "distributed"
+
+
+class Ranks:
+    """The processes of `torch.distributed` that share a piece of work, and what they tell one another."""
+
+    def __init__(self):
+        if not dist.is_available() or not dist.is_initialized():
+            raise ValueError(
+                f"devices={DISTRIBUTED!r} needs a group of processes: start them with torchrun, and call "
+                "torch.distributed.init_process_group first"
+            )
+        self.group = dist.group.WORLD
+        self.rank, self.size = dist.get_rank(), dist.get_world_size()
+
+    def sharing(self, value: torch.Tensor) -> torch.Tensor:
+        """Return a tensor that all ranks use alike, whose gradient is the sum of theirs."""
+        return _shared(value, self.group)
+
+    def sum(self, value: torch.Tensor) -> torch.Tensor:
+        """Return the sum over all ranks; the gradient is that of each."""
+        return _Sum.apply(value, self.group)
+
+    def any(self, flag: bool, device: torch.device) -> bool:
+        """Say whether a flag is set in any rank."""
+        flags = torch.tensor(float(flag), device=device)
+        dist.all_reduce(flags, group=self.group)
+        return bool(flags)
+
+    def each(self, work: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+        """Return ``work(item)`` of all items, each computed by one rank and sent to all as a pickle.
+
+        An exception in one rank ends the call in all of them, so that none waits for it.
+        """
+        own = shares_of(items, self.size)[self.rank]
+        found, error = [], None
+        try:
+            found = [work(item) for item in own]
+        except Exception as caught:  # sent to the others, and raised below
+            error = caught
+        everything: list[Any] = [None] * self.size
+        dist.all_gather_object(everything, (found, None if error is None else repr(error)), group=self.group)
+        if error is not None:
+            raise error
+        for rank, (_, failure) in enumerate(everything):
+            if failure is not None:
+                raise RuntimeError(f"rank {rank} of {self.size} failed: {failure}")
+        return [result for results, _ in everything for result in results]
+
+
+def used_devices(devices: Sequence[torch.device | str | int] | str, home: torch.device) -> list[torch.device] | Ranks:
+    """Return checked devices, or the ranks where `devices` is "distributed"."""
+    if isinstance(devices, str):
+        if devices != DISTRIBUTED:
+            raise ValueError(f"devices must be a sequence of devices or {DISTRIBUTED!r}, got {devices!r:.80}")
+        return Ranks()
+    found = _devices(devices, home)
+    for device in found:
+        there = torch.cuda.device_count() if device.type == "cuda" else math.inf
+        if (device.index or 0) >= there:
+            raise ValueError(f"devices must be on this machine, where torch finds {there} of CUDA; got {device}")
+    return found
+
+
+def on_devices(prepare: Callable[..., Any], items: Sequence[Any], devices: Sequence[torch.device]) -> list[Any]:
+    """Return ``prepare(device)(item)`` of each item, in order; a thread for each device takes one when it is free."""
+    waiting, results = collections.deque(enumerate(items)), [None] * len(items)
+
+    def work(device):
+        with torch.cuda.device(device) if device.type == "cuda" else nullcontext():
+            function = prepare(device)
+            while waiting:
+                try:
+                    number, item = waiting.popleft()
+                except IndexError:  # another thread took the last one
+                    return
+                results[number] = function(item)
+
+    if len(devices) == 1:
+        work(devices[0])
+        return results
+    with ThreadPoolExecutor(len(devices), thread_name_prefix="odak") as pool:
+        running = [pool.submit(work, device) for device in devices[: len(items)]]
+        try:
+            for thread in as_completed(running):
+                thread.result()
+        finally:
+            # After an error or an interrupt nothing new is begun.
+            waiting.clear()
+    return results
+
+
+def shares_of(items: Sequence[Any], count: int) -> list[Sequence[Any]]:
+    """Return nearly equal shares of items, in order."""
+    ends = [0]
+    for size in _sizes(len(items), count):
+        ends.append(ends[-1] + size)
+    return [items[a:b] for a, b in itertools.pairwise(ends)]
+
+
 def _checked(function: Callable, batch: Tensors) -> tuple[tuple[torch.Tensor, ...], torch.device]:
     if not callable(function):
         raise TypeError(f"function must be callable, got {type(function).__name__}")
@@ -192,8 +297,12 @@ def _shared(value: Any, group) -> Any:
 
 def _rows(count: int, group) -> list[int]:
     """Return how many items each process computes."""
-    whole, rest = divmod(count, dist.get_world_size(group))
-    return [whole + (rank < rest) for rank in range(dist.get_world_size(group))]
+    return _sizes(count, dist.get_world_size(group))
+
+
+def _sizes(count: int, parts: int) -> list[int]:
+    whole, rest = divmod(count, parts)
+    return [whole + (part < rest) for part in range(parts)]
 
 
 def _own(tensor: torch.Tensor, group) -> torch.Tensor:

@@ -5,20 +5,23 @@ computes the patterns that show a target on it, by one of several solvers, and r
 quality that another computation has judged.
 """
 
+import copy
 import itertools
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, overload
 
 import numpy as np
 import torch
+from tqdm import tqdm
 
 from odak import _array, _show, _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.instruments import Calibration, Lens, load_calibration
 from odak.learn._tensors import floating
+from odak.learn.wave.devices import DISTRIBUTED, Ranks, on_devices, shares_of, used_devices
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.holograms import STARTS, best_scale, encode_double_phase, starting_phase
 from odak.learn.wave.loss import FocalTargets, multiplane_loss
@@ -251,6 +254,9 @@ class Display(torch.nn.Module):
         self.register_buffer("profile", profile)
         self.samples = 2 * self._orders()
         self._kept: dict[Any, torch.Tensor] = {}
+        # Who computes which part of the images where several devices or ranks do; see _shared_among.
+        self._parts: list[tuple[Display, list[_Part]]] = []
+        self._ranks: Ranks | None = None
 
     @classmethod
     def from_calibration(
@@ -370,12 +376,13 @@ class Display(torch.nn.Module):
         widest = max(self.iris.cutoff(w) for w in self.wavelengths) * max(_pitch_pair(self.modulator.pitch))
         return min(_ORDERS, max(1, math.ceil(2 * widest - 1e-9)))
 
-    def _kernels(self, colour: int, dtype: torch.dtype) -> torch.Tensor:
-        """Return the transfer functions to all points of a pixel on all planes, ``[planes·samples², 2m, 2n]``."""
-        key = colour, dtype
+    def _kernels(self, colour: int, dtype: torch.dtype, planes: Sequence[int] | None = None) -> torch.Tensor:
+        """Return the transfer functions to all points of a pixel on some planes, ``[planes·samples², 2m, 2n]``."""
+        planes = tuple(range(self.shape[0]) if planes is None else planes)
+        key = colour, dtype, planes
         if key not in self._kept:
             with torch.no_grad(), torch.inference_mode(False):
-                self._kept[key] = torch.cat([self._of_plane(colour, plane, dtype) for plane in range(self.shape[0])])
+                self._kept[key] = torch.cat([self._of_plane(colour, plane, dtype) for plane in planes])
         return self._kept[key]
 
     def _of_plane(self, colour, plane, dtype):
@@ -442,7 +449,57 @@ class Display(torch.nn.Module):
         """
         light = self._light(phases)
         powers = self.powers if powers is None else self._fitting(powers)
-        return torch.stack([self._image(light, colour, powers[:, colour]) for colour in range(self.shape[1])], 1)
+        if self._parts:
+            return self._in_parts(light, powers)
+        parts = [_Part(colour, None, self._frames_of(colour)) for colour in range(self.shape[1])]
+        return torch.stack([self._image(light, part, powers) for part in parts], 1)
+
+    def _shared_among(self, devices: Sequence[torch.device] | Ranks) -> "Display":
+        """Return this display with its images computed in parts by several devices, or by the ranks of a group.
+
+        The parts are nearly equal in number of planes, colours and frames. Each device has the transfer functions of
+        its own part alone.
+        """
+        ranks = devices if isinstance(devices, Ranks) else None
+        where = [self.powers.device] if isinstance(devices, Ranks) else devices
+        units = [
+            (colour, plane, frame)
+            for colour in range(self.shape[1])
+            for plane in range(self.shape[0])
+            for frame in self._frames_of(colour)
+        ]
+        shares = shares_of(units, len(where) if ranks is None else ranks.size)
+        shares = shares if ranks is None else [shares[ranks.rank]]
+        whole = self._on(self.powers.device)
+        whole._ranks = ranks
+        whole._parts = [
+            (self._on(device), _grouped(share)) for device, share in zip(where, shares, strict=True) if share or ranks
+        ]
+        return whole
+
+    def _on(self, device: torch.device) -> "Display":
+        """Return a copy of this display on a device, which has transfer functions of its own."""
+        modulator = self.modulator
+        if isinstance(modulator.response, torch.nn.Module) and device != self.powers.device:
+            modulator = replace(modulator, response=copy.deepcopy(modulator.response).to(device))
+        return copy.deepcopy(self, {id(self._kept): {}, id(self.modulator): modulator}).to(device)
+
+    def _in_parts(self, light, powers):
+        """Return what :meth:`forward` does, the sum of what each device computes of it."""
+        images: list[list[Any]] = [[0.0] * self.shape[1] for _ in range(self.shape[0])]
+        if self._ranks is not None:
+            light, powers = self._ranks.sharing(light), self._ranks.sharing(powers)
+        for display, parts in self._parts:
+            there, own = (values.to(display.powers.device, non_blocking=True) for values in (light, powers))
+            # A rank without a part computes one that does not count, since all ranks take part in the gradient.
+            for part in parts or [_Part(0, (0,), self._frames_of(0)[:1])]:
+                shown = display._image(there, part, own).to(light.device, non_blocking=True)
+                for plane, image in zip(part.planes or (), shown if parts else 0 * shown, strict=True):
+                    images[plane][part.colour] = images[plane][part.colour] + image
+        if self._ranks is None:
+            return torch.stack([torch.stack(row) for row in images])
+        nothing = light.real.new_zeros(self.modulator.resolution)
+        return self._ranks.sum(torch.stack([torch.stack([nothing + image for image in row]) for row in images]))
 
     def _light(self, phases):
         phases = floating("phases", phases)
@@ -460,13 +517,16 @@ class Display(torch.nn.Module):
     def _lit(self, light, colour):
         return light if self.profile is None else light * self.profile[colour].to(light.dtype)
 
-    def _image(self, light, colour, power):
-        frames = [f for f in range(self.frames) if self._shares()[f][colour]]
+    def _frames_of(self, colour: int) -> tuple[int, ...]:
+        return tuple(f for f in range(self.frames) if self._shares()[f][colour])
+
+    def _image(self, light, part: "_Part", powers):
+        colour, frames, power = part.colour, part.frames, powers[:, part.colour]
         lit = light if len(frames) == self.frames else torch.stack([light[f] for f in frames])
         light = self._lit(lit, colour)[:, None]
         if self.lens is None:
             # One kernel for each plane and point of a pixel takes one transform back, but a single forward one.
-            shown = convolve(light, self._kernels(colour, light.dtype))
+            shown = convolve(light, self._kernels(colour, light.dtype, part.planes))
         else:
             quarters = itertools.product((0.0, 0.5), repeat=2)
             shown = torch.cat([self._focused(light, colour, half) for half in quarters], 1)
@@ -597,6 +657,22 @@ class Display(torch.nn.Module):
         return propagate_beam(
             lit, None, distance, pitch, inside, with_padding.recommended, zero_padding=[True, False, True]
         )
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Part of the images of a display: the frames of one colour on some planes, on all of them by None."""
+
+    colour: int
+    planes: tuple[int, ...] | None
+    frames: tuple[int, ...]
+
+
+def _grouped(units: Sequence[tuple[int, int, int]]) -> list[_Part]:
+    """Return few parts that are all of some colours, planes and frames, in this order, each plane in one part."""
+    planes = [(key, tuple(f for *_, f in own)) for key, own in itertools.groupby(units, lambda unit: unit[:2])]
+    alike = itertools.groupby(planes, lambda found: (found[0][0], found[1]))
+    return [_Part(colour, tuple(plane for (_, plane), _ in own), frames) for (colour, frames), own in alike]
 
 
 @dataclass(frozen=True)
@@ -1074,14 +1150,42 @@ def _picture(planes: torch.Tensor) -> torch.Tensor:
     return values.movedim(0, -1) if len(values) == 3 else values.mean(0)
 
 
+Target = torch.Tensor | tuple[torch.Tensor, torch.Tensor] | FocalTargets
+
+
+@overload
 def optimise(
     display: Display,
-    target: torch.Tensor | tuple[torch.Tensor, torch.Tensor] | FocalTargets,
+    target: Target,
     loss: Callable[..., Any] | None = None,
     solver: Any = "lbfgs",
     start: str | torch.Tensor = "gs",
     run: Run | None = None,
-) -> DisplayedHologram:
+    devices: Sequence[torch.device | str | int] | str | None = None,
+) -> DisplayedHologram: ...
+
+
+@overload
+def optimise(
+    display: Display,
+    target: list[Target] | list[torch.Tensor],
+    loss: Callable[..., Any] | None = None,
+    solver: Any = "lbfgs",
+    start: str | torch.Tensor = "gs",
+    run: Run | None = None,
+    devices: Sequence[torch.device | str | int] | str | None = None,
+) -> list[DisplayedHologram]: ...
+
+
+def optimise(
+    display: Display,
+    target: Target | list[Target] | list[torch.Tensor],
+    loss: Callable[..., Any] | None = None,
+    solver: Any = "lbfgs",
+    start: str | torch.Tensor = "gs",
+    run: Run | None = None,
+    devices: Sequence[torch.device | str | int] | str | None = None,
+) -> DisplayedHologram | list[DisplayedHologram]:
     """Return the patterns that show a target on a display, with their images and quality.
 
     Use it for a picture on one plane, for several planes, colours and frames alike. What is optimised is what is
@@ -1091,12 +1195,12 @@ def optimise(
     ----------
     display : Display
         The display.
-    target : torch.Tensor, tuple of torch.Tensor or multiplane_loss
+    target : torch.Tensor, tuple of torch.Tensor, multiplane_loss or list of them
         Intensities 0 … 1, ``[rows, columns]`` for one plane and colour, ``[C, rows, columns]`` for one plane, or
         ``[D, C, rows, columns]``. Its brightness is free: the sources of each colour are dimmed to it. A picture with
         depth is a pair of ``[C, rows, columns]`` and a depth ``[rows, columns]``, 0 the first plane and 1 the last:
         each pixel is in focus on its own plane, and blurred on the others by the cone of its light. For another blur,
-        give a :class:`odak.learn.wave.multiplane_loss`.
+        give a :class:`odak.learn.wave.multiplane_loss`. A list is of several pictures, each with a hologram of its own.
     loss : callable, optional
         ``loss(images, target)``, both ``[D, C, rows, columns]``; the mean squared error by default, for a picture with
         depth its :class:`odak.learn.wave.multiplane_loss`. One that takes a `generator` is given one.
@@ -1108,16 +1212,31 @@ def optimise(
         :func:`odak.learn.wave.stochastic_gradient_descent`, or phases ``[F, rows, columns]`` in radians.
     run : Run, optional
         Iterations, progress, callback, checkpoint and seed.
+    devices : sequence of torch.device, str or int, or "distributed", optional
+        Devices that share the work, such as ``["cuda:0", "cuda:1"]``; by default that of the display alone. Of a list,
+        each picture is computed by one device; of a single picture the planes, colours and frames are shared out, for
+        solvers that descend along a gradient. "distributed" shares out in the same way among the processes of
+        `torch.distributed`, each on the device of its display: all call this with the same arguments.
 
     Returns
     -------
-    DisplayedHologram
-        Patterns, images and quality. It shows itself in a notebook.
+    DisplayedHologram or list of DisplayedHologram
+        Patterns, images and quality, one for each picture of a list, on the device of the display; in every process.
+        It shows itself in a notebook.
 
     Raises
     ------
     ValueError, TypeError
         If an argument does not fit the display, naming it.
+    RuntimeError
+        If a picture of a list failed in another process, naming that.
+
+    Notes
+    -----
+    Pictures of a list are computed as they are alone, to the bit on equal devices. The shared images of one picture
+    are sums in another order, equal to rounding. A loss or a response that is a `torch.nn.Module` is copied to each
+    device; other objects must accept tensors of every device, and a callback is called from a thread per device. Where
+    processes share one picture, they need equal hardware, and one whose callback returns True stops all.
 
     Examples
     --------
@@ -1135,23 +1254,31 @@ def optimise(
     run = Run() if run is None else run
     if not isinstance(run, Run):
         raise TypeError(f"run must be an odak.learn.wave.Run, got {type(run).__name__}")
+    where = None if devices is None else used_devices(devices, display.powers.device)
+    if isinstance(target, list):
+        return _optimise_each(display, target, where, {"loss": loss, "solver": solver, "start": start}, run)
     focal = target if isinstance(target, FocalTargets) else _focal_targets(display, target)
     target = _checked_target(display, target if focal is None else focal.targets)
     if isinstance(solver, str):
         solver = SOLVERS[_validate.one_of("solver", solver, tuple(SOLVERS))]()
     if not callable(getattr(solver, "solve", None)):
         raise TypeError(f"solver must have a method solve(problem), got {type(solver).__name__}")
+    if where is not None and isinstance(solver, (AlternatingProjections, DoublePhase, Network)):
+        raise ValueError(f"devices must be None for one picture by {type(solver).__name__}, got {devices!r:.80}")
+    if isinstance(where, Ranks) and run.checkpoint is not None:
+        raise ValueError(f"run must be without a checkpoint where devices={DISTRIBUTED!r}, got {run.checkpoint!r:.80}")
     usual = torch.nn.functional.mse_loss if focal is None else focal
     loss = usual if loss is None else _validate.function_or_none("loss", loss)
     losses: list[torch.Tensor] = []
 
     def record(iteration, value):
         losses.append(value)
-        return run.callback is not None and run.callback(iteration, value)
+        stops = run.callback is not None and run.callback(iteration, value) is True
+        return where.any(stops, value.device) if isinstance(where, Ranks) and run.callback is not None else stops
 
-    problem = Problem(
-        display, target, loss, starting_phases(display, target, start, run.seed), replace(run, callback=record)
-    )
+    begun = starting_phases(display, target, start, run.seed)
+    own = replace(run, callback=record, progress=run.progress and not (isinstance(where, Ranks) and where.rank))
+    problem = Problem(display if where is None else display._shared_among(where), target, loss, begun, own)
     solved = solver.solve(problem)
     phases, powers = solved if isinstance(solved, tuple) else (solved, None)
     phases, display = display.modulator.shown(phases), display if powers is None else display.lit_by(powers)
@@ -1171,6 +1298,55 @@ def optimise(
     return DisplayedHologram(display, target, phases, images, lights, ratio(images), at_points, history, sharp)
 
 
+def _optimise_each(display, targets, where, options: dict[str, Any], run: Run) -> list[DisplayedHologram]:
+    """Return the holograms of several pictures, each computed on one of some devices or by one of the ranks."""
+    if not targets:
+        raise ValueError("target must hold at least one picture, got an empty list")
+    if run.checkpoint is not None:
+        raise ValueError(f"run must be without a checkpoint for a list of pictures, got {run.checkpoint!r:.80}")
+    home = display.powers.device
+    first = not (isinstance(where, Ranks) and where.rank)
+    bar = tqdm(total=len(targets), desc="pictures", disable=not (run.progress and first))
+    alone = replace(run, progress=False)
+
+    def prepared(device):
+        own = display if device == home else display._on(device)
+        given = {name: _on_device(value, device, home) for name, value in options.items()}
+
+        def work(target):
+            found = optimise(own, _on_device(target, device, home), **given, run=alone)
+            bar.update()
+            return _packed(found, own, torch.device("cpu") if isinstance(where, Ranks) else home)
+
+        return work
+
+    with bar:
+        if isinstance(where, Ranks):
+            packed = where.each(prepared(home), targets)
+        else:
+            packed = on_devices(prepared, targets, [home] if where is None else where)
+    return [_unpacked(parts, display) for parts in packed]
+
+
+def _on_device(value, device, home):
+    """Return a loss or a target whose tensors are on a device; a module is copied, unless it is at home there."""
+    return copy.deepcopy(value).to(device) if isinstance(value, torch.nn.Module) and device != home else value
+
+
+def _packed(hologram: DisplayedHologram, display: Display, device: torch.device) -> dict[str, Any]:
+    """Return the parts of a hologram on a device; of its display those powers that were found, or None."""
+    parts = {part.name: getattr(hologram, part.name) for part in fields(hologram)}
+    parts["display"] = None if hologram.display is display else hologram.display.powers
+    return {name: value.to(device) if isinstance(value, torch.Tensor) else value for name, value in parts.items()}
+
+
+def _unpacked(parts: dict[str, Any], display: Display) -> DisplayedHologram:
+    home = display.powers.device
+    moved: dict[str, Any] = {k: v.to(home) if isinstance(v, torch.Tensor) else v for k, v in parts.items()}
+    powers = moved.pop("display")
+    return DisplayedHologram(display if powers is None else display.lit_by(powers), **moved)
+
+
 def _projected(display, target, colour, phase, iterations: int = 10):
     """Return a phase after iterations of Gerchberg and Saxton's between the panel and the plane behind a lens."""
     amplitude, light = target[0, colour].sqrt(), unit_phasor(phase)
@@ -1182,7 +1358,7 @@ def _projected(display, target, colour, phase, iterations: int = 10):
 
 def _focal_targets(display, target):
     """Return the targets of the planes of a picture with depth; None for any other target."""
-    if not isinstance(target, (tuple, list)) or len(target) != 2:
+    if not isinstance(target, tuple) or len(target) != 2:
         return None
     iris = display.iris
     return multiplane_loss(
