@@ -453,6 +453,16 @@ InstrumentOptions = Annotated[
 ]
 TableWavelength = Annotated[str, typer.Option(metavar="LENGTH", help="Vacuum wavelength.")]
 TableDistance = Annotated[str, typer.Option(metavar="LENGTH", help="Distance from the modulator to the camera.")]
+TableLens = Annotated[
+    str | None,
+    typer.Option(
+        "--lens",
+        metavar="LENGTH[,NAME=LENGTH]",
+        help="Focal length of a lens between modulator and camera, in place of the distance; with before= and after= "
+        "where these are not at its focal planes, and block=, the radius of a disc that blocks the light on the axis: "
+        "200mm,before=150mm,block=0.5mm.",
+    ),
+]
 TableSeed = Annotated[int, typer.Option(metavar="NUMBER", help="Seed of the simulated table.")]
 TableFaults = Annotated[str, typer.Option(metavar="some|all", help="Faults of the simulated table.")]
 
@@ -1007,6 +1017,7 @@ def simulate(
     "report.json."
 )
 def calibrate(
+    context: typer.Context,
     step: Annotated[str, typer.Argument(metavar="STEP", help="What to measure.")],
     output: Output = Path("calibration"),
     modulator: ModulatorName = "simulated",
@@ -1015,6 +1026,7 @@ def calibrate(
     option: InstrumentOptions = None,
     wavelength: TableWavelength = "532nm",
     distance: TableDistance = "20mm",
+    lens: TableLens = None,
     seed: TableSeed = 0,
     faults: TableFaults = "some",
     results: Annotated[
@@ -1032,7 +1044,7 @@ def calibrate(
     with _messages():
         from odak.cli import calibrate as calibrating
 
-        lengths = _lengths_of_table(wavelength, distance)
+        lengths = _lengths_of_table(wavelength, distance, lens, _given(context))
         names = {"modulator": modulator, "camera": camera, "polariser": polariser}
         twin = {**lengths, **calibrating.faults_of(step, _checked_faults(faults))}
         table = calibrating.open_table(names, option or (), seed, twin)
@@ -1050,9 +1062,9 @@ def _checked_faults(faults: str) -> str:
     return faults
 
 
-def _lengths_of_table(wavelength: str, distance: str) -> dict[str, float]:
-    """Return the wavelength and the distance of a table in metres; InputError for what is out of range."""
-    lengths = {}
+def _lengths_of_table(wavelength: str, distance: str, lens: str | None, given: set[str]) -> dict[str, Any]:
+    """Return the wavelength and the distance of a table in metres, or its lens; InputError for what is out of range."""
+    lengths: dict[str, Any] = {}
     for name, text, largest in (("wavelength", wavelength, 1e-3), ("distance", distance, 10.0)):
         try:
             lengths[name] = parse_length(text)
@@ -1060,6 +1072,12 @@ def _lengths_of_table(wavelength: str, distance: str) -> dict[str, float]:
             raise InputError(f"--{name}: {error}") from None
         if not 0 < lengths[name] <= largest:
             raise InputError(f"--{name} must be above 0 and at most {largest:g} metres, with a unit; got {text!r}")
+    if lens is not None:
+        from odak.cli.calibrate import parse_lens
+
+        if "distance" in given:
+            raise InputError("--distance has no effect with --lens, which has its distances in before= and after=")
+        lengths["distance"] = parse_lens(lens)
     return lengths
 
 
@@ -1070,6 +1088,7 @@ def _lengths_of_table(wavelength: str, distance: str) -> dict[str, float]:
     "report.json."
 )
 def capture(
+    context: typer.Context,
     pattern: Annotated[
         Path, typer.Argument(metavar="PATTERN", help="Grey picture of the levels, or folder of `odak hologram`.")
     ],
@@ -1088,6 +1107,7 @@ def capture(
     option: InstrumentOptions = None,
     wavelength: TableWavelength = "532nm",
     distance: TableDistance = "20mm",
+    lens: TableLens = None,
     seed: TableSeed = 0,
     faults: TableFaults = "some",
     quiet: Quiet = False,
@@ -1098,7 +1118,7 @@ def capture(
         from odak.cli import calibrate as calibrating
         from odak.cli import capture as capturing
 
-        lengths = _lengths_of_table(wavelength, distance)
+        lengths = _lengths_of_table(wavelength, distance, lens, _given(context))
         twin = {**lengths, **calibrating.faults_of("capture", _checked_faults(faults))}
         table = calibrating.open_table({"modulator": modulator, "camera": camera}, option or (), seed, twin)
         there = (pattern, table, output, lengths["wavelength"], lengths["distance"])

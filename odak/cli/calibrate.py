@@ -12,16 +12,19 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from odak import instruments
+from odak._validate import parse_length
 from odak.cli.files import REPORT, SILENT, Notices, announce, claim, claiming, writable_folder, write_json
-from odak.cli.job import InputError, did_you_mean
+from odak.cli.job import InputError, did_you_mean, is_length
 from odak.cli.report import collected_warnings, versions
-from odak.instruments import Calibration
+from odak.instruments import Calibration, Lens
 from odak.instruments.calibration import UNITS
 from odak.instruments.exposures import set_exposure
 from odak.instruments.focus import distance_with_uncertainty
 from odak.instruments.illumination import illumination_with_uncertainty
+from odak.instruments.mapping import ray_matrix
 from odak.instruments.phase_response import phases_with_uncertainty, regions_with_uncertainty
 from odak.instruments.protocols import checked_camera
+from odak.instruments.registration import SPREAD
 from odak.instruments.simulated import REALISTIC
 from odak.instruments.spots import lens_phase, spots_phase
 from odak.instruments.wavefronts import wavefront_with_uncertainty
@@ -54,6 +57,30 @@ class Found(NamedTuple):
     calibration: Calibration
     values: dict[str, tuple[Any, str]]
     draw: Callable[[Figure], None]
+
+
+def parse_lens(text: str) -> Lens:
+    """Return a lens from its focal length and what else is known of it: ``200mm,before=150mm,after=201mm,block=1mm``.
+
+    Raises
+    ------
+    InputError
+        If the text is none.
+    """
+    first, *others = text.split(",")
+    given = [("focal_length", first), *((name.strip(), value) for name, _, value in (o.partition("=") for o in others))]
+    names = [name for name, _ in given]
+    try:
+        if len(set(names)) < len(names) or not {*names} <= {"focal_length", "before", "after", "block"}:
+            raise ValueError("what follows the focal length is before=, after= or block=, each once")
+        if any(not is_length(value) for _, value in given):
+            raise ValueError("lengths have a unit, such as 200mm")
+        return Lens(**{name: parse_length(value) for name, value in given})
+    except ValueError as error:
+        raise InputError(
+            f"--lens must be a focal length, such as 200mm, or one with distances and the radius of a block, such as "
+            f"200mm,before=150mm,after=201mm,block=0.5mm; got {text!r}: {error}"
+        ) from None
 
 
 def faults_of(step: str, faults: str) -> dict[str, Any]:
@@ -120,7 +147,7 @@ def open_table(names: dict[str, str | None], options: Sequence[str], seed: int, 
         }
     except (ImportError, OSError, TypeError, ValueError) as error:
         raise InputError(f"an instrument cannot be opened: {error}") from None
-    return Table(opened["modulator"], opened["camera"], opened["polariser"])
+    return Table(opened["modulator"], opened["camera"], opened.get("polariser"))
 
 
 @claiming
@@ -129,7 +156,7 @@ def run(
     table: Table,
     output: Path,
     wavelength: float,
-    distance: float,
+    distance: float | Lens,
     results: Path | None = None,
     notices: Notices = SILENT,
 ) -> dict:
@@ -143,8 +170,10 @@ def run(
         The instruments.
     output : Path
         Folder to write to: ``STEP.png``, ``report.json`` and the results, which the next step takes.
-    wavelength, distance : float
-        Of the light, and from the modulator to the camera, in metres.
+    wavelength : float
+        Of the light in metres.
+    distance : float or Lens
+        From the modulator to the camera in metres, or the lens between them.
     results : Path, optional
         HDF5 file of the results, ``calibration.h5`` in the folder by default. What it holds is taken as known; where it
         does not exist, a file of the same name that ends in ``.npz``, as earlier versions wrote, is read instead.
@@ -184,7 +213,7 @@ def run(
     with collected_warnings() as texts:
         try:
             found = STEPS[step](table, known)
-        except (RuntimeError, ValueError) as error:
+        except (RuntimeError, TypeError, ValueError) as error:
             raise InputError(f"the step {step} failed: {error}") from None
     instruments.save_calibration(path, found.calibration)
     figure = Figure(figsize=(9, 3.4), layout="constrained")
@@ -205,7 +234,9 @@ def run(
     return report
 
 
-def known_table(table: Table, path: Path, wavelength: float, distance: float, option: str = "--results") -> Calibration:
+def known_table(
+    table: Table, path: Path, wavelength: float, distance: float | Lens, option: str = "--results"
+) -> Calibration:
     """Return the calibration in a file, and the nominal properties of a table where there is no such file.
 
     Parameters
@@ -214,15 +245,17 @@ def known_table(table: Table, path: Path, wavelength: float, distance: float, op
         The instruments.
     path : Path
         File of the results.
-    wavelength, distance : float
-        Of the light, and from the modulator to the camera, in metres.
+    wavelength : float
+        Of the light in metres.
+    distance : float or Lens
+        From the modulator to the camera in metres, or the lens between them.
     option : str
         Name of the file in messages.
 
     Raises
     ------
     InputError
-        If it cannot be read, or belongs to another modulator or wavelength.
+        If it cannot be read, or belongs to another modulator, wavelength or lens.
     """
     if not path.exists():
         return Calibration.nominal(table.modulator, table.camera, wavelength, distance)
@@ -234,6 +267,13 @@ def known_table(table: Table, path: Path, wavelength: float, distance: float, op
         raise InputError(
             f"{option} {str(path)!r} belongs to another setup: it must have {list(table.modulator.shape)} pixels "
             f"at {wavelength:g} m, got {list(known.amplitude.shape)} at {known.wavelength:g} m"
+        )
+    # A distance is measured, and so may differ; a lens is not.
+    lenses = [path if isinstance(path, Lens) else None for path in (known.distance, distance)]
+    if lenses[0] != lenses[1]:
+        raise InputError(
+            f"{option} {str(path)!r} belongs to another setup: --lens must be the lens of the file, {lenses[0]}, got "
+            f"{lenses[1]}"
         )
     return known
 
@@ -275,8 +315,12 @@ def _regions(table: Table, known: Calibration) -> Found:
 
 def _registration(table: Table, known: Calibration) -> Found:
     there = (table.modulator, table.camera, known.wavelength, known.distance, known.response)
-    mapping = instruments.register_camera(*there, wavefront=known.wavefront, middle=not known.wavefront.any())
-    half = 0.375 * np.array(table.modulator.shape[::-1]) * table.modulator.pitch
+    middle = not known.wavefront.any()
+    mapping = instruments.register_camera(*there, wavefront=known.wavefront, middle=middle)
+    # The grid of spots, as register_camera places it.
+    seen = table.camera if isinstance(known.distance, Lens) else table.modulator
+    farthest = known.wavelength * abs(ray_matrix(known.distance)[1]) / (2 * table.modulator.pitch)
+    half = np.minimum(0.375 * np.array(seen.shape[::-1]) * seen.pitch, (SPREAD if middle else 0.8) * farthest)
     axes = [np.linspace(-h, h, 6) for h in half]
     points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     frame = table.camera.capture(2).mean(0)

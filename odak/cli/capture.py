@@ -1,5 +1,6 @@
 """Captures of holograms for `odak capture`: patterns on the modulator, what the camera sees, and what was predicted."""
 
+import dataclasses
 import json
 import os
 from pathlib import Path
@@ -22,7 +23,7 @@ from odak.cli.files import (
     write_png,
 )
 from odak.cli.job import InputError
-from odak.instruments import Calibration, record_captures, save_captures, set_exposure
+from odak.instruments import Calibration, Lens, record_captures, save_captures, set_exposure
 from odak.instruments.calibration import predicted_capture
 from odak.tools.file import read_levels
 
@@ -47,7 +48,7 @@ def run(
     table: Table,
     output: Path,
     wavelength: float,
-    distance: float,
+    distance: float | Lens,
     *,
     calibration: Path | None = None,
     captures: int = 4,
@@ -63,8 +64,10 @@ def run(
         The instruments, see :func:`odak.cli.calibrate.open_table`.
     output : Path
         Folder to write to: ``capture_NAME.png`` for each pattern, ``captures.h5`` and ``report.json``.
-    wavelength, distance : float
-        Of the light, and from the modulator to the camera, in metres; those of the calibration where there is one.
+    wavelength : float
+        Of the light in metres; that of the calibration where there is one.
+    distance : float or Lens
+        From the modulator to the camera in metres, or the lens between them; likewise.
     calibration : Path, optional
         Results of `odak calibrate`; nominal values by default.
     captures : int
@@ -89,7 +92,7 @@ def run(
         known = Calibration.nominal(table.modulator, table.camera, wavelength, distance)
     else:
         known = read_calibration(str(calibration))
-        known = known_table(table, Path(calibration).expanduser(), known.wavelength, distance, "--calibration")
+        known = known_table(table, Path(calibration).expanduser(), known.wavelength, known.distance, "--calibration")
         if known.registration.shape != tuple(table.camera.shape):
             raise InputError(
                 f"--calibration is of a camera of {list(known.registration.shape)} pixels, got "
@@ -114,7 +117,8 @@ def run(
         "captures": CAPTURES,
         "exposure": found.exposure,
         "wavelength": known.wavelength,
-        "distance": known.distance,
+        "distance": None if isinstance(known.distance, Lens) else known.distance,
+        "lens": dataclasses.asdict(known.distance) if isinstance(known.distance, Lens) else None,
         "calibration": None if calibration is None else str(calibration),
         "warnings": texts,
         "versions": sheets.versions(),

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import torch
     from PIL import Image
 
-    from odak.instruments import Calibration
+    from odak.instruments import Calibration, Lens
 
 REPORT, FINGERPRINT, DIGESTS = "report.json", "fingerprint", "sha256"
 LOCK = ".odak.lock"
@@ -397,11 +397,14 @@ class Response(NamedTuple):
         Aberration at each pixel in radians.
     amplitude : numpy.ndarray, optional
         Amplitude of the illumination at each pixel, its mean square being 1; None for even light.
+    lens : odak.instruments.Lens, optional
+        Lens of the table, behind which the picture is.
     """
 
     phases: "numpy.ndarray"
     wavefront: "numpy.ndarray | float" = 0.0
     amplitude: "numpy.ndarray | None" = None
+    lens: "Lens | None" = None
 
     def light(self, like: "torch.Tensor") -> "torch.Tensor | float":
         """Return the amplitude as a tensor on the device of another, in its precision; 1.0 for even light."""
@@ -418,7 +421,8 @@ def _response(calibration: str | None, lut: str | None, slm_range: float | None,
     if calibration is not None:
         found = read_calibration(calibration)
         amplitude = found.amplitude / math.sqrt(float(np.mean(found.amplitude**2)))
-        return Response(found.response, found.wavefront, amplitude)
+        lens = None if isinstance(found.distance, (int, float)) else found.distance
+        return Response(found.response, found.wavefront, amplitude, lens)
     if slm_range is not None:
         return Response(np.arange(1 << bits) * (slm_range / (1 << bits)))
     return None if lut is None else Response(read_lut(lut, bits))
@@ -427,6 +431,20 @@ def _response(calibration: str | None, lut: str | None, slm_range: float | None,
 def response_of(job: Job) -> Response | None:
     """Return the response of the modulator of a job by --calibration, --lut or --slm-range; None for the ideal one."""
     return _response(job.calibration, job.lut, job.slm_range, job.bits)
+
+
+def image_pitches(job: Job) -> tuple[float, float]:
+    """Return the distances of neighbouring points of the picture along rows and columns in metres.
+
+    They are those of the modulator's pixels or, behind a lens, λ·B/(rows·pitch) and λ·B/(columns·pitch), B being the
+    focal length for a picture at the focus.
+    """
+    response = response_of(job)
+    if response is None or response.lens is None:
+        return job.pitches
+    reach = job.wavelengths[0] * abs(response.lens.ray_matrix[1])
+    (rows, columns), (dy, dx) = job.resolution, job.pitches
+    return reach / (rows * dy), reach / (columns * dx)
 
 
 def read_lut(path: str, bits: int) -> "numpy.ndarray":
@@ -511,18 +529,17 @@ def calibrated(path: str, values: Mapping[str, Any], given: Collection[str]) -> 
         If the file cannot be read, or an option contradicts it.
     """
     found = read_calibration(path)
-    if not isinstance(found.distance, (int, float)):
-        raise InputError(
-            f"--calibration {path!r} is of a table with a lens, for which holograms are computed in Python, by "
-            "Display.from_calibration and optimise"
-        )
+    lens = None if isinstance(found.distance, (int, float)) else found.distance
+    if lens is not None and "distance" in given:
+        raise InputError(f"--distance has no effect with --calibration {path!r}, which is of a table with a lens")
     bits = (found.phases.size - 1).bit_length()
     known = {
         "wavelengths": (found.wavelength,),
         "pixel_pitch": found.pitch,
         "resolution": found.amplitude.shape,
         "bits": bits,
-        "distance": found.distance,
+        # Behind a lens, light at an angle a reaches the point B·a, as it does at the distance B without one.
+        "distance": found.distance if lens is None else abs(lens.ray_matrix[1]),
     }
     if found.phases.size != 1 << bits:
         raise InputError(f"--calibration {path!r} has {found.phases.size} levels, which is no power of two")

@@ -4,6 +4,7 @@ Each pattern is evaluated as saved: quantised, written, read back, and propagate
 distance.
 """
 
+import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -16,6 +17,7 @@ import torch
 from tqdm import tqdm
 
 from odak._validate import UNITS
+from odak._warnings import AccuracyWarning, warn
 from odak.cli import files, report
 from odak.cli.job import (
     COMPUTED_PHASES,
@@ -29,6 +31,7 @@ from odak.cli.job import (
     pattern_name,
 )
 from odak.cli.target import Target, Volume, load_target, load_volume
+from odak.instruments import Lens
 from odak.learn import wave
 from odak.learn.models.hologram_networks import FARTHEST, RATIOS, SPREADS, hologram_network
 from odak.learn.tools import zero_pad
@@ -69,10 +72,12 @@ def run(job: Job, notices: files.Notices = files.SILENT) -> dict:
     """
     with report.collected_warnings() as texts:
         start = time.perf_counter()
-        job.warn_of_doubtful_lengths()
-        check_propagation_type(job.propagation_type)
         # Read, and refused if need be, before anything is computed.
-        files.response_of(job)
+        if (lens := lens_of(job)) is None:
+            job.warn_of_doubtful_lengths()
+        else:
+            check_behind_lens(job, lens)
+        check_propagation_type(job.propagation_type)
         device = report.find_device(job.device)
         target = load_target(job)
         if job.method == "network":
@@ -109,6 +114,36 @@ def check_propagation_type(name: str) -> None:
     if method is not None and method.name in UNFIT:
         accepted = ", ".join(repr(kind) for kind in PROPAGATION_TYPES if kind in (*fit, "auto"))
         raise InputError(f"--propagation-type must be one of {accepted}; got {name!r}")
+
+
+def lens_of(job: Job) -> Lens | None:
+    """Return the lens of the calibrated table of a job, None if it has none."""
+    response = files.response_of(job)
+    return None if response is None else response.lens
+
+
+def check_behind_lens(job: Job, lens: Lens) -> None:
+    """Raise InputError for options that pictures behind a lens do not take, and warn of a zero order in the picture."""
+    without = {
+        f"--method {job.method}": job.method != "sgd",
+        "--planes": job.planes > 1,
+        f"--propagation-type {job.propagation_type}": job.propagation_type != Job.propagation_type,
+        "--grating": job.grating,
+        "--fill-factor 0": job.fill_factor is None,
+        "--initial-phase double-phase": job.initial_phase == "double-phase",
+    }
+    for name, used in without.items():
+        if used:
+            raise InputError(
+                f"{name} cannot be used with --calibration of a table with a lens, for which the method sgd computes "
+                "pictures on one plane, of pixels of finite size"
+            )
+    if lens.block == 0:
+        warn(
+            "--calibration is of a table with a lens and no block: light that the modulator does not modulate forms a "
+            "bright spot in the middle of the picture, which the report does not contain",
+            AccuracyWarning,
+        )
 
 
 def check_training_range(job: Job, wavelengths: Sequence[float]) -> None:
@@ -164,6 +199,8 @@ def comparison(job: Job, target: Target, images, phases, names: list[str], quali
     """Return target, reconstruction, their difference and the patterns side by side."""
     psnr = "" if quality["psnr_db"] is None else f", PSNR {quality['psnr_db']:.1f} dB"
     where = "in focus" if job.planes > 1 else f"at {job.distance * 1e3:.4g} mm"
+    if (lens := lens_of(job)) is not None:
+        where = f"behind a lens of {lens.focal_length * 1e3:.4g} mm"
     first = [
         report.picture_panel("Target", target.intensity),
         report.picture_panel(f"Reconstruction {where}{psnr}, SSIM {quality['ssim']:.3f}", images),
@@ -179,7 +216,7 @@ def comparison(job: Job, target: Target, images, phases, names: list[str], quali
 
 def _sheet(job: Job, rows: list[list[report.Panel]]):
     """Return panels of images and patterns in rows, with the shape and size that they have on the modulator."""
-    dy, dx = job.pitches
+    dy, dx = files.image_pitches(job)
     return report.sheet(rows, job.resolution[1] * dx, dy / dx)
 
 
@@ -187,8 +224,15 @@ def _verification(job: Job, target: Target) -> dict:
     filtered = "Fourier filter passing |f| <= 1/(4*pitch) along each axis, as double phase needs (a 4f relay)"
     points = "points: intensities at the middles of pixels that emit as points"
     squares = "squares: means over the areas of pixels, which emit as squares of the fill factor; their gaps are dark"
+    behind = {}
+    if (lens := lens_of(job)) is None:
+        kinds = [verification_type(job, wavelength) for wavelength in target.wavelengths]
+    else:
+        kinds = ["Fourier sums over all pixels, at twice as many points along each axis as the picture has"]
+        behind = {"lens": dataclasses.asdict(lens), "picture_pitch": list(files.image_pitches(job))}
     return {
-        "propagation_type": [verification_type(job, wavelength) for wavelength in target.wavelengths],
+        "propagation_type": kinds,
+        **behind,
         "grating": "its phase was subtracted from the pattern read back" if job.grating else None,
         "modulator": _described(job),
         "aperture": filtered if job.method == "double-phase" else None,
@@ -239,20 +283,13 @@ def _channel(job: Job, target: Target, channel: int, paths: list[Path], device: 
     intensity, wavelength = target.intensity[channel].to(device), target.wavelengths[channel]
     ideal, seconds, loss = _hologram(job, intensity, wavelength)
     ideal, response = ideal.reshape(-1, *job.resolution), files.response_of(job)
-    light = 1.0 if response is None else response.light(ideal)
-    method = verification_type(job, wavelength)
     grating = grating_phase(job.resolution, device) if job.grating else 0.0
     modulated = ideal * wave.generate_complex_field(1.0, grating).to(ideal) if job.grating else ideal
     for path, pattern in zip(paths, modulated, strict=True):
         files.save_pattern(path, files.quantise(pattern, job.bits, response), job.bits)
     phases = torch.stack([files.load_pattern(path, job.bits, response) for path in paths])
-    saved = light * wave.generate_complex_field(1.0, phases.to(device) - grating).to(ideal.dtype)
-    ideal = light * wave.generate_complex_field(1.0, wave.calculate_phase(ideal)).to(ideal.dtype)
-    # As computed and as saved, frame beside frame.
-    both = torch.stack([ideal, saved], 1).flatten(0, 1)
-    lights = _intensity_at(job, both, wavelength, job.distance, method, job.fill_factor)
-    unquantised, image = lights[::2].mean(0), lights[1::2].mean(0)
-    other = _intensity_at(job, saved, wavelength, job.distance, method, _other_fill(job)).mean(0)
+    seen = _seen if response is None or response.lens is None else _seen_behind_lens
+    unquantised, image, other = seen(job, wave.calculate_phase(ideal), phases.to(device) - grating, wavelength)
     numbers, wanted = report.measure(intensity, target.window, image, unquantised), intensity[target.window]
     shown = [holograms.best_scale(light, wanted) * light for light in (image[target.window], other[target.window])]
     return {
@@ -266,6 +303,30 @@ def _channel(job: Job, target: Target, channel: int, paths: list[Path], device: 
         "image": (image * numbers["scale"]).cpu(),
         "phases": phases,
     }
+
+
+def _seen(job: Job, ideal: torch.Tensor, saved: torch.Tensor, wavelength: float) -> tuple[torch.Tensor, ...]:
+    """Return what is seen of phases ``[frames, rows, columns]``, as the report states it and by the other figure.
+
+    The first image is that of the phases as computed, the other two are those of the phases as saved.
+    """
+    response = files.response_of(job)
+    light = 1.0 if response is None else response.light(ideal)
+    kind = torch.complex64 if ideal.dtype == torch.float32 else torch.complex128
+    fields = [light * wave.generate_complex_field(1.0, phases).to(kind) for phases in (ideal, saved)]
+    method = verification_type(job, wavelength)
+    # As computed and as saved, frame beside frame.
+    both = torch.stack(fields, 1).flatten(0, 1)
+    lights = _intensity_at(job, both, wavelength, job.distance, method, job.fill_factor)
+    other = _intensity_at(job, fields[1], wavelength, job.distance, method, _other_fill(job)).mean(0)
+    return lights[::2].mean(0), lights[1::2].mean(0), other
+
+
+def _seen_behind_lens(job: Job, ideal: torch.Tensor, saved: torch.Tensor, wavelength: float):
+    """Return what :func:`_seen` returns, behind the lens of a calibrated table."""
+    display = _display(job, [wavelength], lens_of(job) or [job.distance], torch.ones(len(ideal), 1), ideal.device)
+    areas, points = display.judge(saved.to(ideal))
+    return display.judge(ideal)[0][0, 0], areas[0, 0], points[0, 0]
 
 
 def _other_fill(job: Job) -> float | None:
@@ -410,8 +471,12 @@ def grating_phase(shape: tuple[int, int], device: torch.device) -> torch.Tensor:
 def _descend(job: Job, intensity: torch.Tensor, wavelength: float, callback: Callable) -> torch.Tensor:
     if job.fill_factor is not None and method_named(job.propagation_type).name in EXACT:
         frames = job.frames or 1
-        display = _display(job, [wavelength], [job.distance], torch.ones(frames, 1), intensity.device)
-        start = _phases_of_frames(job, intensity, wavelength).reshape(frames, *job.resolution)
+        lens = lens_of(job)
+        display = _display(job, [wavelength], lens or [job.distance], torch.ones(frames, 1), intensity.device)
+        if lens is None or job.initial_phase != "gs":
+            start = _phases_of_frames(job, intensity, wavelength).reshape(frames, *job.resolution)
+        else:
+            start = starting_phases(display, intensity[None, None], "gs", job.seed)
         mean_error = torch.nn.functional.mse_loss
         problem = wave.Problem(display, intensity[None, None], mean_error, start, _run(job, callback), job.scale)
         phases = _descend_over_areas(job, problem)
@@ -445,7 +510,7 @@ def _modulator(job: Job, like: torch.Tensor) -> Callable | None:
     return lambda phase: wave.generate_complex_field(light, phase)
 
 
-def _display(job: Job, wavelengths: Sequence[float], distances: Sequence[float], powers, device) -> wave.Display:
+def _display(job: Job, wavelengths: Sequence[float], distances: Sequence[float] | Lens, powers, device) -> wave.Display:
     """Return the display of real pixels that a job describes, with sources of some powers ``[frames, colours]``."""
     modulator = _modulator(job, torch.zeros(job.resolution, device=device))
     panel = wave.Modulator(job.resolution, job.pixel_pitch, None, job.fill_factor or 1.0, modulator)

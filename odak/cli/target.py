@@ -10,6 +10,7 @@ import torch
 from PIL import Image
 
 from odak._warnings import ArgumentWarning, warn
+from odak.cli.files import image_pitches
 from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, InputError, Job, depth_map_path, image_path
 from odak.learn.wave import multiplane_loss
 
@@ -66,7 +67,7 @@ def load_target(job: Job) -> Target:
         picture = to_grey(picture)
     wavelengths = job.wavelengths or (COLOUR_WAVELENGTHS if len(picture) == 3 else (GREY_WAVELENGTH,))
     picture = picture.expand(len(wavelengths), -1, -1)
-    size = fitting_size(picture.shape[-2:], job.resolution, job.pitches)
+    size = fitting_size(picture.shape[-2:], job.resolution, image_pitches(job))
     intensity, window = fit(picture, job.resolution, size)
     if min(part.stop - part.start for part in window) < WINDOW:
         rows, columns = (part.stop - part.start for part in window)

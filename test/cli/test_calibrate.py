@@ -7,9 +7,12 @@ import sys
 import numpy as np
 import pytest
 import torch
+from laboratory import Laboratory
 from PIL import Image
+from scipy.ndimage import map_coordinates
 
 from odak import instruments
+from odak.cli import calibrate as calibrate_command
 from odak.cli import files, main
 from odak.cli.job import Job
 from odak.instruments import spots
@@ -85,16 +88,20 @@ def sensor(number):
 """
 
 
-def test_drivers_of_another_package_are_found_and_used(tmp_path, monkeypatch, capsys):
-    """A package as it is installed: a module, and metadata that name its drivers."""
-    (tmp_path / "rig_drivers.py").write_text(DRIVER)
-    metadata = tmp_path / "rig_drivers-1.0.dist-info"
+def install(module, folder, monkeypatch):
+    """Put a package of drivers where it is found as if it were installed: a module, and metadata that name them."""
+    (folder / "rig_drivers.py").write_text(module)
+    metadata = folder / "rig_drivers-1.0.dist-info"
     metadata.mkdir()
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: rig-drivers\nVersion: 1.0\n")
     (metadata / "entry_points.txt").write_text(
         "[odak.instruments]\nrig-panel = rig_drivers:Panel\nrig-sensor = rig_drivers:sensor\n"
     )
-    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.syspath_prepend(str(folder))
+
+
+def test_drivers_of_another_package_are_found_and_used(tmp_path, monkeypatch, capsys):
+    install(DRIVER, tmp_path, monkeypatch)
     panel = instruments.open_instrument("rig-panel", number=4)
     camera = instruments.open_instrument("rig-sensor", number=4)
     assert isinstance(panel, instruments.Modulator) and isinstance(camera, instruments.Camera)
@@ -270,6 +277,146 @@ def test_captures_stand_beside_their_prediction(tmp_path, capsys):
     ):
         assert main(["capture", str(tmp_path / name), *SMALL, "--output", str(tmp_path / "out")]) == 2
         assert message in capsys.readouterr().err
+
+
+LENS = ["--lens", "20mm"]
+
+
+def behind_a_lens(folder, panel=(40, 40), block=3e-5):
+    """Write the calibration of an independent table with a lens, true in all its values; return the table."""
+    y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in panel), indexing="ij")
+    beam, phases = np.exp(-(x**2) - 0.5 * y**2), 6.4 * (np.arange(256) / 255) ** 1.3
+    point = 532e-9 * 20e-3 / (8e-6 * panel[1])
+    options = {"fill": 0.9, "camera_shape": panel, "camera_pitch": point, "phases": phases, "amplitude": beam}
+    table = Laboratory(panel, focal_length=20e-3, wavefront=2 * x * y + x, **options)
+    lens = instruments.Lens(20e-3, block=block)
+    found = instruments.Calibration.nominal(table.modulator, table.camera, 532e-9, lens)
+    found = dataclasses.replace(found, phases=phases, wavefront=table.wavefront, amplitude=beam / beam.max())
+    instruments.save_calibration(folder / "lens.h5", found)
+    return table
+
+
+def holograms(folder, *more):
+    arguments = ["hologram", "chart", "--calibration", str(folder / "lens.h5"), "--device", "cpu", "--quiet", "--again"]
+    return main([*arguments, "--output", str(folder / "out"), *more])
+
+
+def test_a_hologram_behind_a_lens_is_that_which_the_table_shows(tmp_path):
+    """The report's picture, from the saved pattern, is the light on an independent table."""
+    table = behind_a_lens(tmp_path)
+    assert holograms(tmp_path, "--iterations", "40") == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["psnr_db"] > 20 and report["warnings"] == []
+    assert report["verification"]["lens"] == {"focal_length": 0.02, "before": 0.02, "after": 0.02, "block": 3e-5}
+    table.modulator.show(np.asarray(Image.open(tmp_path / "out" / "hologram_532nm.png")).astype(int))
+    light = table.light(0, 0, 40, 40) / np.mean(np.abs(table.illumination) ** 2)
+    rows, columns = (slice(*report["picture"][name]) for name in ("rows", "columns"))
+    seen = np.asarray(Image.open(tmp_path / "out" / "reconstruction.png"))[rows, columns] / 255
+    # The light of the gaps, which no pattern changes, is on the axis.
+    away = (np.hypot(*(np.indices((40, 40)) - 20)) > 4)[rows, columns]
+    light = light[rows, columns]
+    light = (light * (light * seen)[away].sum() / (light**2)[away].sum()).clip(0, 1)
+    # A pixel of the camera is the mean of four points there, and its light that of an area here.
+    assert np.sqrt(np.mean((light - seen)[away] ** 2)) < 0.012
+    assert np.corrcoef(light[away], seen[away])[0, 1] > 0.999
+
+
+def test_pictures_behind_a_lens_are_not_distorted_and_what_it_does_not_take_is_named(tmp_path, capsys):
+    behind_a_lens(tmp_path, (40, 60), 0.0)
+    assert holograms(tmp_path, "--iterations", "3", "--resolution", "40", "60") == 0
+    assert "forms a bright spot in the middle of the picture" in capsys.readouterr().err
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    # The points of the rows are farther apart than those of the columns: as many rows as columns are square.
+    down, across = report["verification"]["picture_pitch"]
+    assert down / across == pytest.approx(60 / 40)
+    height, width = (np.diff(report["picture"][name])[0] for name in ("rows", "columns"))
+    with Image.open(report["picture"]["file"]) as file:
+        assert height * down / (width * across) == pytest.approx(file.height / file.width, rel=1 / 20)
+    for more, message in (
+        (["--distance", "20mm"], "--distance has no effect with --calibration"),
+        (["--method", "gs"], "--method gs cannot be used with --calibration of a table with a lens"),
+        (["--fill-factor", "0"], "--fill-factor 0 cannot be used"),
+        (["--grating"], "--grating cannot be used"),
+        (["--propagation-type", "Angular Spectrum"], "--propagation-type Angular Spectrum cannot be used"),
+    ):
+        assert holograms(tmp_path, *more) == 2, more
+        assert message in capsys.readouterr().err
+
+
+def test_lenses_of_the_command_line(tmp_path, capsys):
+    lens = calibrate_command.parse_lens("200mm,before=150mm,after=0.201m,block=1mm")
+    assert lens == instruments.Lens(0.2, 0.15, 0.201, 1e-3)
+    assert calibrate_command.parse_lens("0.2m") == instruments.Lens(0.2)
+    behind_a_lens(tmp_path)
+    size = ["--option", "simulated.shape=[40,40]", "--option", "simulated.camera_shape=[40,40]"]
+    known_file = ["--results", str(tmp_path / "lens.h5")]
+    for arguments, message in (
+        (["phase", "--lens", "200"], "lengths have a unit"),
+        (["phase", "--lens", "200mm,focus=1mm"], "--lens must be a focal length"),
+        (["phase", "--lens", "200mm,after=2mm,after=3mm"], "each once"),
+        (["phase", "--lens", "100mm,before=200mm,after=200mm"], "must not image the modulator"),
+        (["phase", *LENS, "--distance", "20mm"], "--distance has no effect with --lens"),
+        (["distance", *LENS, *size], "behind a lens measure_wavefront finds the defocus"),
+        (["exposure", *size, *known_file], "--lens must be the lens of the file, Lens(focal_length=0.02"),
+    ):
+        assert main(["calibrate", *arguments, "--output", str(tmp_path / "found")]) == 2, arguments
+        assert message in capsys.readouterr().err, arguments
+
+
+INDEPENDENT = """
+import numpy as np
+from laboratory import Laboratory
+
+y, x = np.meshgrid(*2 * [np.arange(-48, 48) / 48], indexing="ij")
+level = np.arange(256) / 255
+table = Laboratory(
+    (96, 96), focal_length=20e-3, wavefront=0.7 * x * y + 0.5 * x**3 + 0.4 * y**2, fill=0.9, camera_pitch=4e-6,
+    camera_shape=(340, 360), phases=2 * np.pi * (level**1.2 + 0.03 * np.sin(2 * np.pi * level)), offset=(3e-5, -2e-5),
+    signs=(-1, 1), amplitude=np.exp(-((x - 0.2) ** 2 + (y + 0.1) ** 2) / 2),
+)
+
+
+def Panel():
+    return table.modulator
+
+
+def sensor():
+    return table.camera
+"""
+
+
+@pytest.mark.slow
+def test_from_an_independent_table_with_a_lens_to_the_hologram_on_it(tmp_path, monkeypatch):
+    """Each step by the command line: its calibration, a hologram for it, a capture of this beside the prediction."""
+    install(INDEPENDENT, tmp_path, monkeypatch)
+    table = ["--modulator", "rig-panel", "--camera", "rig-sensor", *LENS, "--quiet"]
+    assert main(["calibrate", "all", *table, "--output", str(tmp_path)]) == 0
+    found = tmp_path / "calibration.h5"
+    found.rename(tmp_path / "lens.h5")
+    assert holograms(tmp_path, "--iterations", "60", "--fill-factor", "0.9") == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["psnr_db"] > 25
+    table += ["--calibration", str(tmp_path / "lens.h5"), "--output", str(tmp_path / "seen")]
+    assert main(["capture", str(tmp_path / "out"), *table]) == 0
+    (result,) = json.loads((tmp_path / "seen" / "report.json").read_text())["patterns"]
+    # The zero order, which the prediction does not contain, is a quarter of the light.
+    assert result["correlation"] > 0.8
+    frame = instruments.load_captures(tmp_path / "seen" / "captures.h5").frames[0].mean(0).astype(float)
+    rig = sys.modules.pop("rig_drivers").table
+    # The mean over the areas of the picture's points, by the measured mapping.
+    rows, columns = (np.arange(*report["picture"][name]) for name in ("rows", "columns"))
+    pitch = report["verification"]["picture_pitch"][0]
+    inner = (np.arange(6) + 0.5) / 6 - 0.5
+    y, x = (pitch * (np.add.outer(n - 48, inner)).ravel() for n in (rows, columns))
+    places = instruments.load_calibration(tmp_path / "lens.h5").registration.camera_pixels(
+        np.stack(np.meshgrid(x, y), axis=-1)
+    )
+    inside = ((places > 1) & (places < np.array(rig.camera.shape[::-1]) - 2)).all(-1)
+    light = map_coordinates(frame, places.transpose(2, 0, 1)[::-1], order=3)
+    light, inside = (v.reshape(len(rows), 6, len(columns), 6).mean((1, 3)) for v in (light, inside * 1.0))
+    seen = np.asarray(Image.open(tmp_path / "out" / "reconstruction.png"))[np.ix_(rows, columns)] / 255
+    away = (np.hypot(*np.meshgrid(rows - 48, columns - 48, indexing="ij")) > 6) & (inside == 1)
+    assert np.corrcoef(light[away], seen[away])[0, 1] > 0.995
 
 
 @pytest.mark.slow
