@@ -241,3 +241,48 @@ def test_stubs_are_part_of_the_package():
     patterns = settings["tool"]["setuptools"]["package-data"]["odak"]
     shipped = {path for pattern in patterns for path in ROOT.glob(pattern)}
     assert {path.with_suffix(".pyi") for path in ROOT.rglob("__init__.py")} <= shipped
+
+
+# Modules whose tests stand in a file of another name; those of internal modules are the tests of what uses them.
+TESTED_IN = {
+    "odak.cli.eyebox_views": "cli/test_eyebox.py",
+    "odak.cli.job": "cli/test_hologram.py",
+    "odak.cli.report": "cli/test_hologram.py",
+    "odak.cli.target": "cli/test_hologram.py",
+    "odak.instruments.array_files": "instruments/test_captures.py",
+    "odak.instruments.mapping": "instruments/test_registration.py",
+    "odak.learn.raytracing.primitives": "learn/raytracing/test_ray.py",
+    "odak.learn.raytracing.system.fused": "learn/raytracing/system/test_tracing.py",
+    "odak.learn.raytracing.system.sequence": "learn/raytracing/system/test_tracing.py",
+    "odak.learn.raytracing.system.system_files": "learn/raytracing/system/test_zemax.py",
+    "odak.learn.wave.optimizers.multi_color": "learn/wave/test_optimizers.py",
+    "odak.learn.wave.optimizers.multiplane": "learn/wave/test_optimizers.py",
+    "odak.learn.wave.optimizers.terms": "learn/wave/test_optimizers.py",
+    "odak.manager.tasks": "manager/test_distribute.py",
+    "odak.raytracing.apertures": "learn/raytracing/system/test_surfaces.py",
+    "odak.raytracing.arguments": "raytracing/test_ray.py",
+    "odak.raytracing.batches": "learn/raytracing/test_large_batches.py",
+    "odak.raytracing.components": "raytracing/test_ray.py",
+    "odak.raytracing.geometry": "raytracing/test_ray.py",
+    "odak.raytracing.intersections": "raytracing/test_boundary.py",
+    "odak.raytracing.primitives": "raytracing/test_ray.py",
+    "odak.raytracing.recompute": "learn/raytracing/test_large_batches.py",
+    "odak.tools.paths": "tools/test_file.py",
+    "odak.visualize.blender.items": "visualize/blender/test_scenes.py",
+    "odak.visualize.blender.shapes": "visualize/blender/test_meshes.py",
+    "odak.wave.fourier": "wave/test_sampling.py",
+    "odak.wave.linear_kernels": "wave/test_propagation.py",
+    "odak.wave.methods": "wave/test_propagation.py",
+    "odak.wave.quadrature": "wave/test_propagation.py",
+    "odak.wave.viewing": "learn/wave/test_eyebox.py",
+}
+
+
+def test_each_module_has_a_file_of_tests():
+    tests = pathlib.Path(__file__).parent
+    files = {str(path.relative_to(tests)) for path in tests.rglob("test_*.py")}
+    names = [pathlib.Path(file).stem for file in files]
+    public = {name for name in MODULES if "._" not in name and not MODULES[name].name.startswith("__")}
+    without = {name for name in public if not any(test.startswith(f"test_{name.rpartition('.')[2]}") for test in names)}
+    assert without == set(TESTED_IN)
+    assert set(TESTED_IN.values()) <= files

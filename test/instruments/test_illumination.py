@@ -1,0 +1,38 @@
+"""Illumination and dust of simulated tables."""
+
+import warnings
+
+import pytest
+from tables import fresh_seed, instruments_of, rms
+
+from odak import AccuracyWarning, instruments
+
+
+def illumination_found(seed, **faults):
+    table = instruments.SimulatedTable(seed, **faults)
+    truth = table.truth
+    known = instruments.Registration(truth.homography, truth.distortion, table.camera.shape)
+    there = (*instruments_of(table), table.wavelength, truth.distance, truth.phases, known)
+    found = instruments.measure_illumination(*there, wavefront=truth.wavefront)
+    return rms(found - truth.amplitude / truth.amplitude.max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "faults", [{"fill_factor": 0.9, "samples_per_pixel": 2}, {"fringing": 0.3, "samples_per_pixel": 2}, {}]
+)
+def test_illumination_does_not_depend_on_gaps_fringing_fields_and_the_wavelength(faults):
+    """At 450 nm pixels at the edges do not reach the axis, and the uncertainty stated is up to 3 %."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "the illumination is uncertain by 0.0[23]", AccuracyWarning)
+        error = illumination_found(fresh_seed(13), **(faults or {"wavelength": 450e-9}))
+    assert error < 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [14, 15])
+def test_dust_is_reported(seed):
+    """The map is smooth; the pixels that the dust covers deviate."""
+    with pytest.warns(AccuracyWarning, match="darker than the polynomial by up to"):
+        error = illumination_found(fresh_seed(seed), dust=3)
+    assert 0.02 < error < 0.05

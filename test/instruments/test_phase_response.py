@@ -1,0 +1,69 @@
+"""Phase of the levels of simulated modulators, for the whole of them and by regions."""
+
+import contextlib
+import dataclasses
+import warnings
+
+import numpy as np
+import pytest
+from laboratory import Laboratory
+from tables import fresh_seed, instruments_of
+
+from odak import AccuracyWarning, instruments
+from odak.instruments import phase_response
+
+
+@pytest.mark.parametrize("span", [0.5, 1.6])
+def test_phase_response_of_small_and_large_ranges(span):
+    table = instruments.SimulatedTable(4, shape=(64, 64), camera_shape=(100, 100), distance=6e-3)
+    table.truth = dataclasses.replace(table.truth, phases=table.truth.phases * span)
+    with pytest.warns(AccuracyWarning, match="leave out") if span < 1 else contextlib.nullcontext():
+        found = instruments.measure_phase_response(*instruments_of(table), 532e-9, 6e-3, samples=17)
+    assert np.abs(found - table.truth.phases).max() < 0.02
+
+
+@pytest.mark.parametrize("wrong", [-0.1, 0.1])
+def test_a_response_that_falls_with_the_level(wrong):
+    table = Laboratory((96, 128), distance=0.01, camera_shape=(200, 240), phases=-2 * np.pi * np.arange(256) / 256)
+    there = (*instruments_of(table), 532e-9, 0.01 * (1 + wrong))
+    found = instruments.measure_phase_response(*there, samples=9, captures=1)
+    assert np.abs(found - table.phases).max() < 0.01
+
+
+@pytest.mark.parametrize(("fringing", "bound"), [(0.2, 0.03), (0.4, 0.1)])
+def test_fringing_fields_do_not_falsify_the_phase_response_in_silence(fringing, bound):
+    """The bounds are 0.5 % and 5 % of the largest phase; more than a tenth of a radian comes with a warning."""
+    table = instruments.SimulatedTable(
+        5, shape=(96, 96), camera_shape=(80, 80), distance=8e-3, fringing=fringing, samples_per_pixel=2
+    )
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        found = instruments.measure_phase_response(*instruments_of(table), 532e-9, 8e-3, samples=9, captures=1)
+    error = np.abs(found - table.truth.phases).max()
+    assert error < bound
+    assert error < 0.1 or any(issubclass(w.category, AccuracyWarning) for w in told)
+
+
+@pytest.mark.parametrize("seed", [17, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (18, 19))])
+def test_a_response_that_varies_is_reported_where_it_is_not_measured(seed):
+    """The filter of the tests makes the warning an error, which ends the calibration."""
+    table = instruments.SimulatedTable(
+        fresh_seed(seed), shape=(96, 96), camera_shape=(80, 80), distance=8e-3, regional=0.05
+    )
+    with pytest.raises(AccuracyWarning, match=r"use regions=\(3, 3\)"):
+        instruments.calibrate_table(*instruments_of(table), 532e-9, 8e-3, regions=(1, 1))
+
+
+def test_a_modulator_that_does_not_modulate_is_reported():
+    table = instruments.SimulatedTable(4, shape=(32, 32), camera_shape=(40, 40), distance=3e-3)
+    table.truth = dataclasses.replace(table.truth, phases=np.zeros(256))
+    with pytest.raises(RuntimeError, match="must observe how the interference"):
+        instruments.measure_phase_response(*instruments_of(table), 532e-9, 3e-3, samples=9, captures=2)
+
+
+def test_nearest_levels_are_nearest():
+    phases = np.random.default_rng(0).uniform(-4, 9, 16)
+    wanted = np.random.default_rng(1).uniform(-20, 20, (30, 20))
+    found = phase_response.nearest_levels(wanted, phases)
+    apart = np.abs(np.angle(np.exp(1j * (phases[None, None] - wanted[..., None]))))
+    assert np.allclose(np.take_along_axis(apart, found[..., None], -1)[..., 0], apart.min(-1))
