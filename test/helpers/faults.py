@@ -17,8 +17,7 @@ from odak import instruments, tools
 from odak.learn.models import save_weights, train
 from odak.learn.raytracing.system import load_system, save_system, write_zmx
 from odak.learn.tools import save_torch_tensor
-from odak.learn.tools.file import write_checkpoint
-from odak.learn.wave import training
+from odak.learn.tools.iterations import Run, minimise, write_checkpoint
 from odak.tools import asset, paths
 
 STAGES = ("before the first byte", "half-way", "before the move", "after the move")
@@ -157,8 +156,8 @@ def descended(checkpoint=None, pause=0.0, solver="adam", iterations=30, **option
         loss.backward()
         return loss.detach()
 
-    options = training.Run(progress=False, checkpoint=checkpoint, checkpoint_every=1, iterations=iterations, **options)
-    training.minimise({"x": place}, gradient, 0.1, options, solver=solver, generators=[draw])
+    options = Run(progress=False, checkpoint=checkpoint, checkpoint_every=1, iterations=iterations, **options)
+    minimise({"x": place}, gradient, 0.1, options, solver=solver, generators=[draw])
     return [place.detach()]
 
 

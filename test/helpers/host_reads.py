@@ -28,7 +28,8 @@ REASONS = {
         raytracing/system/waves: _view field_modulation field_quality relative_illumination
         wave/displays: _view
         wave/gaussians/sets: _points save_splats
-        wave/training: _show _take_up fingerprint go
+        tools/iterations: go iterate minimise
+        wave/training: fingerprint
         wave/display_models: capture count display_camera fit_display of registration
     """,
     "an argument is refused, or its kind decides on the way, once per call": """
@@ -109,8 +110,8 @@ REASONS = {
         raytracing/system/pupils: _continuation _differences _solve aimed solve_pairs
         raytracing/system/sequence: _adjoint axis_signs
         raytracing/system/waves: _peak
-        wave/display_models: _match_brightness _numbers _refine cost
-        wave/training: step
+        wave/display_models: _match_brightness _numbers cost
+        tools/iterations: step
     """,
 }
 # Those whose syntax does not show it, such as `float(loss)`.
@@ -123,9 +124,10 @@ AT_RUN_TIME = {
     "raytracing/system/optimise:tolerances_for_yield",
     "raytracing/system/surfaces:_image",
     "tools/transformation:load_voxelized_PLY",
-    "wave/training:_show",
-    "wave/training:go",
-    "wave/training:step",
+    "tools/iterations:iterate",
+    "tools/iterations:minimise",
+    "tools/iterations:go",
+    "tools/iterations:step",
 }
 _METHODS = {"item", "tolist", "cpu", "numpy"}
 _CASTS = {"float", "int", "bool", "complex"}

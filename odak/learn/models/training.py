@@ -3,7 +3,6 @@
 Files of weights are read without execution of code, and checked before their weights are loaded.
 """
 
-import copy
 import itertools
 import math
 import os
@@ -13,27 +12,16 @@ from typing import Any
 
 import torch
 from torch import nn
-from tqdm import tqdm
 
 from odak import _validate
 from odak._validate import texts
 from odak._warnings import ConvergenceWarning, warn
 from odak.learn._tensors import advising_on_memory, checked_device
-from odak.learn.tools.file import (
-    first_line,
-    own_randomness,
-    randomness,
-    read_checkpoint,
-    read_torch_file,
-    set_randomness,
-    taking_up,
-    write_checkpoint,
-)
+from odak.learn.tools.file import first_line, read_torch_file
+from odak.learn.tools.iterations import Loop, Run, own_randomness
 from odak.tools.paths import replacing, validate_path
 
 __all__ = ["TrainingHistory", "train"]
-
-_PARTS = ("done", "model", "best", "history", "optimizer", "scheduler", "scaler", "randomness", "generators")
 
 
 @dataclass
@@ -193,16 +181,44 @@ def train(
     if max_norm is not None:
         _validate.real("max_norm", max_norm, positive=True)
     device = _device_of(model) if device is None else checked_device("device", device)
-    run = TrainingRun(model.to(device), loss, batches, validation, device, mixed_precision)
-    run.epochs = _validate.integer("epochs", epochs)
-    run.patience, run.max_norm, run.callback = patience, max_norm, callback
-    run.choose_optimizer(optimizer, learning_rate, scheduler)
-    run.choose_checkpoint(checkpoint, checkpoint_every)
-    with own_randomness(seed, device):
-        run.resume()
-        with advising_on_memory(_LESS_MEMORY):
-            run.go(tqdm(disable=not progress, desc=description, leave=False, total=run.steps(epochs)))
-    return run.history
+    if checkpoint is not None:
+        checkpoint = validate_path(checkpoint, (".pt", ".pth"), name="checkpoint")
+        if not os.path.isdir(os.path.dirname(checkpoint)):
+            raise ValueError(f"the folder of checkpoint {checkpoint!r} does not exist")
+    training = _Training(model.to(device), loss, batches, validation, device, mixed_precision, max_norm)
+    training.choose_optimizer(optimizer, learning_rate, scheduler)
+    epochs = _validate.integer("epochs", epochs)
+
+    def exhausted():
+        return patience is not None and loop.done - history.best_epoch >= patience
+
+    def after_epoch(number, _):
+        return (callback is not None and callback(number + 1, history) is True) or exhausted()
+
+    with own_randomness(seed, device), advising_on_memory(_LESS_MEMORY):
+        history = training.history
+        loop = training.loop = Loop(
+            Run(progress, after_epoch, checkpoint, checkpoint_every),
+            model.state_dict,
+            training.about,
+            training.parts(),
+            training.generators(),
+            "a training",
+        )
+        loop.stopped = exhausted()
+        try:
+            history.finished = loop.go(epochs, training.epoch, _length(batches), desc=description, leave=False)
+        finally:
+            if validation is not None or patience is not None or not history.finished:
+                loop.restore()
+            model.eval()
+    if not history.finished:
+        warn(
+            f"training interrupted after {loop.done} of {epochs} epochs: the model has the weights of epoch "
+            f"{history.best_epoch}",
+            ConvergenceWarning,
+        )
+    return history
 
 
 def _device_of(model) -> torch.device:
@@ -212,30 +228,22 @@ def _device_of(model) -> torch.device:
     return first.device
 
 
-class TrainingRun:
-    """State of a training: the model, the number of epochs done, and the best weights so far."""
+class _Training:
+    """Epochs of a training: the model, its batches and what changes its weights."""
 
-    epochs: int
-    patience: int | None
-    max_norm: float | None
-    callback: Callable | None
+    loop: Loop
 
-    def __init__(self, model, loss, batches, validation, device, mixed_precision):
+    def __init__(self, model, loss, batches, validation, device, mixed_precision, max_norm):
         self.model, self.loss, self.batches, self.validation = model, loss, batches, validation
-        self.device = device
+        self.device, self.max_norm = device, max_norm
         self.mixed = _validate.flag("mixed_precision", mixed_precision) and device.type == "cuda"
         self.scaler = torch.amp.GradScaler("cuda", enabled=self.mixed)
         self.history = TrainingHistory()
-        self.done = 0
-        self.best = None
-        self.saved = None
-        self.torn = self.stopped = False
 
     def choose_optimizer(self, optimizer, learning_rate, scheduler):
         """Take or construct the optimizer, then the scheduler."""
         if optimizer is None:
-            rate = _validate.real("learning_rate", learning_rate, positive=True)
-            optimizer = torch.optim.Adam(self.model.parameters(), lr=rate)
+            optimizer = torch.optim.Adam(self.model.parameters(), lr=learning_rate)
         elif not isinstance(optimizer, torch.optim.Optimizer):
             optimizer = optimizer(self.model.parameters())
         self.optimizer = optimizer
@@ -245,76 +253,38 @@ class TrainingRun:
             "optimizer": type(optimizer).__name__,
             "optimizer's settings": [_plain(group) for group in optimizer.param_groups],
             "number of batches": _length(self.batches),
-            "number of generators": len(self._generators()),
+            "number of generators": len(self.generators()),
             "mixed precision": self.mixed,
         }
         self.scheduler = None if scheduler is None else scheduler(optimizer)
         self.about["scheduler"] = None if scheduler is None else type(self.scheduler).__name__
 
-    def choose_checkpoint(self, checkpoint, every):
-        """Set the path of the checkpoint and the number of epochs between two writings."""
-        self.checkpoint = None if checkpoint is None else validate_path(checkpoint, (".pt", ".pth"), name="checkpoint")
-        self.checkpoint_every = _validate.integer("checkpoint_every", every, minimum=1)
-        if self.checkpoint is not None and not os.path.isdir(os.path.dirname(self.checkpoint)):
-            raise ValueError(f"the folder of checkpoint {self.checkpoint!r} does not exist")
+    def parts(self):
+        """Return what belongs to a checkpoint besides the weights: functions that return it and take it over."""
+        held = {"optimizer": self.optimizer, "scheduler": self.scheduler, "scaler": self.scaler}
+        found = {n: (part.state_dict, part.load_state_dict) for n, part in held.items() if part is not None}
+        history = vars(self.history)
+        return found | {"history": (history.copy, lambda state: history.update(vars(TrainingHistory(**state))))}
 
-    def steps(self, epochs) -> int | None:
-        """Return the number of batches in so many epochs where it is known."""
-        length = _length(self.batches)
-        return None if length is None else epochs * length
-
-    def go(self, bar):
-        """Train until the end, an interruption or a stop, and set the final weights of the model."""
-        try:
-            with bar:
-                bar.update(self.steps(self.done) or 0)
-                while self.done < self.epochs and not self.stopped:
-                    if self.patience is not None and self.done - self.history.best_epoch >= self.patience:
-                        break
-                    self._epoch(bar)
-        except KeyboardInterrupt:
-            self._save()
-            warn(
-                f"training interrupted after {self.done} of {self.epochs} epochs: the model has the weights of epoch "
-                f"{self.history.best_epoch}",
-                ConvergenceWarning,
-            )
-        else:
-            self.history.finished = True
-            self._save()
-        finally:
-            judged = self.validation is not None or self.patience is not None
-            if self.best is not None and (judged or not self.history.finished):
-                self.model.load_state_dict(self.best)
-            self.model.eval()
-
-    def _epoch(self, bar):
-        self.torn = True
-        training = self._mean_over(self.batches, "batches", self._step, bar)
+    def epoch(self) -> float:
+        """Train for an epoch and return the loss by which its weights are judged."""
+        self.loop.torn, number = True, self.loop.done + 1
+        judged = training = self._mean_over(self.batches, "batches", self._step, self.loop.bar)
         if not math.isfinite(training):
-            raise FloatingPointError(
-                f"the training loss of epoch {self.done + 1} is {training}: lower the learning rate"
-            )
-        judged = training
+            raise FloatingPointError(f"the training loss of epoch {number} is {training}: lower the learning rate")
         if self.validation is not None:
             judged = self._mean_over(self.validation, "validation", self._validation_loss)
             self.history.validation.append(judged)
         self.history.training.append(training)
-        self.done += 1
         if judged < self.history.best_loss:
-            self.history.best_epoch, self.history.best_loss = self.done, judged
-            self.best = copy.deepcopy(self.model.state_dict())
+            self.history.best_epoch, self.history.best_loss = number, judged
+        self.loop.keep(torch.tensor(judged, dtype=torch.float64, device=self.device))
         if isinstance(self.scheduler, torch.optim.lr_scheduler.ReduceLROnPlateau):
             self.scheduler.step(judged)
         elif self.scheduler is not None:
             self.scheduler.step()
-        self.randomness, self.torn = self._random_state(), False
-        bar.set_postfix(loss=f"{judged:.3g}", best=f"{self.history.best_loss:.3g}", refresh=False)
-        if self.callback is not None:
-            self.stopped = self.callback(self.done, self.history) is True
-            self.randomness = self._random_state()
-        if self.done % self.checkpoint_every == 0:
-            self._save()
+        self.loop.bar.set_postfix(loss=f"{judged:.3g}", best=f"{self.history.best_loss:.3g}", refresh=False)
+        return judged
 
     def _mean_over(self, batches, name, value_of, bar=None) -> float:
         """Return the mean loss over batches, read from the device once at the end."""
@@ -327,7 +297,7 @@ class TrainingRun:
                 bar.update()
         if count == 0:
             raise ValueError(
-                f"{name} was empty in epoch {self.done + 1}; a list or a DataLoader can be iterated once per epoch"
+                f"{name} was empty in epoch {self.loop.done + 1}; a list or a DataLoader can be iterated once per epoch"
             )
         return float(total / count)
 
@@ -355,12 +325,11 @@ class TrainingRun:
             raise TypeError(f"loss(model, batch) must be a tensor with one number, got {found}")
         return value.reshape(())
 
-    def _random_state(self):
-        return randomness(self.device), [generator.get_state() for generator in self._generators()]
-
-    def _generators(self) -> list[torch.Generator]:
-        """Return the generators that the batches draw from besides torch's own."""
-        found: list[torch.Generator] = []
+    def generators(self) -> list[torch.Generator]:
+        """Return torch's own generators, and those that the batches draw from besides."""
+        found = [torch.default_generator]
+        if self.device.type == "cuda":
+            found.append(torch.cuda.default_generators[torch.empty(0, device=self.device).device.index])
         for batches in (self.batches, self.validation):
             sampler = getattr(batches, "sampler", None)
             holders = (batches, sampler, getattr(getattr(batches, "batch_sampler", None), "sampler", None))
@@ -368,52 +337,6 @@ class TrainingRun:
                 if isinstance(generator, torch.Generator) and not any(generator is other for other in found):
                     found.append(generator)
         return found
-
-    def _save(self):
-        """Write the checkpoint, unless an epoch is incomplete or it is written already."""
-        if self.checkpoint is None or self.torn or self.saved == self.done:
-            return
-        states, generators = self.randomness
-        history = {"training": self.history.training, "validation": self.history.validation}
-        best = {"best_epoch": self.history.best_epoch, "best_loss": self.history.best_loss}
-        state = {
-            "about": self.about,
-            "done": self.done,
-            "model": self.model.state_dict(),
-            "best": self.best,
-            "history": history | best,
-            "optimizer": self.optimizer.state_dict(),
-            "scheduler": None if self.scheduler is None else self.scheduler.state_dict(),
-            "scaler": self.scaler.state_dict(),
-            "randomness": states,
-            "generators": generators,
-        }
-        write_checkpoint(self.checkpoint, state)
-        self.saved = self.done
-
-    def resume(self):
-        """Continue from the checkpoint, if it exists."""
-        self.randomness = self._random_state()
-        if self.checkpoint is None or not os.path.exists(self.checkpoint):
-            return
-        # Read to the CPU, where Adam keeps its step counters; the other tensors are copied to the device.
-        state = read_checkpoint(self.checkpoint, torch.device("cpu"), _PARTS, self.about, "a training")
-        with taking_up(self.checkpoint):
-            self._take_up(state)
-
-    def _take_up(self, state):
-        self.model.load_state_dict(state["model"])
-        self.optimizer.load_state_dict(state["optimizer"])
-        if self.scheduler is not None:
-            self.scheduler.load_state_dict(state["scheduler"])
-        self.scaler.load_state_dict(state["scaler"])
-        self.best, self.done = state["best"], _validate.integer("done", state["done"])
-        self.saved = self.done
-        self.history = TrainingHistory(**state["history"])
-        set_randomness(state["randomness"], self.device)
-        for generator, before in zip(self._generators(), state["generators"], strict=True):
-            generator.set_state(before.to("cpu"))
-        self.randomness = self._random_state()
 
 
 def _moved(batch, device):

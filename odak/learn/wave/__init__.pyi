@@ -1,3 +1,4 @@
+from odak.learn.tools.iterations import Run as Run
 from odak.wave.bench import BenchPlane as BenchPlane
 from odak.wave.bench import CircularAperture as CircularAperture
 from odak.wave.bench import FirstOrderSystem as FirstOrderSystem
@@ -170,5 +171,4 @@ from .propagators import propagator as propagator
 from .slm import spatial_light_modulator as spatial_light_modulator
 from .slm import temporal_average as temporal_average
 from .slm import temporal_modulator as temporal_modulator
-from .training import Run as Run
 from .volume import holographic_display as holographic_display

@@ -18,6 +18,8 @@ from odak.instruments import Calibration, Camera, Captures, Modulator, Registrat
 from odak.instruments.mapping import Lens, plane_points, ray_matrix
 from odak.instruments.protocols import checked_camera
 from odak.learn._tensors import tensor, trainable
+from odak.learn.models.training import train
+from odak.learn.tools.iterations import Run, minimise
 from odak.learn.wave.slm import smooth
 from odak.wave.elements import zernike_modes
 from odak.wave.linear_kernels import orders_reaching, pixels_spectrum, taper
@@ -933,24 +935,18 @@ def display_hologram(
         coarse = torch.randn((1, 1, *(max(n // 8, 2) for n in model.shape)), generator=random)
         phase = torch.nn.functional.interpolate(coarse, model.shape, mode="bicubic")[0, 0]
     phase = model._checked(tensor("phase", phase).to(model._slope.device)).detach().clone().requires_grad_()
-    optimizer = torch.optim.Adam([phase], lr=_validate.constant("learning_rate", learning_rate, positive=True))
-    # The best state is chosen on the device: reading the loss would wait for it in each iteration.
-    best, kept = phase.new_tensor(math.inf), phase.detach().clone()
+    run = Run(False, callback, iterations=iterations)
+    rate = _validate.constant("learning_rate", learning_rate, positive=True)
     cycles = model._cycles()
-    for iteration in range(_validate.integer("iterations", iterations, minimum=1)):
-        optimizer.zero_grad()
+
+    def loss(iteration):
         shown = model._quantised(phase, cycles)
         images = torch.stack([model.image(shown, place) for place in places])
         scale = (images * target).sum() / images.square().sum().clamp_min(1e-30)
-        loss = (scale.detach() * images - target).square().mean()
-        better = loss.detach() < best
-        best, kept = torch.where(better, loss.detach(), best), torch.where(better, phase.detach(), kept)
-        (gradient,) = torch.autograd.grad(loss, [phase])
-        phase.grad = gradient
-        optimizer.step()
-        if callback is not None and callback(iteration, loss.detach()):
-            break
-    levels = model.levels(kept)
+        return (scale.detach() * images - target).square().mean()
+
+    minimise({"phase": phase}, loss, rate, run, rising="")
+    levels = model.levels(phase)
     return levels.to(torch.uint8 if len(model.table()) <= 256 else torch.int32)
 
 
@@ -1144,32 +1140,29 @@ def _refine(model, data, passes, learning_rate, random) -> list[float]:
     """Fit the maps of free form and the network by Adam, and keep the best state."""
     maps = [] if model.free_maps is None else [model.free_maps]
     network = [] if model.residual is None else list(model.residual.parameters())
-    optimizer = torch.optim.Adam(
-        [{"params": maps or network}, *([{"params": network}] if maps and network else [])], learning_rate
-    )
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, passes)
-    parameters, history = maps + network, []
-    best, kept = math.inf, [part.detach().clone() for part in parameters]
-    for _ in range(passes):
-        before, losses = [part.detach().clone() for part in parameters], []
-        for k in torch.randperm(len(data.levels), generator=random).tolist():
-            loss = data.residual(model, k).square().mean()
-            gradients = torch.autograd.grad(loss, parameters)
-            for part, gradient in zip(parameters, gradients, strict=True):
-                part.grad = gradient
-            optimizer.step()
-            losses.append(loss.detach())
-        schedule.step()
-        # In one reading for all captures.
-        total = math.fsum(torch.stack(losses).tolist()) / len(losses)
-        history.append(total)
-        if total < best:
-            best, kept = total, before
-    if history[-1] > 2 * best:
+    groups = [{"params": part} for part in (maps, network) if part]
+
+    def loss(model, k):
+        return data.residual(model, k).square().mean()
+
+    rest = [part for name in model.physical if (part := getattr(model, name)).requires_grad]
+    for part in rest:
+        part.requires_grad_(False)
+    history = train(
+        model,
+        loss,
+        torch.utils.data.RandomSampler(range(len(data.levels)), generator=random),
+        passes,
+        optimizer=lambda _: torch.optim.Adam(groups, learning_rate),
+        scheduler=lambda optimizer: torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, passes),
+        patience=passes,
+        seed=random.initial_seed(),
+        progress=False,
+    ).training
+    for part in rest:
+        part.requires_grad_()
+    if history[-1] > 2 * min(history):
         warn("the loss has risen since its best: give a smaller learning_rate", ConvergenceWarning)
-        with torch.no_grad():
-            for part, value in zip(parameters, kept, strict=True):
-                part.copy_(value)
     return history
 
 

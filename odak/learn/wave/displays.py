@@ -21,21 +21,14 @@ from odak import _array, _show, _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.instruments import Calibration, Lens, load_calibration
 from odak.learn._tensors import floating
+from odak.learn.tools.iterations import Run, minimise
 from odak.learn.wave.devices import DISTRIBUTED, Ranks, on_devices, shares_of, used_devices
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.holograms import STARTS, best_scale, encode_double_phase, starting_phase
 from odak.learn.wave.loss import FocalTargets, multiplane_loss
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.slm import TURN, even_levels, spatial_light_modulator
-from odak.learn.wave.training import (
-    Run,
-    checked_intensities,
-    cosine,
-    fingerprint,
-    minimise,
-    seeded_loss,
-    started,
-)
+from odak.learn.wave.training import checked_intensities, cosine, fingerprint, seeded_loss, started
 from odak.wave import phase_retrieval
 from odak.wave.linear_kernels import checked_pixel_fill, linear_kernel
 from odak.wave.sampling import sampling_report

@@ -9,17 +9,9 @@ import torch
 
 from odak import _validate
 from odak.learn._tensors import takes_constants, tensor
+from odak.learn.tools.iterations import SOLVERS, Run, minimise
 from odak.learn.wave.fields import intensity, unit_phasor
-from odak.learn.wave.training import (
-    SOLVERS,
-    Run,
-    checked_intensities,
-    fingerprint,
-    generator_from,
-    minimise,
-    seeded_loss,
-    started,
-)
+from odak.learn.wave.training import checked_intensities, fingerprint, generator_from, seeded_loss, started
 from odak.wave.transfer_functions import pitches
 from odak.wave.viewing import eye_transfer, seen_through
 

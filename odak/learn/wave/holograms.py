@@ -22,18 +22,17 @@ from odak.learn._tensors import (
     takes_constants,
     tensor,
 )
+from odak.learn.tools.iterations import SOLVERS, Run, minimise
 from odak.learn.wave.camera import captured_by, with_model_gradient
 from odak.learn.wave.fields import generate_complex_field, mean_intensity, unit_phasor
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.slm import checked_fill, iris_cutoff
 from odak.learn.wave.training import (
-    SOLVERS,
-    Run,
+    REGISTER,
     check_brightness,
     checked_intensities,
     fingerprint,
     generator_from,
-    minimise,
     seeded_loss,
     started,
 )
@@ -330,7 +329,7 @@ def stochastic_gradient_descent(
         solver=optimizer,
         about=about,
         generators=drawn_from,
-        keep_best=camera is not None,
+        rising=None if camera is None else REGISTER,
     )
     with torch.no_grad():
         hologram = modulate(phase)

@@ -10,6 +10,7 @@ import torch
 
 from odak import _show, _validate
 from odak.learn._tensors import checked_device, checked_generator, floating
+from odak.learn.tools.iterations import Run, minimise
 from odak.learn.wave.camera import captured_by, with_model_gradient
 from odak.learn.wave.fields import squared_error
 from odak.learn.wave.optimizers.terms import (
@@ -32,16 +33,7 @@ from odak.learn.wave.optimizers.terms import (
 from odak.learn.wave.propagators import power_method
 from odak.learn.wave.propagators import propagator as propagator_type
 from odak.learn.wave.slm import TURN, even_levels
-from odak.learn.wave.training import (
-    Run,
-    check_brightness,
-    cosine,
-    fingerprint,
-    generator_from,
-    linear,
-    minimise,
-    started,
-)
+from odak.learn.wave.training import REGISTER, check_brightness, cosine, fingerprint, generator_from, linear, started
 from odak.wave.torch_convolution import Workspace, release_memory
 
 
@@ -320,7 +312,7 @@ class multi_color_hologram_optimizer:
         minimise(
             self.parameters, self._gradient, self.learning_rates, replace(self.options, iterations=iterations),
             description=self._title, about=about, generators=[own for own in drawn_from if own is not None],
-            keep_best=self.camera is not None,
+            rising=None if self.camera is None else REGISTER,
         )  # fmt: skip
         self._workspace = None
         release_memory()
