@@ -1,9 +1,10 @@
-"""Run the benchmarks and print a table: ``python benchmarks [GROUP …] [--device cuda] [--store]``.
+"""Run the benchmarks and print a table: ``python benchmarks [GROUP …] [--device cuda] [--tests] [--store]``.
 
 A group is a module of this folder that has a tuple ``ALL``; all of them by default.
 
 Each row is a task, our time, the floor it is held against, measured in the same run, and their ratio. ``--store`` keeps
 the run in ``benchmarks/history``; each run is compared with the last one stored for the same kind of device there.
+``--device cuda --tests`` runs the tests that need a GPU first, and writes their results into the same JSON.
 """
 
 import argparse
@@ -15,6 +16,8 @@ import pathlib
 import platform
 import subprocess
 import sys
+import tempfile
+import xml.etree.ElementTree as ElementTree
 
 import torch
 
@@ -32,6 +35,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("groups", nargs="*", metavar="GROUP", help=", ".join(GROUPS))
     parser.add_argument("--device", default="cpu", choices=["cpu", "cuda"])
+    parser.add_argument("--tests", action="store_true", help="run the tests marked cuda first; needs --device cuda")
     parser.add_argument("--json", type=pathlib.Path, help="file to write the rows to")
     parser.add_argument("--store", action="store_true", help=f"keep the run in {HISTORY.relative_to(FOLDER.parent)}")
     parser.add_argument("--threads", type=int, default=2, help="CPU threads, for us and for the floor")
@@ -40,7 +44,14 @@ def main() -> int:
         parser.error(f"GROUP must be of {', '.join(GROUPS)}; got {', '.join(unknown)}")
     if arguments.device == "cuda" and not torch.cuda.is_available():
         parser.error("--device cuda needs a CUDA device, and torch finds none on this machine")
+    if arguments.tests and arguments.device != "cuda":
+        parser.error("--tests needs --device cuda: without a GPU these tests are skipped")
     torch.set_num_threads(arguments.threads)
+    # In a process of their own, whose memory on the GPU is free again before anything is measured.
+    tests = tested([str(FOLDER.parent / "test"), "-m", "cuda"]) if arguments.tests else None
+    if tests is not None:
+        print(f"tests: {tests['passed']} passed, {len(tests['failed'])} failed, {tests['skipped']} skipped", flush=True)
+        print("".join(f"failed: {name}: {message}\n" for name, message in tests["failed"].items()), end="", flush=True)
     rows = []
     print(f"{'task':52} {'ours':>10} {'floor':>18} {'ratio':>7} {'bound':>6}")
     for group in arguments.groups or GROUPS:
@@ -49,6 +60,8 @@ def main() -> int:
                 rows.append(row)
                 print(_line(row), flush=True)
     run = {**about(arguments.device, arguments.threads), "rows": rows}
+    if tests is not None:
+        run["tests"] = tests
     text = json.dumps(run, indent=1) + "\n"
     if arguments.json:
         arguments.json.parent.mkdir(parents=True, exist_ok=True)
@@ -62,7 +75,27 @@ def main() -> int:
         print(
             f"stored in {stored.relative_to(FOLDER.parent)}; now run: python docs/make_pictures.py docs/notes/speed.md"
         )
-    return int(any(row["bound"] is not None and row["ratio"] > row["bound"] for row in rows))
+    slow = any(row["bound"] is not None and row["ratio"] > row["bound"] for row in rows)
+    # Tests that did not run show nothing either.
+    return int(slow or (tests is not None and (bool(tests["failed"]) or not tests["passed"])))
+
+
+def tested(arguments: list[str]) -> dict:
+    """Run pytest and return how many tests passed and were skipped, and the failed ones with their messages."""
+    with tempfile.TemporaryDirectory() as folder:
+        report = pathlib.Path(folder) / "report.xml"
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"--junitxml={report}", *arguments]
+        run = subprocess.run(command, cwd=FOLDER.parent, capture_output=True, text=True)
+        if not report.exists():
+            return {"passed": 0, "skipped": 0, "failed": {"pytest": (run.stdout + run.stderr)[-2000:]}}
+        cases = list(ElementTree.parse(report).iter("testcase"))
+    failed, skipped = {}, 0
+    for case in cases:
+        broken = [part for part in case if part.tag in ("failure", "error")]
+        if broken:
+            failed[f"{case.get('classname')}::{case.get('name')}"] = (broken[0].get("message") or "")[:400]
+        skipped += any(part.tag == "skipped" for part in case)
+    return {"passed": len(cases) - len(failed) - skipped, "skipped": skipped, "failed": failed}
 
 
 def about(device: str, threads: int) -> dict:

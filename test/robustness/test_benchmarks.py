@@ -84,6 +84,43 @@ def test_runs_are_stored_compared_and_drawn(script, monkeypatch, tmp_path, capsy
     assert "compared with abc of 2026-01-01: 1 of 1 slower\nslower: a task: 1.50, 1.00 before" in said
 
 
+@pytest.mark.slow
+def test_results_of_tests_are_part_of_the_run(script, tmp_path, monkeypatch, capsys):
+    """One passes, one fails, one is skipped, one has an error: each is counted as what it is."""
+    file = tmp_path / "test_four.py"
+    file.write_text(
+        "import pytest\n@pytest.fixture\ndef broken(): raise OSError('no')\n"
+        "def test_a(): pass\ndef test_b(): assert 1 == 2\ndef test_c(): pytest.skip('x')\ndef test_d(broken): pass\n"
+    )
+    found = script["tested"](["--rootdir", str(tmp_path), str(file)])
+    assert (found["passed"], found["skipped"]) == (1, 1)
+    assert {name.rpartition("::")[2]: text for name, text in found["failed"].items()} == {
+        "test_b": "assert 1 == 2", "test_d": "failed on setup with \"OSError: no\""
+    }  # fmt: skip
+    assert "unrecognized arguments: --none" in script["tested"](["--none"])["failed"]["pytest"]
+    monkeypatch.setattr(sys, "argv", ["benchmarks", "rays", "--tests"])
+    with pytest.raises(SystemExit):
+        script["main"]()
+    assert "--tests needs --device cuda" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("results", [(3, {}, 0), (2, {"a": "wrong"}, 1), (0, {}, 1)])
+def test_a_failed_test_or_none_that_ran_fails_the_run(script, tmp_path, monkeypatch, results):
+    names, (passed, failed, code) = script["main"].__globals__, results
+    row = {"task": "a", "ours_s": 1.0, "floor_s": 1.0, "floor": "itself", "ratio": 1.0, "bound": 2.0}
+    module = types.ModuleType("rays")
+    module.ALL = (lambda device: [row],)
+    monkeypatch.setitem(sys.modules, "rays", module)
+    monkeypatch.setitem(names, "tested", lambda given: {"passed": passed, "skipped": 0, "failed": failed})
+    monkeypatch.setitem(names, "about", lambda *_: {"commit": "abc", "device": "NVIDIA", "time": "2026-01-01"})
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    file = tmp_path / "run.json"
+    arguments = ["benchmarks", "rays", "--device", "cuda", "--tests", "--json", str(file)]
+    monkeypatch.setattr(sys, "argv", [*arguments, "--threads", str(torch.get_num_threads())])
+    assert script["main"]() == code
+    assert json.loads(file.read_text())["tests"]["failed"] == failed
+
+
 @pytest.mark.parametrize("file", sorted((SCRIPT.parent / "history").glob("*.json")), ids=lambda file: file.stem)
 def test_stored_runs_can_be_read(file):
     stored = json.loads(file.read_text(encoding="utf-8"))

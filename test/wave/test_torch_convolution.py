@@ -253,7 +253,8 @@ def test_cuda_agrees_with_the_cpu():
     result = propagate_beam(field.cuda(), None, 1e-3, 8e-6, 532e-9)
     assert result.is_cuda
     torch.testing.assert_close(result.cpu(), expected)
-    assert propagate_beam(field.cuda(), None, torch.tensor(1e-3).cuda(), 8e-6, 532e-9).is_cuda
+    of_tensor = propagate_beam(field.cuda(), None, torch.tensor(1e-3, dtype=torch.float64).cuda(), 8e-6, 532e-9)
+    torch.testing.assert_close(of_tensor.cpu(), expected)
 
 
 def test_a_workspace_holds_the_result(blocked):

@@ -185,10 +185,12 @@ def test_weights_go_to_a_file_and_back(tracker, tmp_path):
 
 @pytest.mark.cuda
 def test_weights_of_a_gpu_are_read_without_one(tmp_path):
-    spec_track(device="cuda").save_weights(tmp_path / "weights.pt")
+    there = spec_track(device="cuda")
+    there.save_weights(tmp_path / "weights.pt")
     model = spec_track()
     model.load_weights(tmp_path / "weights.pt")
     assert model.network.fc5.bias.device.type == "cpu"
+    assert all(torch.equal(a, b.cpu()) for a, b in zip(model.parameters(), there.parameters(), strict=True))
 
 
 def render(angles, speckle):
