@@ -201,7 +201,7 @@ def taper(orders, band: tuple[float, float]):
     return 0.5 + 0.5 * xp.cos(xp.pi * xp.clip((orders - start) / (end - start), 0, 1))
 
 
-def pixels_spectrum(field, sizes, orders: int = 1, fill=1.0, cells: int = 1):
+def pixels_spectrum(field, sizes, orders: int = 1, fill=1.0, cells: int = 1, counts=None):
     """Return the spectrum of a field of square pixels with its diffraction orders, the first pixel at the origin.
 
     By the convolution theorem it is that of samples, which repeats in each order, times that of a square: exact, for
@@ -220,25 +220,41 @@ def pixels_spectrum(field, sizes, orders: int = 1, fill=1.0, cells: int = 1):
         Share of the area of a pixel that emits; the field is 0 beside it.
     cells : int
         Number of parts along each side of a pixel.
+    counts : sequence of int, optional
+        Rows and columns of the spectrum, the lowest frequencies, instead of whole orders.
 
     Returns
     -------
     array
-        ``[..., orders·sizes[0], orders·sizes[1]]`` in the order of the transform, in units of that of samples.
+        ``[..., orders·sizes[0], orders·sizes[1]]`` or ``[..., *counts]`` in the order of the transform, in units of
+        that of samples.
     """
     xp, dtype, device = _array.namespace(field), _array.real_dtype(field), _array.device_of(field)
     width = fill**0.5
     for axis in (-1, -2):
-        cycles = width / cells * xp.fft.fftfreq(orders * sizes[axis], d=1 / orders, dtype=dtype, device=device)
+        size, count = sizes[axis], orders * sizes[axis] if counts is None else counts[axis]
+        cycles = width / cells * xp.fft.fftfreq(count, d=size / count, dtype=dtype, device=device)
         envelope, parts = _pixel_spectrum(cycles, 1.0) * (width / cells), []
         for k in range(cells):
             part = xp.fft.fft(field[..., k::cells] if axis == -1 else field[..., k::cells, :], n=sizes[axis], axis=axis)
             # The middle of part k lies k - (cells - 1)/2 parts beside the middle of the pixel.
             wave = envelope * _array.phasor_of_cycles(cycles * ((cells - 1) / 2 - k))
-            part = xp.concat([part] * orders, axis=axis) if orders > 1 else part
+            part = _repeated(part, count, axis)
             parts.append(part * (wave if axis == -1 else wave[:, None]))
         field = sum(parts[1:], start=parts[0])
     return field
+
+
+def _repeated(spectrum, count: int, axis: int):
+    """Return `count` frequencies along an axis, the last or the last but one, of a spectrum that repeats."""
+    size = spectrum.shape[axis]
+    if count == size:
+        return spectrum
+    xp = _array.namespace(spectrum)
+    (full, rising), (whole, falling) = divmod(count - count // 2, size), divmod(count // 2, size)
+    first, last = slice(None, rising), slice(size - falling, None)
+    first, last = (spectrum[..., part] if axis == -1 else spectrum[..., part, :] for part in (first, last))
+    return xp.concat([spectrum] * full + [first, last] + [spectrum] * whole, axis=axis)
 
 
 def checked_pixel_fill(pixel_fill: float) -> float:

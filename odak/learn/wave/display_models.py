@@ -47,6 +47,10 @@ PRIORS = {
 # Samples of the intensity along a pixel of the modulator, at least, and parts of a pixel along each side in which
 # fringing fields vary its phase.
 FINER = 3
+# Captures that the matrix of a fit comes from, at first.
+CURVED = 4
+# Samples of the intensity for the cycle of its highest frequency.
+OVER = 3.0
 # Diffraction orders along each axis that are computed, at most.
 ORDERS = 3
 
@@ -401,14 +405,15 @@ class display_model(torch.nn.Module):
         """
         s, (rows, columns) = self.samples_per_pixel, self.shape
         if self.lens is not None:
-            light, wide = self._finely_there(self.field(phase), position), [self._orders * n for n in self._sizes]
-            light = _averaged(light, wide, FINER)
+            light = _averaged(self._finely_there(self.field(phase), position), self._fine, FINER)
             light = torch.roll(light[..., ::FINER, ::FINER], (rows // 2, columns // 2), (-2, -1))
             return light[..., :rows, :columns]
         if s is None:
-            light, wide = self._finely_there(self.field(phase), position), [self._finer * n for n in self._sizes]
-            light = _averaged(light, wide, self._finer)
-            light = torch.roll(light[..., :: self._finer, :: self._finer], (rows // 2, columns // 2), (-2, -1))
+            # A whole number of samples lies between pixels.
+            finer = max(-(-fine // size) for fine, size in zip(self._fine, self._sizes, strict=True))
+            wide = [finer * size for size in self._sizes]
+            light = _averaged(self._finely_there(self.field(phase), position, wide), wide, finer)
+            light = torch.roll(light[..., ::finer, ::finer], (rows // 2, columns // 2), (-2, -1))
             return light[..., :rows, :columns]
         light = torch.fft.ifft2(self._spectrum(self.field(phase), position))
         light = light.real**2 + light.imag**2
@@ -530,20 +535,28 @@ class display_model(torch.nn.Module):
                 )
                 for n, pitch, far in zip(self.shape, self._pitches, seen, strict=True)
             ]
-        self._orders = 1 if self.samples_per_pixel else math.ceil(max(band[1] for band in bands))
         for n, pitch, far, band in zip(self.shape, self._pitches, seen, bands, strict=True):
             sine = min(band[1] / (2 * pitch), (iris or math.inf) * unit) * self.wavelength
             spread = 1.2 * self.nominal_distance * math.tan(math.asin(min(sine, 0.9)))
             width = max(n * pitch / 2 + spread + far, 2 * spread)
+            if self.samples_per_pixel is None:
+                width = n * pitch / 2 + spread + max(far, n * pitch / 2)
             sizes.append(_fast(s * (max(math.ceil(width / pitch), n) + 16)))
-        # An intensity has twice the frequencies of its field, of which those of three orders are weak.
-        self._sizes, self._finer = sizes, -(-FINER // s)
+        # An intensity has twice the frequencies of its field, of which those of three orders are weak, but no more than
+        # the panel is wide, seen from the camera.
+        self._sizes = self._counts = sizes
+        self._fine = [-(-FINER // s) * size for size in sizes]
         if self.samples_per_pixel is None:
-            self._finer = max(FINER, math.ceil(1.5 * max(band[1] for band in bands)))
-        steps, orders = [pitch / s for pitch in self._pitches], self._orders
+            self._fine = self._counts = []
+            blur = math.sqrt(self.wavelength * self.nominal_distance)
+            for n, pitch, size, (_, end) in zip(self.shape, self._pitches, sizes, bands, strict=True):
+                angle = (n * pitch + blur) / self.nominal_distance
+                samples = max(end, min(OVER * angle * pitch / self.wavelength, max(FINER, 1.5 * end)))
+                self._fine.append(_fast(math.ceil(size * samples)))
+        lengths = [pitch * size / s for pitch, size in zip(self._pitches, sizes, strict=True)]
         fy, fx = (
-            torch.fft.fftfreq(orders * n, step / orders, dtype=torch.float64)
-            for n, step in zip(sizes, steps, strict=True)
+            torch.fft.fftfreq(count, length / count, dtype=torch.float64)
+            for count, length in zip(self._counts, lengths, strict=True)
         )
         squared = fy[:, None] ** 2 + fx**2
         axial = torch.sqrt((1 / self.wavelength**2 - squared).clamp_min(0))
@@ -553,12 +566,13 @@ class display_model(torch.nn.Module):
         )
         # The axis passes through the middle of pixel n // 2; the panel starts at the first sample of the grid.
         centre = [(n // 2) * s + (s - 1) / 2 for n in self.shape]
-        shift = fy[:, None] * steps[0] * centre[0] + fx * steps[1] * centre[1]
+        shift = sum(f * p / s * at for f, p, at in zip((fy[:, None], fx), self._pitches, centre, strict=True))
         self._axial, self._shift = axial, shift
         self.register_buffer("_slope", (2 * math.pi * (axial - 1 / self.wavelength)).to(self._dtype), persistent=False)
         self.register_buffer("_radius", (squared.sqrt() / unit).to(self._dtype), persistent=False)
-        self._soft = 1 / (unit * max(n * step for n, step in zip(sizes, steps, strict=True)))
-        self._sensor([self._finer * n for n in sizes], [step / self._finer for step in steps], registration)
+        self._soft = 1 / (unit * max(lengths))
+        self._steps = [length / fine for length, fine in zip(lengths, self._fine, strict=True)]
+        self._sensor(self._fine, self._steps, registration)
 
     def _focal_grid(self, registration: Registration, reach: float) -> None:
         """Choose the grid of the focal plane of a lens, whose samples are frequencies, and the parts of pixels."""
@@ -566,8 +580,9 @@ class display_model(torch.nn.Module):
         corners = np.array([[0, 0], [columns, 0], [0, rows], [columns, rows]], float)
         seen = np.abs(registration.plane_points(corners)).max(0)[::-1]
         needed = [2 * far * p / abs(self.wavelength * reach) + 0.1 for far, p in zip(seen, self._pitches, strict=True)]
-        self._orders = self.samples_per_pixel or min(max(math.ceil(max(needed)), 1), ORDERS)
-        self._sizes, self._finer = [FINER * n for n in self.shape], 1
+        orders = self.samples_per_pixel or min(max(math.ceil(max(needed)), 1), ORDERS)
+        self._sizes = [FINER * n for n in self.shape]
+        self._fine = self._counts = [orders * n for n in self._sizes]
         s, unit = self._parts, 1 / (2 * max(self._pitches))
         inner = (torch.arange(s, dtype=torch.float64) - (s - 1) / 2) / s
         y, x = (
@@ -575,9 +590,10 @@ class display_model(torch.nn.Module):
             for n, p in zip(self.shape, self._pitches, strict=True)
         )
         self._squared = y[:, None] ** 2 + x**2
+        lengths = [size * pitch for size, pitch in zip(self._sizes, self._pitches, strict=True)]
         fy, fx = (
-            torch.fft.fftfreq(self._orders * n, pitch / self._orders, dtype=torch.float64)
-            for n, pitch in zip(self._sizes, self._pitches, strict=True)
+            torch.fft.fftfreq(n, length / n, dtype=torch.float64)
+            for n, length in zip(self._counts, lengths, strict=True)
         )
         radius = torch.hypot(fy[:, None], fx)
         lens: Any = self.lens
@@ -587,7 +603,7 @@ class display_model(torch.nn.Module):
         passes = self.wavelength * abs(reach) * radius >= lens.block
         self.register_buffer("_unblocked", passes.to(self._dtype), persistent=False)
         self._soft = 1 / (unit * max(n * p for n, p in zip(self.shape, self._pitches, strict=True)))
-        self._sensor([self._orders * n for n in self._sizes], self._focal_steps(reach), registration)
+        self._sensor(self._fine, self._focal_steps(reach), registration)
 
     def _focal_steps(self, reach: float) -> list[float]:
         """Return the distance of samples in the focal plane of a lens along rows and columns, in metres."""
@@ -646,8 +662,7 @@ class display_model(torch.nn.Module):
         points, there = self.samples_per_pixel is not None, self._kernel(position)
         there = there * torch.complex(torch.cos(turn), torch.sin(turn))
         if self.lens is not None:
-            sizes = [self._orders * n for n in self._sizes]
-            light = torch.fft.fft2(light * there, s=sizes) if points else self._of_squares(light, there)
+            light = torch.fft.fft2(light * there, s=self._counts) if points else self._of_squares(light, there)
             spectrum = light * self._unblocked
         else:
             spectrum = (torch.fft.fft2(light, s=self._sizes) if points else self._of_squares(light)) * there
@@ -668,16 +683,16 @@ class display_model(torch.nn.Module):
         modulated = light - still
         if curved is not None:
             modulated, gaps, parts = modulated * curved, still * curved, self._parts
-        modulated = pixels_spectrum(modulated, self._sizes, self._orders, fill, self._parts)
-        return modulated + pixels_spectrum(gaps, self._sizes, self._orders, cells=parts)
+        modulated = pixels_spectrum(modulated, self._sizes, fill=fill, cells=self._parts, counts=self._counts)
+        return modulated + pixels_spectrum(gaps, self._sizes, cells=parts, counts=self._counts)
 
-    def _finely_there(self, light: torch.Tensor, position: float) -> torch.Tensor:
-        """Return the intensity in the plane of the camera on the finer grid, the axis at its first sample."""
+    def _finely_there(self, light: torch.Tensor, position: float, fine: list[int] | None = None) -> torch.Tensor:
+        """Return the intensity in the plane of the camera on a grid, the axis at its first sample."""
         spectrum = self._spectrum(light, position)
         if self.lens is not None:
             return (spectrum.real**2 + spectrum.imag**2) / math.prod(self.shape)
-        fine = [self._finer * n for n in self._sizes]
-        there = self._finer**2 * torch.fft.ifft2(_widened(spectrum, fine))
+        fine = fine or self._fine
+        there = math.prod(fine) / math.prod(self._sizes) * torch.fft.ifft2(_widened(spectrum, fine))
         return there.real**2 + there.imag**2
 
     def _seen(self, light: torch.Tensor, position: float, pixels: torch.Tensor | None) -> torch.Tensor:
@@ -689,8 +704,9 @@ class display_model(torch.nn.Module):
         homography, distortion = self._mapping()
         places = self._pixels if pixels is None else self._pixels[pixels]
         points = plane_points(places, self.camera_shape, homography, distortion)
-        dy, dx = (pitch / (self.samples_per_pixel or 1) / self._finer for pitch in self._pitches)
-        if self.lens is not None:
+        if self.lens is None:
+            dy, dx = self._steps
+        else:
             dy, dx = self._focal_steps(self.lens.moved(_validate.constant("position", position)).ray_matrix[1])
         return _spline_values(coefficients, points[:, 1] / dy, points[:, 0] / dx)
 
@@ -744,7 +760,8 @@ class DisplayFit:
         Mean of the squared residuals over the variance of their noise: 1 for a model without errors.
     uncertainties : dict
         Standard deviation of each physical parameter by its name, of the parameter's shape and unit, from the inverse
-        of the Gauss–Newton matrix; multiplied by the root of `chi_squared` where that is above 1.
+        of the Gauss–Newton matrix, that of up to four captures on the scale of all; multiplied by the root of
+        `chi_squared` where that is above 1.
     history : list of float
         `chi_squared` after each step of the fit of the physical parameters, then of that of the free forms.
     noise : tuple of float
@@ -790,7 +807,8 @@ def fit_display(
 
     The physical parameters are found by Levenberg and Marquardt's method, with the priors of each parameter, on pixels
     of the camera that are drawn at random; then, where the model has them, the maps of free form and the network by
-    Adam on all pixels. Residuals are divided by the standard deviation of their noise.
+    Adam on all pixels. Residuals are divided by the standard deviation of their noise. The matrix of the method is that
+    of four captures, corrected by the changes of the gradient, which comes from all.
 
     Parameters
     ----------
@@ -857,7 +875,8 @@ def fit_display(
     chosen = [torch.randperm(math.prod(model.camera_shape), generator=random)[:count] for _ in range(len(captures))]
     if bool((model.brightness == 0).all()):
         _match_brightness(model, data, chosen)
-    history, uncertainties = _fit_physical(model, data, chosen, _validate.integer("iterations", iterations), chunk)
+    iterations = _validate.integer("iterations", iterations)
+    history, uncertainties = _fit_physical(model, data, chosen, iterations, chunk, random)
     if refinements:
         history += _refine(model, data, _validate.integer("refinements", refinements), learning_rate, random)
     with torch.no_grad():
@@ -1057,82 +1076,97 @@ def _match_brightness(model: display_model, data: _Data, chosen: list[torch.Tens
         model.brightness.add_(math.log(above / below))
 
 
-def _fit_physical(model, data, chosen, iterations, chunk) -> tuple[list[float], dict[str, torch.Tensor]]:
-    names = model.physical
+def _fit_physical(model, data, chosen, iterations, chunk, random) -> tuple[list[float], dict[str, torch.Tensor]]:
+    """Fit the physical parameters, and return chi squared after each step and the standard deviations.
+
+    Derivatives of all captures are taken in reverse mode, for all parameters at once. Those of each parameter, which
+    the Gauss-Newton matrix consists of, come from a few captures, whose thousands of pixels determine it to some per
+    cent; what is missing is learned from the change of the gradient (Broyden, Fletcher, Goldfarb and Shanno).
+    """
+    names, number = model.physical, sum(len(part) for part in chosen)
     sizes = [getattr(model, name).numel() for name in names]
     begin = torch.cat([getattr(model, name).detach().flatten() for name in names]).double()
     precision = torch.cat(
         [torch.full((n,), PRIORS[name] ** -2.0) for name, n in zip(names, sizes, strict=True)]
     ).double()
+    order, few = torch.randperm(len(chosen), generator=random).tolist(), CURVED
 
-    def residuals(vector: torch.Tensor, k: int) -> torch.Tensor:
-        parts = dict(zip(names, vector.split(sizes), strict=True))
+    def residuals(parts: Sequence[torch.Tensor], k: int) -> torch.Tensor:
+        values = dict(zip(names, parts, strict=True))
 
         def seen(levels, position, pixels):
-            return torch.func.functional_call(model, parts, (levels, position, pixels))
+            return torch.func.functional_call(model, values, (levels, position, pixels))
 
         return data.residual(seen, k, chosen[k])
 
-    def cost(vector: torch.Tensor) -> tuple[float, list[torch.Tensor]]:
-        with torch.no_grad():
-            found = [residuals(vector.to(model._dtype), k).double() for k in range(len(chosen))]
-        squares = torch.stack([part.square().sum() for part in found]).sum()
-        return float(squares + (precision * (vector - begin).square()).sum()), found
+    def misfit(vector: torch.Tensor) -> tuple[float, torch.Tensor]:
+        """Return the squares of residuals and priors, and half their gradient."""
+        apart = precision * (vector - begin)
+        value, gradient = float((apart * (vector - begin)).sum()), apart
+        for k in range(len(chosen)):
+            narrow = vector.to(model._dtype).requires_grad_()
+            squares = residuals(narrow.split(sizes), k).double().square().sum()
+            value += float(squares.detach())
+            gradient = gradient + torch.autograd.grad(squares, narrow)[0].double() / 2
+        return value, gradient
 
-    def slopes(vector: torch.Tensor) -> list[torch.Tensor]:
-        narrow = vector.to(model._dtype)
-        directions = torch.eye(len(narrow), dtype=narrow.dtype)
+    def curvature(vector: torch.Tensor, few: int) -> torch.Tensor:
+        """Return the Gauss-Newton matrix that some captures have, on the scale of all."""
+        parts = vector.to(model._dtype).split(sizes)
+        matrix = torch.zeros(len(vector), len(vector), dtype=torch.float64)
 
-        def columns(k: int, part: torch.Tensor) -> torch.Tensor:
+        def columns(k: int, which: int) -> list[torch.Tensor]:
+            """Return derivatives by one parameter: what does not depend on it is not differentiated."""
+
+            def seen(part):
+                return residuals([*parts[:which], part, *parts[which + 1 :]], k)
+
             def along(direction):
-                return torch.func.jvp(lambda v: residuals(v, k), (narrow,), (direction,))[1]
+                return torch.func.jvp(seen, (parts[which],), (direction,))[1]
 
-            return torch.func.vmap(along)(part).detach()
+            directions = torch.eye(sizes[which], dtype=model._dtype).split(chunk)
+            return [torch.func.vmap(along)(some) for some in directions]
 
         with torch.no_grad(), warnings.catch_warnings():
             # Torch's own, in forward mode.
             warnings.filterwarnings("ignore", ".*torch.jit.script", DeprecationWarning)
-            return [torch.cat([columns(k, part) for part in directions.split(chunk)]).mT for k in range(len(chosen))]
+            for k in order[:few]:
+                slopes = torch.cat([part for which in range(len(parts)) for part in columns(k, which)])
+                matrix += (slopes @ slopes.mT).double()
+        return matrix * (len(order) / len(order[:few])) + precision.diag()
 
-    vector, number = begin.clone(), sum(len(part) for part in chosen)
-    value, found = cost(vector)
-    history, damping, matrices, fresh = [value / number], 1e-3, None, False
-    for _ in range(iterations):
-        if matrices is None:
-            matrices, fresh = slopes(vector), True
-            normal = sum((part.mT @ part).double() for part in matrices) + precision.diag()
-        gradient = sum((part.mT @ r.to(part)).double() for part, r in zip(matrices, found, strict=True))
-        gradient = gradient + precision * (vector - begin)
-        accepted = False
-        for _ in range(6):
-            step = torch.linalg.solve(normal + damping * normal.diagonal().diag(), gradient)
-            trial = vector - step
-            tried, left = cost(trial)
-            if tried < value:
-                accepted = True
+    vector, matrix = begin.clone(), None
+    value, gradient = misfit(vector)
+    history, damping, fresh, failures = [value / number], 1e-3, False, 0
+    while len(history) <= iterations and failures < 6:
+        if matrix is None:
+            matrix, fresh = curvature(vector, few), True
+        step = torch.linalg.solve(matrix + damping * matrix.diagonal().diag(), gradient)
+        tried, slope = misfit(vector - step)
+        if tried < value:
+            # A step that promises less than a tenth moves no parameter by its standard deviation.
+            done = float(gradient @ step) < 0.1 * max(value / number, 1.0) or value - tried < 1e-4 * value
+            change, along = gradient - slope, matrix @ step
+            matrix = matrix - torch.outer(along, along) / (along @ step)
+            # Positive but where the squares are concave along the step.
+            curve = (change @ step).clamp_min(0.1 * (along @ step))
+            matrix = matrix + torch.outer(change, change) / curve
+            vector, value, gradient, damping = vector - step, tried, slope, max(damping / 10, 1e-9)
+            fresh, failures = False, 0
+            history.append(value / number)
+            if done:
                 break
-            if not fresh:
-                break
-            damping *= 10
-        if not accepted:
-            # Slopes from an earlier step may mislead; those of this place cannot for a step that is short enough.
-            if fresh:
-                break
-            matrices = None
-            continue
-        slow = tried > 0.7 * value
-        done = value - tried < 1e-4 * value and fresh
-        vector, value, found, damping = trial, tried, left, max(damping / 10, 1e-9)
-        history.append(value / number)
-        fresh = False
-        if done:
-            break
-        matrices = None if slow else matrices
+        elif fresh:
+            # Short steps along slopes of this place lower the squares.
+            damping, failures = 10 * damping, failures + 1
+            if failures == 3:
+                few, matrix = len(order), None
+        else:
+            matrix = None
     with torch.no_grad():
         for name, part in zip(names, vector.to(model._dtype).split(sizes), strict=True):
             getattr(model, name).copy_(part)
-    normal = sum((part.mT @ part).double() for part in (slopes(vector))) + precision.diag()
-    deviations = torch.linalg.inv(normal).diagonal().clamp_min(0).sqrt().split(sizes)
+    deviations = torch.linalg.inv(curvature(vector, few)).diagonal().clamp_min(0).sqrt().split(sizes)
     return history, dict(zip(names, deviations, strict=True))
 
 
@@ -1232,6 +1266,8 @@ def _widened(spectrum: torch.Tensor, shape: Sequence[int]) -> torch.Tensor:
     """Return a spectrum with zeros at the frequencies that a finer grid of a shape has beyond its own."""
     for axis, wanted in zip((-2, -1), shape, strict=True):
         have = spectrum.shape[axis]
+        if have == wanted:
+            continue
         low, high = spectrum.narrow(axis, 0, have // 2), spectrum.narrow(axis, have // 2, have - have // 2)
         between = list(spectrum.shape)
         between[axis] = wanted - have
