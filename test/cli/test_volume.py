@@ -32,7 +32,12 @@ def psnr(image, target, mask=True):
 
 @pytest.mark.parametrize(
     ("method", "options"),
-    [("multiplane", DEEP), ("multi-color", []), ("multi-color", DEEP), ("network", [])],
+    [
+        ("multiplane", DEEP),
+        ("multi-color", []),
+        pytest.param("multi-color", DEEP, marks=pytest.mark.slow),
+        ("network", []),
+    ],
 )
 def test_report_states_what_the_saved_patterns_show(method, options, files, tmp_path):
     picture, depth = files
@@ -119,7 +124,7 @@ def test_planes_choose_the_method_and_the_scene_its_depth(tmp_path):
     assert min(shares) > 0.1
 
 
-@pytest.mark.parametrize("frames", [None, 2])
+@pytest.mark.parametrize("frames", [None, pytest.param(2, marks=pytest.mark.slow)])
 def test_colours_share_frames_on_one_plane(frames, files, tmp_path):
     options = [] if frames is None else ["--frames", frames]
     volume = [part for part in VOLUME if part not in ("--volume-depth", "2e-3")]

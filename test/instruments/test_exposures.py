@@ -67,14 +67,14 @@ def test_the_time_constant_is_found(seed):
     table = instruments.SimulatedTable(fresh_seed(seed), **SMALL, time_constant=8e-3)
     table.camera.exposure = 0.5
     table._unit *= 40
-    found = instruments.measure_settling(table.modulator, table.camera, table.truth.phases)
+    found = instruments.measure_settling(table.modulator, table.camera, table.truth.phases, samples=10)
     assert found.time_constant == pytest.approx(table.truth.time_constant, rel=0.03)
     assert abs(found.time_constant - table.truth.time_constant) < 5 * found.uncertainty
     # After that time the phase is within 0.02 rad, with a tenth for the error of the measurement.
     assert 2.9 * np.exp(-found.settling_time / table.truth.time_constant) < 0.025
     assert table.modulator.settling_time == 0.08 and table.camera.exposure == 0.5
     with pytest.warns(AccuracyWarning, match="settling time is uncertain"):
-        instruments.measure_settling(table.modulator, table.camera, table.truth.phases, longest=4e-3)
+        instruments.measure_settling(table.modulator, table.camera, table.truth.phases, samples=6, longest=4e-3)
 
 
 @pytest.mark.slow

@@ -36,6 +36,7 @@ def test_focus_outside_of_the_range_warns():
     assert found == pytest.approx(table.truth.distance, rel=3e-3)
 
 
+@pytest.mark.slow
 def test_distance_of_a_simulated_table():
     """Its pixels are squares, whose envelope shifts the sharpest focus by some hundredths of the depth of focus."""
     table = instruments.SimulatedTable(

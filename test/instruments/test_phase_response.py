@@ -13,7 +13,7 @@ from odak import AccuracyWarning, instruments
 from odak.instruments import phase_response
 
 
-@pytest.mark.parametrize("span", [0.5, 1.6])
+@pytest.mark.parametrize("span", [0.5, pytest.param(1.6, marks=pytest.mark.slow)])
 def test_phase_response_of_small_and_large_ranges(span):
     table = instruments.SimulatedTable(4, shape=(64, 64), camera_shape=(100, 100), distance=6e-3)
     table.truth = dataclasses.replace(table.truth, phases=table.truth.phases * span)

@@ -9,7 +9,8 @@ from odak import instruments
 from odak.instruments import registration
 
 
-@pytest.mark.parametrize("seed", [2, pytest.param(7, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2, 7])
 def test_registration_of_an_unaberrated_table(seed):
     table = instruments.SimulatedTable(seed, aberration=0.0, distance_error=0.0)
     found = instruments.register_camera(*instruments_of(table), 532e-9, 20e-3, table.truth.phases)

@@ -141,7 +141,10 @@ def test_an_interrupted_run_ends_as_an_unbroken_one(tmp_path, monkeypatch):
         hologram_in_chunks(picture(), tmp_path / "b", 4, **{**PROBLEM, "distance": 3e-3})
 
 
-@pytest.mark.parametrize("damage", ["missing", "flipped", "truncated", "array", "numbers"])
+@pytest.mark.parametrize(
+    "damage",
+    ["flipped", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("missing", "truncated", "array", "numbers"))],
+)
 def test_a_damaged_state_is_named_and_computed_again(damage, tmp_path):
     pytest.importorskip("zarr")
     whole = hologram_in_chunks(picture(), tmp_path / "a", 3, **PROBLEM)
