@@ -189,7 +189,7 @@ def run(job: EyeboxJob, notices: files.Notices = files.SILENT) -> dict:
             job.pixel_pitch,
             places,
             job.pupil,
-            n_iteration=job.iterations,
+            iterations=job.iterations,
             learning_rate=job.learning_rate,
             frames=job.frames,
             seed=job.seed,

@@ -38,7 +38,7 @@ _NAMED = 5
 def hologram_in_chunks(
     target: Any,
     folder: str | os.PathLike[str],
-    n_iterations: int,
+    iterations: int,
     distance: float,
     dx: float | tuple[float, float],
     wavelength: float,
@@ -62,7 +62,7 @@ def hologram_in_chunks(
     folder : path
         Folder of the state, made if it does not exist. It holds one float32 array of the target's size with
         "Gerchberg-Saxton", three with "gradient descent", and twice as much while an iteration is stored.
-    n_iterations : int
+    iterations : int
         Number of iterations, those of earlier calls included.
     distance : float
         Distance from the hologram to the image in metres.
@@ -129,7 +129,7 @@ def hologram_in_chunks(
         raise ValueError(
             f"target must be a real image [rows, columns], got {target.dtype} of shape {tuple(target.shape)}"
         )
-    count = _validate.integer("n_iterations", n_iterations, minimum=1)
+    count = _validate.integer("iterations", iterations, minimum=1)
     method = _validate.one_of("method", method, METHODS)
     step = _validate.constant("learning_rate", learning_rate, positive=True)
     # In the layout of the propagated field, so that all arrays are stored in the same chunks.

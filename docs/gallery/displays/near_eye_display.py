@@ -28,7 +28,7 @@ weight, mean = perception.highest_frequency(angle) ** 2, torch.nn.functional.avg
 
 def seen(phases):
     pupil, step = element.apply(panel.fields(phases)[0, 0, 0], pitch, green)
-    retina = optics.retinal_field(pupil, step, green, rotation=gaze, centre="field")
+    retina = optics.retinal_field(pupil, step, green, rotation=gaze, center="field")
     light = retina.field.abs()[None, 127:448, 47:528] ** 2  # two samples for each pixel
     light = mean(mean(light, 2, 1), 2)[0]  # over the area of a pixel
     return light * (light * photo).sum() / (light**2).sum()

@@ -12,22 +12,22 @@ from odak.learn._tensors import takes_constants, tensor
 from odak.learn.tools.iterations import SOLVERS, Run, minimise
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.training import checked_intensities, fingerprint, generator_from, seeded_loss, started
-from odak.wave.transfer_functions import pitches
+from odak.wave.transfer_functions import checked_pitch
 from odak.wave.viewing import eye_transfer, seen_through
 
 
-@takes_constants("wavelength", "distance", "pixel_pitch", "pupil_diameter", "focus", "learning_rate")
+@takes_constants("wavelength", "distance", "pitch", "pupil_diameter", "focus", "learning_rate")
 @torch.inference_mode(False)
-@_validate.takes_units("wavelength", "distance", "pixel_pitch", "pupil_diameter", "focus", degrees=("rotation",))
+@_validate.takes_units("wavelength", "distance", "pitch", "pupil_diameter", "focus", degrees=("rotation",))
 def eyebox_hologram(
     targets: torch.Tensor,
     wavelength: float,
     distance: float,
-    pixel_pitch: float | Sequence[float],
+    pitch: float | Sequence[float],
     pupil_positions: torch.Tensor | Sequence[Any],
     pupil_diameter: float | torch.Tensor = 2e-3,
     focus: float | torch.Tensor | None = None,
-    n_iteration: int = 100,
+    iterations: int = 100,
     loss_function: Callable[..., Any] | None = None,
     learning_rate: float = 0.2,
     *,
@@ -58,7 +58,7 @@ def eyebox_hologram(
         Wavelength in metres.
     distance : float
         Distance from the modulator, or its image by an eyepiece, to the pupil in metres.
-    pixel_pitch : float or sequence of float
+    pitch : float or sequence of float
         Pixel pitch of the modulator, or of that image, in metres.
     pupil_positions : torch.Tensor or sequence
         Middles of the pupil (y, x) in metres, ``[K, 2]``.
@@ -66,7 +66,7 @@ def eyebox_hologram(
         Diameter of the pupil in metres, one or ``[K]``.
     focus : float or torch.Tensor, optional
         Distance in metres on which the eye is focused, one or ``[K]``; by default that of the modulator.
-    n_iteration : int
+    iterations : int
         Number of iterations.
     loss_function : callable, optional
         ``loss_function(images, targets)`` of ``[K, rows, columns]``; mean squared error by default. One that takes a
@@ -123,7 +123,7 @@ def eyebox_hologram(
     >>> from odak.learn.wave import eyebox_hologram
     >>> places = [[0.0, -1e-3], [0.0, 1e-3]]
     >>> hologram, seen = eyebox_hologram(
-    ...     torch.rand(2, 32, 32), 532e-9, 0.1, 8e-6, places, n_iteration=2, seed=0, progress=False
+    ...     torch.rand(2, 32, 32), 532e-9, 0.1, 8e-6, places, iterations=2, seed=0, progress=False
     ... )
     >>> hologram.shape, seen.shape
     (torch.Size([32, 32]), torch.Size([2, 32, 32]))
@@ -141,11 +141,10 @@ def eyebox_hologram(
     targets = targets.expand(len(places), *targets.shape[-2:])
     for name, length in (("wavelength", wavelength), ("distance", distance), ("learning_rate", learning_rate)):
         _validate.number(name, length, positive=True)
-    for pitch in pitches(pixel_pitch, "pixel_pitch"):
-        _validate.real("pixel_pitch", pitch, positive=True)
+    checked_pitch("pitch", pitch)
     optimizer = _validate.one_of("optimizer", optimizer, SOLVERS)
     frames = _validate.integer("frames", frames, minimum=1)
-    n_iteration = _validate.integer("n_iteration", n_iteration, minimum=1)
+    iterations = _validate.integer("iterations", iterations, minimum=1)
     for name, function in (("loss_function", loss_function), ("slm", slm)):
         _validate.function_or_none(name, function)
     at_once = len(places)
@@ -176,7 +175,7 @@ def eyebox_hologram(
         like = modulate(phase)[0]
         eyes: Any = [
             eye_transfer(
-                like, pixel_pitch, wavelength, distance, place, diameters[k], None if foci is None else foci[k], turn
+                like, pitch, wavelength, distance, place, diameters[k], None if foci is None else foci[k], turn
             )
             for k, (place, turn) in enumerate(zip(places, turns.tolist(), strict=True))
         ]
@@ -205,7 +204,7 @@ def eyebox_hologram(
         {"phase": phase},
         loss,
         learning_rate,
-        Run(progress, callback, checkpoint, checkpoint_every, n_iteration),
+        Run(progress, callback, checkpoint, checkpoint_every, iterations),
         solver=optimizer,
         about=about,
         generators=[generator, *drawn_from],

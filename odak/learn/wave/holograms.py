@@ -651,14 +651,14 @@ def shift_w_double_phase(
     return encode_double_phase(field)
 
 
-@takes_constants("wavelength", "distance", "pixel_pitch")
+@takes_constants("wavelength", "distance", "pitch")
 @torch.no_grad()
-@_validate.takes_units("wavelength", "distance", "pixel_pitch", "iris_radius", "iris_focal_length")
+@_validate.takes_units("wavelength", "distance", "pitch", "iris_radius", "iris_focal_length")
 def double_phase_hologram(
     target: torch.Tensor,
     wavelength: float,
     distance: float,
-    pixel_pitch: float | Sequence[float],
+    pitch: float | Sequence[float],
     propagation_type: str = "Bandlimited Angular Spectrum",
     *,
     image_phase: torch.Tensor | None = None,
@@ -680,7 +680,7 @@ def double_phase_hologram(
         Wavelength in metres.
     distance : float
         Distance from hologram to image in metres.
-    pixel_pitch : float or sequence of float
+    pitch : float or sequence of float
         Pixel pitch in metres, one number or a pair (rows, columns).
     propagation_type : str
         Propagation type with a transfer function, see :func:`odak.learn.wave.propagate_beam`, or "auto".
@@ -691,7 +691,7 @@ def double_phase_hologram(
         where most of it is lost, and issues an AccuracyWarning.
     iris_radius : float, optional
         Radius in metres of a round iris in the focal plane of a lens. By default the iris passes frequencies up to
-        1/(4·pixel_pitch), half of the band of the pixels; with two pitches the larger one counts.
+        1/(4·pitch), half of the band of the pixels; with two pitches the larger one counts.
     iris_focal_length : float, optional
         Focal length in metres of that lens.
     pixel_fill : float, optional
@@ -730,7 +730,7 @@ def double_phase_hologram(
     target = _checked_target(target)
     _validate.real("wavelength", wavelength, positive=True)
     _validate.real("distance", distance)
-    checked_pitch("pixel_pitch", pixel_pitch)
+    checked_pitch("pitch", pitch)
     check_has_kernel(propagation_type)
     cutoff = iris_cutoff(wavelength, iris_radius, iris_focal_length)
     if not _validate.flag("iris", iris):
@@ -738,17 +738,17 @@ def double_phase_hologram(
             raise ValueError("iris_radius excludes iris=False")
         passes = "there is no iris"
     else:
-        quarters = [0.25 / _validate.numbers(pitch)[0] for pitch in pitches(pixel_pitch)]
+        quarters = [0.25 / _validate.numbers(length)[0] for length in pitches(pitch)]
         cutoff = min(quarters) if cutoff is None else cutoff
         # The orders of the checkerboard lie at (±1, ±1)/(2·pitch), and the image about them is as wide as the iris.
         passes = "the iris passes more than that" if cutoff > math.hypot(*quarters) else ""
     if passes:
         warn(
-            "double phase needs an iris that passes frequencies up to about 1/(4·pixel_pitch), or the orders of its "
+            "double phase needs an iris that passes frequencies up to about 1/(4·pitch), or the orders of its "
             f"checkerboard lie over the image; {passes}",
             AccuracyWarning,
         )
-    lengths: dict[str, Any] = {"dx": pixel_pitch, "wavelength": wavelength, "cutoff": cutoff}
+    lengths: dict[str, Any] = {"dx": pitch, "wavelength": wavelength, "cutoff": cutoff}
     lengths["propagation_type"] = propagation_type
     phase = torch.zeros_like(target)
     if image_phase is not None:

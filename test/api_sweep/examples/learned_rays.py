@@ -189,6 +189,7 @@ BY_CALL = {
         "pitch": 5e-4,
         "wavelength": 550e-9,
         "rotation": [1.0, 2.0],
+        "center": "gaze",
     },
     f"{HERE}.system.accommodation_response": {
         "picture": tensor(1, 16, 16),

@@ -218,6 +218,7 @@ POSITIVE = {
         "diameter",
         "window_dx",
         "slm_range",
+        "iterations",
         "n_iterations",
         "native_range",
         "working_wavelength",
@@ -251,7 +252,7 @@ BY_CALL = {
         "target": numbers(4, 5),
         "folder": Build(lambda folder: folder / "hologram"),
         "initial_phase": numbers(4, 5),
-        "n_iterations": 1,
+        "iterations": 1,
     },
     "odak.wave.produce_phase_only_slm_pattern": {
         "hologram": field(16, 16),

@@ -153,7 +153,7 @@ def test_each_place_of_the_eyebox_sees_its_own_image():
     places = torch.tensor([[0.0, -1.2e-3], [0.0, 1.2e-3]])
     targets = torch.stack([picture(0), picture(1)])
     hologram, seen = wave.eyebox_hologram(
-        targets, WAVELENGTH, DISTANCE, PITCH, places, 2e-3, n_iteration=120, frames=3, seed=0, progress=False
+        targets, WAVELENGTH, DISTANCE, PITCH, places, 2e-3, iterations=120, frames=3, seed=0, progress=False
     )
     assert hologram.shape == (3, N, N) and seen.shape == (2, N, N)
     lights = np.stack(
@@ -174,7 +174,7 @@ def test_each_direction_of_gaze_sees_its_own_image():
     angles, targets = (6.0, -4.0), torch.stack([picture(0), picture(1)])
     hologram, seen = wave.eyebox_hologram(
         targets, WAVELENGTH, DISTANCE, PITCH, [[2e-4, 0.0]] * 2, 1.6e-3,
-        rotation=[[0.0, angle] for angle in angles], n_iteration=50, frames=3, seed=0, progress=False,
+        rotation=[[0.0, angle] for angle in angles], iterations=50, frames=3, seed=0, progress=False,
     )  # fmt: skip
     lights = []
     for angle in map(math.radians, angles):
@@ -193,15 +193,15 @@ def test_places_drawn_by_step_and_checkpoints(tmp_path):
     places = torch.tensor([[0.0, -1e-3], [0.0, 0.0], [0.0, 1e-3]])
     options = {"pupil_positions": places, "pupils_per_step": 2, "seed": 3, "progress": False}
     lengths = (WAVELENGTH, DISTANCE, PITCH)
-    whole = wave.eyebox_hologram(picture(n=24), *lengths, n_iteration=6, **options)[0]
+    whole = wave.eyebox_hologram(picture(n=24), *lengths, iterations=6, **options)[0]
 
     def stop(iteration, loss):
         if iteration == 2:
             raise KeyboardInterrupt
 
     kept = {"checkpoint": tmp_path / "run.pt", "checkpoint_every": 1}
-    wave.eyebox_hologram(picture(n=24), *lengths, n_iteration=6, callback=stop, **kept, **options)
-    assert torch.equal(wave.eyebox_hologram(picture(n=24), *lengths, n_iteration=6, **kept, **options)[0], whole)
+    wave.eyebox_hologram(picture(n=24), *lengths, iterations=6, callback=stop, **kept, **options)
+    assert torch.equal(wave.eyebox_hologram(picture(n=24), *lengths, iterations=6, **kept, **options)[0], whole)
 
 
 @pytest.mark.parametrize(
@@ -219,8 +219,8 @@ def test_places_drawn_by_step_and_checkpoints(tmp_path):
 )
 def test_bad_arguments_are_named(change, error, message):
     arguments = {
-        "targets": torch.zeros(8, 8), "wavelength": WAVELENGTH, "distance": DISTANCE, "pixel_pitch": PITCH,
-        "pupil_positions": [[0.0, 0.0], [1e-3, 0.0]], "n_iteration": 1, "progress": False,
+        "targets": torch.zeros(8, 8), "wavelength": WAVELENGTH, "distance": DISTANCE, "pitch": PITCH,
+        "pupil_positions": [[0.0, 0.0], [1e-3, 0.0]], "iterations": 1, "progress": False,
     }  # fmt: skip
     with pytest.raises(error, match=message):
         wave.eyebox_hologram(**(arguments | change))

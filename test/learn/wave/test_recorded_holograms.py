@@ -49,7 +49,7 @@ def several_colours(kind=wave.multi_color_hologram_optimizer, weights=None, **op
 def places_of_the_eye(**options):
     places = [[0.0, -1e-3], [0.0, 1e-3]]
     hologram, seen = wave.eyebox_hologram(
-        random_numbers(2, 16, 20), 532e-9, 0.1, PITCH, places, n_iteration=4, seed=3, progress=False, **options
+        random_numbers(2, 16, 20), 532e-9, 0.1, PITCH, places, iterations=4, seed=3, progress=False, **options
     )
     return hologram.real, hologram.imag, seen
 

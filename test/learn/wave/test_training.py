@@ -129,7 +129,7 @@ def with_eyebox(loss, seed, **options):
     places = [[0.0, -1e-3], [0.0, 1e-3]]
     target = torch.rand(16, 16, generator=torch.Generator().manual_seed(0))
     return wave.eyebox_hologram(
-        target, 532e-9, 0.1, 8e-6, places, n_iteration=4, loss_function=loss, seed=seed, progress=False, **options
+        target, 532e-9, 0.1, 8e-6, places, iterations=4, loss_function=loss, seed=seed, progress=False, **options
     )[0]
 
 

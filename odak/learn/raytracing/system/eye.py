@@ -628,7 +628,7 @@ def retinal_field(
     accommodation: float = 0.0,
     pupil_position: Sequence[float] | torch.Tensor = (0.0, 0.0),
     rotation: Sequence[float] | torch.Tensor = (0.0, 0.0),
-    centre: str = "gaze",
+    center: str = "gaze",
 ) -> RetinalField:
     """Return the field on the retina of a coherent field in the entrance pupil, such as that of a hologram.
 
@@ -650,7 +650,7 @@ def retinal_field(
     rotation : sequence of float or torch.Tensor
         Angles in degrees (to the right, downwards), within ±60, by which the eye is then turned about its centre of
         rotation, 10.5 mm behind the entrance pupil.
-    centre : str
+    center : str
         Direction of the middle sample of a turned eye: "gaze", that in which it looks, or "field", the axis of the
         field, so that what stands still stays on its samples.
 
@@ -689,7 +689,7 @@ def retinal_field(
     rows, columns = _validate.image("field", field).shape[-2:]
     pitch = _validate.constant("pitch", pitch, positive=True)
     wavelength = _wavelengths(_validate.number("wavelength", wavelength, positive=True))[0]
-    centre = _validate.one_of("centre", centre, ("gaze", "field"))
+    center = _validate.one_of("center", center, ("gaze", "field"))
     if not isinstance(pupil_diameter, torch.Tensor):
         pupil_diameter = _pupil_width(pupil_diameter)
     (right, down), angles = (
@@ -710,7 +710,7 @@ def retinal_field(
     )
     pupil = _pupil(y[:, None], x, pitch, [wavelength], pupil_diameter, accommodation, 0.0, cosines)[0]
     if turned:
-        if centre == "gaze":
+        if center == "gaze":
             # A wave from the direction of the gaze has a constant phase in the pupil.
             tilt = (y[:, None] * cosines[0] + x * cosines[1]) / wavelength
             pupil = pupil * phasor_of_cycles(tilt, torch.complex128)

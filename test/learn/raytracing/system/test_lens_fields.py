@@ -144,7 +144,7 @@ def test_whole_chain_has_the_gradient_of_differences():
         light = display.fields(phases)[0, 0, 0]
         bench = optical_bench([TracedSystem(lens, 18e-6, (48, 64), (3, 3), 7, tolerance=1e-7)], WAVE)
         pupil, pitch = bench.propagate(light, 8e-6)
-        seen = retinal_field(pupil, pitch, WAVE, 2.0, accommodation, rotation=(gaze, 0.0), centre="field")
+        seen = retinal_field(pupil, pitch, WAVE, 2.0, accommodation, rotation=(gaze, 0.0), center="field")
         return (weight * seen.field.abs().square()).sum()
 
     given = [value.clone().requires_grad_() for value in start]
