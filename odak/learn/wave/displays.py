@@ -28,7 +28,7 @@ from odak.learn.wave.holograms import STARTS, best_scale, encode_double_phase, s
 from odak.learn.wave.loss import FocalTargets, multiplane_loss
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.slm import TURN, even_levels, spatial_light_modulator
-from odak.learn.wave.training import checked_intensities, cosine, fingerprint, seeded_loss, started
+from odak.learn.wave.training import checked_intensities, cosine, fingerprint, recorded, seeded_loss, started
 from odak.wave import phase_retrieval
 from odak.wave.linear_kernels import checked_pixel_fill, linear_kernel
 from odak.wave.sampling import sampling_report
@@ -849,6 +849,10 @@ class Descent:
         Find the powers of the sources in each frame too, beginning with those of the display; a source that is off in
         a frame stays off. With ``powers=torch.ones(F, C)`` in the display all colours share all frames (Kavaklı et al.,
         Multi-color holograms improve brightness in holographic displays, SIGGRAPH Asia 2023).
+    graph : bool
+        Record the loss and its gradient as one CUDA graph and replay that in each iteration, which starts one graph
+        instead of some hundred kernels: for small displays on a GPU. The loss must depend on the images and the target
+        alone and read no number from the device.
 
     Examples
     --------
@@ -860,6 +864,8 @@ class Descent:
     method: str = "lbfgs"
     learning_rate: float = 0.1
     powers: bool = False
+    # No part of the text by which a checkpoint is recognised: the results are the same.
+    graph: bool = field(default=False, repr=False)
 
     def solve(self, problem: Problem) -> torch.Tensor | tuple[torch.Tensor, torch.Tensor]:
         """Return the phases of a problem, ``[F, rows, columns]``, and the powers ``[F, C]`` where they are found."""
@@ -876,11 +882,18 @@ class Descent:
         def found():
             return (unit * learned["amplitude"]).square() if self.powers else None
 
+        def value():
+            return problem.loss_of(phases, found())
+
+        if self.graph and (drawn_from or problem.display._parts):
+            what = "the loss draws random numbers" if drawn_from else "several devices share one picture"
+            raise ValueError(f"graph must be False where {what}, got True")
+        evaluate = recorded(value, list(learned.values())) if self.graph else value
         rate = cosine(self.learning_rate, self.learning_rate / 2, run.iterations)
         display, given = problem.display, (problem.target, problem.start)
         minimise(
             learned,
-            lambda iteration: problem.loss_of(phases, found()),
+            lambda iteration: evaluate(),
             rate,
             run,
             solver=self.method,
@@ -892,6 +905,7 @@ class Descent:
     def __post_init__(self):
         _validate.one_of("method", self.method, ("lbfgs", "adam"))
         _validate.flag("powers", self.powers)
+        _validate.flag("graph", self.graph)
         _validate.real("learning_rate", self.learning_rate, positive=True)
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from emulated_device import NAME, EmulatedDevice, reads
 
 from odak.instruments import Calibration, Lens, SimulatedTable, save_calibration
 from odak.learn.models import hologram_network
@@ -21,6 +22,7 @@ from odak.learn.wave import (
     optimise,
     spatial_light_modulator,
     stochastic_gradient_descent,
+    training,
 )
 
 PITCH, WAVELENGTH = 8e-6, 532e-9
@@ -267,6 +269,70 @@ def test_slopes_of_powers_and_sources_that_are_off():
     )
     problem = Problem(display, torch.rand(1, 2, 4, 4).double(), torch.nn.functional.mse_loss, phases.detach(), QUIET)
     assert Descent(powers=True).solve(problem)[1][1, 1] == 0
+
+
+@pytest.mark.parametrize("method", ["lbfgs", "adam"])
+def test_a_replayed_graph_gives_the_same(disc, method, monkeypatch):
+    """The graph is emulated: what is captured is computed again into the same tensors, as a replay does."""
+    captured = []
+
+    def capture(compute, device):
+        outputs = compute()
+        captured.append(outputs)
+
+        def replay():
+            for kept, found in zip(outputs, compute(), strict=True):
+                kept.copy_(found)
+
+        return replay, outputs
+
+    monkeypatch.setattr(training, "_captured", capture)
+    display = Display(Modulator(disc.shape, PITCH), [639e-9, 515e-9], 2e-3, 2, torch.ones(2, 2))
+    target, run = torch.stack([disc, disc.flip(0)]), Run(iterations=6, progress=False)
+    plain, replayed = (
+        optimise(display, target, solver=Descent(method, powers=True, graph=graph), run=run) for graph in (False, True)
+    )
+    assert len(captured) == 1 and plain.losses == replayed.losses and len(set(plain.losses)) == 6
+    assert torch.equal(plain.phases, replayed.phases) and torch.equal(plain.display.powers, replayed.display.powers)
+
+
+def test_a_recorded_step_reads_no_number_of_the_device():
+    """Which a graph of CUDA cannot do; after the first call, which makes the transfer functions."""
+    with EmulatedDevice():
+        display = Display(Modulator((8, 12), PITCH), WAVELENGTH, 2e-3).to(NAME)
+        target, phases = torch.rand(1, 1, 8, 12).to(NAME), torch.rand(1, 8, 12).to(NAME).detach().requires_grad_()
+        problem = Problem(display, target, torch.nn.functional.mse_loss, phases, QUIET)
+        found = []
+        for _ in range(2):
+            before = sum(reads.values())
+            torch.autograd.grad(problem.loss_of(phases, display.powers), phases)
+            found.append(sum(reads.values()) - before)
+    assert found[0] > 0 and found[1] == 0
+
+
+def test_where_no_graph_can_be_recorded(disc):
+    display, brief = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3), Run(iterations=1, progress=False)
+    solver = Descent("adam", graph=True)
+    with pytest.raises(ValueError, match="graph must be False where the display is not on a CUDA device, got cpu"):
+        optimise(display, disc, solver=solver, run=brief)
+    with pytest.raises(ValueError, match="graph must be False where several devices share one picture"):
+        optimise(display, disc, solver=solver, run=brief, devices=["cpu", "cpu"])
+    with pytest.raises(ValueError, match="graph must be False where the loss draws random numbers"):
+        optimise(display, disc, lambda images, target, generator=None: images.mean(), solver, run=brief)
+    with pytest.raises(TypeError, match="graph"):
+        Descent(graph="yes")
+
+
+@pytest.mark.cuda
+def test_a_graph_on_cuda(disc):
+    display, run = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3).cuda(), Run(iterations=8, progress=False)
+    for method in ("lbfgs", "adam"):
+        plain, graph = (optimise(display, disc, solver=Descent(method, graph=g), run=run) for g in (False, True))
+        assert len(set(graph.losses)) == 8
+        torch.testing.assert_close(torch.tensor(graph.losses), torch.tensor(plain.losses), rtol=1e-3, atol=0)
+        here = optimise(display.cpu(), disc, solver=Descent(method), run=run)
+        torch.testing.assert_close(torch.tensor(graph.losses), torch.tensor(here.losses), rtol=1e-2, atol=0)
+        display = display.cuda()
 
 
 def test_a_picture_with_depth_is_sharp_on_its_own_plane(disc):
