@@ -110,6 +110,7 @@ from .quality import PU21PSNR as PU21PSNR
 from .quality import PU21SSIM as PU21SSIM
 from .quality import SSIM as SSIM
 from .quality import EccentricityReport as EccentricityReport
+from .quality import ImageQuality as ImageQuality
 from .quality import Ring as Ring
 from .quality import content_aware_contrast_ratio as content_aware_contrast_ratio
 from .quality import eccentricity_report as eccentricity_report

@@ -2,6 +2,7 @@
 
 CVVDP, FVVDP and LPIPS are computed by the packages of their authors. The first two have been compared with cvvdp 0.5.7
 and pyfvvdp 1.2.2 on a pair of pictures; LPIPS with a stand-in for its network, whose weights it downloads.
+ImageQuality takes any measure of pyiqa.
 """
 
 import contextlib
@@ -1252,6 +1253,112 @@ class LPIPS(_Wrapper):
             with _quietly():
                 self.lpips = self._import().LPIPS(net="squeeze", verbose=False).requires_grad_(False)
         return self.lpips.to(device)
+
+
+class ImageQuality(_Wrapper):
+    """Any measure of quality of the package pyiqa by its name, such as "dists", "vif", "topiq_fr" or "niqe".
+
+    Parameters
+    ----------
+    name : str
+        Name of the measure: one of ``pyiqa.list_models()`` that judges single pictures, hence not "fid".
+    required : bool
+        Raise when the package is missing. Otherwise a :class:`~odak.MissingPackageWarning` says so, and calls raise.
+
+    Attributes
+    ----------
+    available : bool
+        Whether the package is there.
+    measure : torch.nn.Module or None
+        The measure of pyiqa, with frozen weights, which pyiqa fetches when this object is made.
+    lower_is_better, takes_reference : bool or None
+        Whether less is better, and whether pictures are compared with others; None without the package.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the name is not one of pyiqa's.
+    ImportError
+        If the package is missing and required, or called for; the message states what to install.
+
+    Notes
+    -----
+    Chen and Mo, https://github.com/chaofengc/IQA-PyTorch, with a licence for other than commercial use. Run with pyiqa
+    0.1.16: of 8-bit pictures, "psnr" agrees with :class:`PSNR` to 2e-5 dB and "ssimc" with :class:`SSIM` to 1e-5;
+    "ssim" and "ms_ssim" are of the luminance alone. "gmsd", "vsi", "fsim" and "vif" gave values and gradients. Measures
+    that fetch weights, such as "dists", were not run.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import ImageQuality
+    >>> measure, picture = ImageQuality("dists"), torch.rand(1, 3, 64, 64)  # doctest: +SKIP
+    >>> measure.lower_is_better, measure(picture, picture).item() < 1e-5  # doctest: +SKIP
+    (True, True)
+    """
+
+    _module = _package = "pyiqa"
+
+    def __init__(self, name: str, *, required: bool = False):
+        super().__init__(required)
+        self.name = name
+        if not isinstance(name, str):
+            raise TypeError(f"name must be a string, got {type(name).__name__}")
+        self.measure: Any = None
+        self.lower_is_better: bool | None = None
+        self.takes_reference: bool | None = None
+        if self.available:
+            pyiqa = self._import()
+            names = [one for one in pyiqa.list_models() if "fid" not in one and one != "inception_score"]
+            _validate.one_of("name", name, names)
+            with _quietly():
+                # As a loss, so that it is differentiable.
+                self.measure = pyiqa.create_metric(name, as_loss=True, loss_reduction="none", device="cpu")
+            self.measure.requires_grad_(False)
+            self.lower_is_better, self.takes_reference = self.measure.lower_better, self.measure.metric_mode == "FR"
+
+    def extra_repr(self) -> str:
+        """Return the name of the measure."""
+        return repr(self.name)
+
+    def forward(
+        self, predictions: torch.Tensor, targets: torch.Tensor | None = None, reduction: str = "mean"
+    ) -> torch.Tensor:
+        """Return the quality of pictures.
+
+        Parameters
+        ----------
+        predictions : torch.Tensor
+            Pictures ``[B, C, H, W]`` or ``[C, H, W]`` of one or three channels, 0 … 1.
+        targets : torch.Tensor, optional
+            Pictures of the same shape that they are compared with; required where `takes_reference` is true.
+        reduction : {"mean", "none"}
+            The mean over the batch, or one value for each picture.
+
+        Returns
+        -------
+        torch.Tensor
+            float32 without axes, or ``[B]``; differentiable where the measure of pyiqa is.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the shapes differ, there are not three or four axes and one or three channels, values are far outside
+            0 … 1, or the pictures to compare with are missing or not wanted.
+        ImportError
+            If the package is missing.
+        """
+        _validate.one_of("reduction", reduction, ("mean", "none"))
+        pair = checked_pair(predictions, predictions if targets is None else targets)
+        batch = [_as_batch(value).float().clamp(0, 1) for value in pair]
+        self._require()
+        if (targets is not None) != self.takes_reference:
+            wanted = "must be given for" if targets is None else "are not taken by"
+            raise ValueError(f"targets {wanted} the measure {self.name!r}")
+        with _quietly():
+            scores = self.measure.to(batch[0].device)(*batch[: 1 + bool(self.takes_reference)])
+        scores = scores.reshape(len(batch[0])).float()
+        return scores.mean() if reduction == "mean" else scores
 
 
 @contextlib.contextmanager

@@ -203,7 +203,7 @@ NOT_CALLED = {
 }
 if importlib.util.find_spec("pycvvdp") is None:
     NOT_CALLED[f"{HERE}.castle_contrast_sensitivity"] = "needs the tables of the package cvvdp"
-for _measure, _module in (("CVVDP", "pycvvdp"), ("FVVDP", "pyfvvdp"), ("LPIPS", "lpips")):
+for _measure, _module in (("CVVDP", "pycvvdp"), ("FVVDP", "pyfvvdp"), ("LPIPS", "lpips"), ("ImageQuality", "pyiqa")):
     if importlib.util.find_spec(_module) is None:
         NOT_CALLED[f"{HERE}.{_measure}.forward"] = f"needs the package {_module}"
 ALLOWED = {

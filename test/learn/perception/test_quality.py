@@ -10,7 +10,20 @@ from scipy import ndimage
 
 import odak
 from odak.learn import perception
-from odak.learn.perception import CVVDP, FLIP, FVVDP, LPIPS, MSSSIM, PSNR, PU21PSNR, PU21SSIM, SSIM, flip, pu21_encode
+from odak.learn.perception import (
+    CVVDP,
+    FLIP,
+    FVVDP,
+    LPIPS,
+    MSSSIM,
+    PSNR,
+    PU21PSNR,
+    PU21SSIM,
+    SSIM,
+    ImageQuality,
+    flip,
+    pu21_encode,
+)
 from odak.learn.perception.quality import SCALE_WEIGHTS
 
 
@@ -247,6 +260,76 @@ def test_lpips(monkeypatch):
     distance.backward()
     assert one.grad.any()
     assert metric(two, two).item() == 0
+
+
+class Measures:
+    """Stands in for pyiqa: the squared error, which compares, and the mean, which does not."""
+
+    class Measure(torch.nn.Module):
+        def __init__(self, name):
+            super().__init__()
+            self.lower_better, self.metric_mode = (True, "FR") if name == "error" else (False, "NR")
+            self.weight = torch.nn.Parameter(torch.tensor(2.0))
+
+        def forward(self, one, two=None):
+            assert one.dtype == torch.float32
+            assert one.ndim == 4
+            value = one if two is None else (one - two) ** 2
+            return self.weight * value.mean((1, 2, 3))[:, None]
+
+    def list_models(self):
+        return ["error", "brightness", "fid", "sfid", "inception_score"]
+
+    def create_metric(self, name, as_loss, loss_reduction, device):
+        assert (as_loss, loss_reduction) == (True, "none")
+        return self.Measure(name)
+
+
+def test_image_quality(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyiqa", Measures())
+    one, two = pictures(2, 3, 6, 7)
+    error = ImageQuality("error")
+    assert (error.lower_is_better, error.takes_reference) == (True, True)
+    free = one.clone().requires_grad_()
+    each = error(free, two, "none")
+    expected = 2 * ((one - two) ** 2).mean((1, 2, 3))
+    torch.testing.assert_close(each, expected.float())
+    torch.testing.assert_close(error(one, two), expected.mean().float())
+    each.sum().backward()
+    torch.testing.assert_close(free.grad, 4 * (one - two) / one[0].numel(), rtol=1e-5, atol=1e-8)
+    assert not error.measure.weight.requires_grad
+    brightness = ImageQuality("brightness")
+    torch.testing.assert_close(brightness(one[0]), 2 * one[0].mean().float())
+    with pytest.raises(ValueError, match="targets must be given for the measure 'error'"):
+        error(one)
+    with pytest.raises(ValueError, match="targets are not taken by the measure 'brightness'"):
+        brightness(one, two)
+    with pytest.raises(
+        ValueError, match=r"name must be one of 'error', 'brightness'; got 'eror'\. Did you mean 'error'"
+    ):
+        ImageQuality("eror")
+    with pytest.raises(ValueError, match="name must be one of"):
+        ImageQuality("fid")
+    with pytest.raises(ValueError, match="reduction must be one of"):
+        error(one, two, "sum")
+
+
+def test_image_quality_without_the_package(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyiqa", None)
+    with pytest.raises(ImportError, match=r"ImageQuality needs the package pyiqa .*: pip install pyiqa"):
+        ImageQuality("dists", required=True)
+    with pytest.warns(odak.MissingPackageWarning, match="pip install pyiqa"):
+        measure = ImageQuality("dists")
+    with pytest.raises(ImportError, match="pip install pyiqa"):
+        measure(*pictures(1, 3, 16, 16))
+
+
+@pytest.mark.slow
+def test_image_quality_against_our_own():
+    pytest.importorskip("pyiqa", exc_type=(ImportError, RuntimeError))
+    one, two = ((255 * picture).round() / 255 for picture in pictures(2, 3, 200, 210))
+    torch.testing.assert_close(ImageQuality("psnr")(two, one), PSNR()(two, one, 1.0, "mean").float(), atol=1e-4, rtol=0)
+    torch.testing.assert_close(ImageQuality("ssimc")(two, one), SSIM()(two, one).float(), atol=1e-4, rtol=0)
 
 
 @pytest.mark.slow
