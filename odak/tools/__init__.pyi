@@ -2,6 +2,10 @@ from .asset import read_PLY as read_PLY
 from .asset import read_PLY_point_cloud as read_PLY_point_cloud
 from .asset import write_PLY as write_PLY
 from .asset import write_PLY_from_points as write_PLY_from_points
+from .exchange import load_ome_tiff as load_ome_tiff
+from .exchange import napari_reader as napari_reader
+from .exchange import save_ome_tiff as save_ome_tiff
+from .exchange import to_xarray as to_xarray
 from .file import check_directory as check_directory
 from .file import convert_bytes as convert_bytes
 from .file import copy_file as copy_file

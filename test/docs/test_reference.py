@@ -107,7 +107,13 @@ WITHOUT_OUTPUT = {
     "odak.visualize.plotly.close_browser": "returns nothing",
 }
 # Their examples need a package that is not among the requirements, and are skipped.
-OPTIONAL = {f"odak.learn.perception.{name}" for name in ("CVVDP", "FVVDP", "LPIPS", "castle_contrast_sensitivity")}
+OPTIONAL = {
+    "odak.tools.to_xarray",
+    *(
+        f"odak.learn.perception.{name}"
+        for name in ("CVVDP", "FVVDP", "LPIPS", "ImageQuality", "castle_contrast_sensitivity")
+    ),
+}
 
 
 def printed_examples(value):

@@ -63,9 +63,9 @@ class hologram_network(nn.Module):
 
     Notes
     -----
-    Gradients reach the target; wavelength, pitch, distance and depth have none. Where light spreads over more than some
-    hundred pixels to each side, gradient descent from the start "gs" of
-    :func:`odak.learn.wave.stochastic_gradient_descent` gains more in the same time.
+    Gradients reach the target; wavelength, pitch, distance and depth have none. With these fixed and without depth,
+    ``torch.export`` takes the network. Where light spreads over more than some hundred pixels to each side, gradient
+    descent from the start "gs" of :func:`odak.learn.wave.stochastic_gradient_descent` gains more in the same time.
 
     Each step of an iterative solver has a learned correction, as in Adler and Öktem, Inverse Problems 33, 124007
     (2017). Without the corrections, the steps are the alternating projections of Gerchberg and Saxton, Optik 35, 237
@@ -320,7 +320,8 @@ def _planes(target, distance, depth) -> tuple[list[float], torch.Tensor]:
         distances = [_validate.constant("distance", distance)]
     else:
         distances = [float(one) for one in _validate.numbers(_validate.several("distance", distance))]
-    if depth is None:
+    flat = depth is None
+    if flat:
         depth = target.new_zeros(target.shape[-2:])
     if not isinstance(depth, torch.Tensor) or not depth.is_floating_point():
         raise TypeError(f"depth must be a real floating tensor, got {kind_of(depth)}")
@@ -329,7 +330,7 @@ def _planes(target, distance, depth) -> tuple[list[float], torch.Tensor]:
             f"depth must be [rows, columns] or have a map for each picture of target {list(target.shape)}, "
             f"got {list(depth.shape)}"
         )
-    low, high = torch.stack(depth.aminmax()).tolist()
+    low, high = (0, 0) if flat else torch.stack(depth.aminmax()).tolist()
     if not 0 <= low <= high <= 1:
         raise ValueError(f"depth must be from 0 to 1, got {low:g} to {high:g}")
     if not distances or not (min(distances) > 0 or max(distances) < 0):

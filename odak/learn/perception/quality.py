@@ -1271,8 +1271,10 @@ class ImageQuality(_Wrapper):
         Whether the package is there.
     measure : torch.nn.Module or None
         The measure of pyiqa, with frozen weights, which pyiqa fetches when this object is made.
-    lower_is_better, takes_reference : bool or None
-        Whether less is better, and whether pictures are compared with others; None without the package.
+    lower_is_better : bool or None
+        Whether less is better; None without the package.
+    takes_reference : bool or None
+        Whether pictures are compared with others; None without the package.
 
     Raises
     ------
