@@ -33,7 +33,7 @@ from odak.tools.paths import replacing
 SIMULATED, RESULTS = "simulated", "calibration"
 DEFINITIONS = {
     "lengths": "In metres; phases in radians; times in seconds; angles in degrees.",
-    "uncertainty": "Of a result: one of twenty errors exceeds it; of one step, as if others were exact.",
+    "uncertainty": "One sigma: two of three errors are smaller; of one step, as if others were exact.",
     "residual_pixels": "Root mean square distance of the spots from the mapping of the camera, in its pixels.",
     "wavefront_rms_waves": "Root mean square of the aberration in wavelengths, without tilt and defocus.",
     "illumination_min": "Smallest amplitude on the modulator over the largest.",

@@ -53,9 +53,9 @@ UNITS = {
 # Deviation of the captures of a phase response, 0.002 by noise alone, above which the response is taken to vary.
 SPREAD_OF_RESPONSE = 0.01
 # Share of the last change of the wavefront that is taken as its error.
-REST = 0.2
+REST = 0.4
 # Uncertainties above which calibrate_table warns: rad, pixel, rad.
-LIMITS = {"phases": 0.03, "registration": 0.2, "wavefront": 2 * np.pi / 100}
+LIMITS = {"phases": 0.015, "registration": 0.1, "wavefront": 2 * np.pi / 200}
 # Error of a wavefront in radians that is left without noise, a five-hundredth of a wavelength.
 SMALLEST_ERROR = 2 * np.pi / 500
 # Rows and columns of regions where the response varies.
@@ -86,10 +86,10 @@ class Calibration:
     regional_phases : numpy.ndarray, optional
         Phase of each level in regions of the modulator, ``[region rows, region columns, levels]``.
     uncertainty : dict
-        Uncertainties, which errors exceed in about one of twenty cases, of what was measured: "phases" and
-        "regional_phases" in radians (largest over the levels), "registration" in pixels of the camera (largest over
-        the middle 70 % of the panel's width and height), "wavefront" in radians and "amplitude" as a fraction of the
-        largest (root mean squares over the panel), and "distance" in metres.
+        Uncertainties of what was measured, one sigma: about two of three errors are smaller. "phases" and
+        "regional_phases" in radians (largest error over the levels), "registration" in pixels of the camera (largest
+        error over the middle 70 % of the panel's width and height), "wavefront" in radians and "amplitude" as a
+        fraction of the largest (root mean square errors over the panel), and "distance" in metres.
 
     Examples
     --------
@@ -285,17 +285,17 @@ def calibrate_table(
     -----
     AccuracyWarning
         If the response varies and is not measured in regions, because `regions` is (1, 1) or the modulator has fewer
-        than 36 rows or columns; if the uncertainty of the phases exceeds 0.03 rad, of the registration 0.2 pixels, or
-        of the wavefront a hundredth of a wavelength; and as the functions of the steps.
+        than 36 rows or columns; if the uncertainty of the phases exceeds 0.015 rad, of the registration 0.1 pixels,
+        or of the wavefront 1/200 of a wavelength; and as the functions of the steps.
 
     Notes
     -----
     The uncertainty of the wavefront comes from the fit to its gradients and from what further repetitions would change.
     It contributes to that of the distance, as a defocus, and the distance to that of the registration. The uncertainty
-    of the phases is what the captures deviate from those of one phase at all pixels, and the difference between the
-    results of the two halves of the modulator; with regions, it is twice that of a mean of independent values. The
-    factors between residuals and uncertainties were chosen on simulated tables: uncertainties are estimates, not
-    bounds.
+    of the phases comes from what the captures deviate from those of one phase at all pixels, from the difference
+    between the results of the two halves of the modulator, and from that between all levels and every second one; with
+    regions, it is twice that of a mean of independent values. The factors between residuals and uncertainties were
+    chosen on 50 simulated tables that share no code with the package: uncertainties are estimates, not bounds.
 
     Examples
     --------
@@ -388,7 +388,7 @@ def calibrate_table(
         found = without(astigmatism_by_focus(*known, without(found, low)), low)
         change, wavefront = float((found - wavefront).std()), found
     # An error of the response of a region acts as an aberration, of the mean phase of a pattern. The factors here and
-    # below are those that cover the errors of simulated tables with fringing fields.
+    # below are those that make standard deviations of the errors on 50 independent tables.
     response_error = 0.4 * uncertainty.get("regional_phases", 0.0)
     uncertainty["wavefront"] = math.hypot(1.5 * doubt, REST * change, SMALLEST_ERROR, response_error)
     by_distance = 0.0
@@ -396,7 +396,7 @@ def calibrate_table(
         distance, doubt = distance_with_uncertainty(*known, wavefront=wavefront)
         # The wavefront π/λ·(x² + y²)/f is that of a lens.
         y, x = pixel_axes(modulator)
-        defocus = 0.6 * uncertainty["wavefront"] / (x**2 + y**2).std() * wavelength * distance**2 / np.pi
+        defocus = 0.2 * uncertainty["wavefront"] / (x**2 + y**2).std() * wavelength * distance**2 / np.pi
         uncertainty["distance"] = math.hypot(doubt, defocus)
         far = 0.35 * math.hypot(*modulator.shape) * modulator.pitch
         by_distance = far * uncertainty["distance"] / (distance * camera.pitch)

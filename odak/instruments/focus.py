@@ -35,7 +35,7 @@ SWEPT, LARGEST_SWEEPS = 2.4, 12
 # Standard deviation of the squared distance from the middle of a square is its area over this.
 EVEN_SQUARE = math.sqrt(90)
 # Error of the sharpest focus in units of the depth of focus, without aberration and noise.
-FOCUS = 0.04
+FOCUS = 0.01
 
 
 @_validate.takes_units("wavelength", "distance")
@@ -287,7 +287,7 @@ def distance_with_uncertainty(
 
 
 def _vertex(powers: np.ndarray, values: np.ndarray, depth: float) -> tuple[float, float]:
-    """Return the power of the largest sharpness, by a parabola within the depth of focus, and its uncertainty."""
+    """Return the power of the largest sharpness, by a parabola within the depth of focus, and its deviation."""
     peak = powers[values.argmax()]
     near = np.abs(powers - peak) <= 1.2 * depth
     system = np.vander((powers[near] - peak) / depth, 3)
@@ -302,7 +302,7 @@ def _vertex(powers: np.ndarray, values: np.ndarray, depth: float) -> tuple[float
             "average more captures"
         )
     toward = np.array([slope / (2 * bend**2), -1 / (2 * bend), 0])
-    return float(peak - slope / (2 * bend) * depth), 2 * math.sqrt(toward @ covariance @ toward) * depth
+    return float(peak - slope / (2 * bend) * depth), math.sqrt(toward @ covariance @ toward) * depth
 
 
 def _ideal_sharpness(modulator: Modulator, camera: Camera, wavelength: float, distance: float, power: float) -> float:

@@ -22,7 +22,7 @@ ASIDE = 0.3
 # Mean share of the light that is missing in dark parts, above which a root mean square of about 1 % is missing.
 DUSTY = 1.5e-4
 # Share of the light that specks of dust absorb, and uncertainty of the illumination that is reported.
-DEPTH, EVEN = 0.7, 0.02
+DEPTH, EVEN = 0.7, 0.013
 QUARTERS = np.arange(4) * (np.pi / 2)
 
 
@@ -84,7 +84,7 @@ def measure_illumination(
     AccuracyWarning
         If pixels at the edges are farther from all points than a pixel reaches, λ·distance/(2·pitch); if parts of the
         modulator that send light to all points are darker than the polynomial, for example because of dust; or if the
-        deviations of the captures from the model give an uncertainty of more than 0.02. The message contains it: the
+        deviations of the captures from the model give an uncertainty of more than 0.013. The message contains it: the
         root mean square over the pixels, which the error of a panel without dust exceeds in about one of twenty cases.
         Small specks of dust are not detected (8 of 20 simulated tables with three specks, with errors up to 3 %).
 
@@ -198,8 +198,7 @@ def illumination_with_uncertainty(
     covariance = (inner @ (scores.T @ scores) @ inner)[3:-3, 3:-3]
     relative = terms - terms[largest]
     variance = np.einsum("rci,ij,rcj->rc", relative, covariance, relative)
-    # The root mean square of errors of some ten coefficients exceeds 1.5 times its expectation in one of twenty cases.
-    uncertainty = 1.5 * math.sqrt((amplitude**2 * variance).mean())
+    uncertainty = math.sqrt((amplitude**2 * variance).mean())
     reason = ""
     if half > farthest + aside and not behind_lens:
         reason = (

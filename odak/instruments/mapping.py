@@ -122,7 +122,7 @@ class Registration:
     residual : float
         Root mean square distance of the measured spots from the mapping, in pixels.
     uncertainty : float
-        Uncertainty of the mapping among the spots in pixels: twice the largest standard deviation.
+        Uncertainty of the mapping among the spots in pixels, one standard deviation of its largest error.
 
     Examples
     --------

@@ -228,12 +228,14 @@ def phases_with_uncertainty(
     if not isinstance(distance, Lens):
         seen = seen * _sign(modulator, camera, wavelength, distance, levels, seen)
     phases, fewer = (CubicSpline(levels[used], seen[used])(np.arange(top + 1)) for used in (np.s_[:], np.s_[::2]))
-    # Near level 0, a power law is interpolated by half the samples with about twice the error. What captures deviate
-    # from one phase at all pixels, as a share of the interference, is about the error that fringing fields cause.
+    # A mean of two independent values is uncertain by half of their difference; the factors are those that make
+    # standard deviations of the largest errors on independent tables. Near level 0, a power law is interpolated by half
+    # the samples with several times the error. Fringing fields cause errors of about half of what captures deviate
+    # from one phase at all pixels, as a share of the interference.
     within = levels[-1 - (len(levels) + 1) % 2]
-    interpolation = 1.5 * float(np.abs(phases - fewer)[:within].max())
+    interpolation = float(np.abs(phases - fewer)[:within].max())
     spread = max(first, second)
-    return phases, math.hypot(float(np.abs(one - other).max()), interpolation, spread), spread
+    return phases, math.hypot(0.4 * float(np.abs(one - other).max()), 0.2 * interpolation, 0.5 * spread), spread
 
 
 def _onto_the_other_half(modulator: Modulator, wavelength: float, distance: float, top: int) -> np.ndarray:
@@ -311,7 +313,8 @@ def _measured_levels(top: int, samples: int) -> np.ndarray:
 def _phases_of_interference(frames: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the phase of each of the frames ``[n, pixels]``, whose pixels are a + b·cos φ + c·sin φ.
 
-    The second result is the size of what deviates from such sums, as a share of the smaller of their two components.
+    The second result is the size of what deviates from such sums, as a share of the smaller of their two components:
+    the third one, less the fourth, which noise contains as well.
     """
     frames = frames - frames.mean(0)
     values, vectors = np.linalg.eigh(frames @ frames.T)
@@ -332,7 +335,7 @@ def _phases_of_interference(frames: np.ndarray) -> tuple[np.ndarray, float]:
     centre = -np.linalg.solve(2 * form, np.array(linear))
     circle = axes * np.sqrt(sizes) @ axes.T @ (np.stack([x, y]) - centre[:, None])
     phases = np.unwrap(np.arctan2(circle[1], circle[0]))
-    other = math.sqrt(max(values[-3] ** 2 - values[1] ** 2, 0)) / values[-2]
+    other = math.sqrt(max(values[-3] ** 2 - values[-4] ** 2, 0)) / values[-2]
     phases = phases - phases[0]
     return phases if phases[-1] >= 0 else -phases, other
 
@@ -528,7 +531,7 @@ def regions_with_uncertainty(
             like = whole * (found @ whole[levels]) / (whole[levels] @ whole[levels])
             phases[row, column] = like + CubicSpline(levels, found - like[levels])(np.arange(top + 1))
     _warn_of_deviations(others.max())
-    return phases, others
+    return phases, 0.5 * others
 
 
 def without_lens(path: float | Lens, reason: str) -> float:

@@ -21,6 +21,8 @@ __all__ = ["register_camera"]
 
 # Half of the extent of the spots of a registration at most, as a share of the farthest point that a pixel reaches.
 SPREAD = 0.6
+# Largest error of a mapping among the spots in units of the standard deviation at one of them.
+LARGEST = 2.5
 # Width of the stripes beside them into which light falls that forms no spots, as a share of what is free.
 STRIPE = 0.8
 # Displacement of the rays at the edge of an aperture, as a share of its radius, to measure its curvature.
@@ -234,7 +236,8 @@ def register_camera(
             f"the registration of the camera is uncertain: the residual of the fit is {residual:.2f} pixels",
             AccuracyWarning,
         )
-    return Registration(found.homography, found.distortion, found.shape, residual, 2 * math.sqrt(variance))
+    # The largest error among the spots is more than that at any one of them.
+    return Registration(found.homography, found.distortion, found.shape, residual, LARGEST * math.sqrt(variance))
 
 
 def _check_places(axis: np.ndarray, matrix: np.ndarray, camera: Camera, missed: bool) -> None:

@@ -263,7 +263,7 @@ def wavefront_with_uncertainty(
     left = gradient - system @ coefficients
     covariance = np.linalg.pinv(system.T @ system) * (left @ left) / max(left.size - len(modes), 1)
     variance = np.einsum("ij,ip,jp->", covariance, pure, pure, optimize=True) / pure.shape[1]
-    return wavefront - wavefront.mean(), 2 * math.sqrt(variance)
+    return wavefront - wavefront.mean(), math.sqrt(variance)
 
 
 def _lit(modulator: Modulator, frame: np.ndarray, spots: np.ndarray, places: np.ndarray, reach: int) -> np.ndarray:

@@ -35,6 +35,7 @@ SLOW = {
     "guides/the_eye.md",
     "guides/toolkit.md",
     "guides/windows_and_partial_coherence.md",
+    "guides/your_table_in_an_afternoon.md",
     "index.md",
     "notes/accuracy.md",
     "notes/hologram_optimization.md",

@@ -130,6 +130,31 @@ def full_panel(bits):
     )  # fmt: skip
 
 
+def random_table(seed):
+    """Return a small table whose size, faults and noise a seed draws, and its nominal distance, off by up to 2 %."""
+    draw = np.random.default_rng([seed, 77])
+    rows, columns = (int(n) for n in draw.integers(56, 84, 2))
+    y, x = ((np.arange(n) - n // 2) / (max(rows, columns) / 2) for n in (rows, columns))
+    y = y[:, None]
+    high = [x * (x**2 + y**2), y * (x**2 + y**2), x**4 - y**4, x * x * y * y]
+    terms = [x * y, x**2 - y**2, x**3 + 0 * y, y**3 + 0 * x, *high]
+    surface = without_defocus(sum(w * term for w, term in zip(draw.normal(size=len(terms)), terms, strict=True)))
+    surface *= 2 * np.pi * draw.uniform(0.03, 0.3) / surface.std()
+    level = np.arange(256) / 255
+    turns, gamma, ripple = draw.uniform(0.97, 1.15), draw.uniform(0.8, 1.3), draw.uniform(-0.1, 0.1)
+    phases = 2 * np.pi * turns * (level**gamma + ripple * np.sin(2 * np.pi * level) / np.pi)
+    middle = draw.uniform(-0.2, 0.2, 2)
+    beam = np.exp(-((x - middle[0]) ** 2 + (y - middle[1]) ** 2) / draw.uniform(1, 3))
+    distance, bits = draw.uniform(7e-3, 11e-3), int(draw.choice([8, 10, 12]))
+    side = int(max(rows, columns) * 2.9)
+    table = Laboratory(
+        (rows, columns), 8e-6, distance, camera_shape=(side, side + 8), camera_pitch=4e-6, bits=bits,
+        fill=draw.uniform(0.85, 1), phases=phases, wavefront=surface, amplitude=beam / beam.max(),
+        offset=draw.uniform(-2.5e-5, 2.5e-5, 2), signs=tuple(int(s) for s in draw.choice([-1, 1], 2)), seed=seed,
+    )  # fmt: skip
+    return table, distance * (1 + draw.uniform(-0.02, 0.02))
+
+
 class Panel:
     bits = 8
 

@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from laboratory import Laboratory, without_defocus
+from laboratory import Laboratory, random_table, without_defocus
 from tables import SMALLER, distance_in_pixels, fresh_seed, instruments_of, low_modes, rms
 
 from odak import AccuracyWarning, instruments
@@ -123,7 +123,23 @@ def test_uncertainties_contain_the_errors_and_are_of_their_size(calibrated):
     table, found = calibrated
     errors = errors_of(found, table)
     for name, bound in zip(UNCERTAIN, (0.03, 0.2, 2 * np.pi / 100, 1e-3 * found.distance, 0.03), strict=True):
-        assert errors[name] < found.uncertainty[name] < bound
+        assert errors[name] < 3 * found.uncertainty[name] < bound
+
+
+@pytest.mark.slow
+def test_two_of_three_errors_lie_within_one_sigma():
+    """On independent tables. Of 16 errors 7 to 15 do so in 97 of 100 cases where it is 68 % of all."""
+    within = dict.fromkeys(UNCERTAIN, 0)
+    for seed in range(200, 216):
+        table, nominal = random_table(seed)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AccuracyWarning)
+            found = instruments.calibrate_table(*instruments_of(table), table.wavelength, nominal)
+        errors = table.errors(found)
+        errors["distance"] *= table.distance
+        for name in UNCERTAIN:
+            within[name] += abs(errors[name]) < found.uncertainty[name]
+    assert all(7 <= count <= 15 for count in within.values()), within
 
 
 @pytest.mark.xdist_group("calibrated")
@@ -180,7 +196,7 @@ def test_a_response_that_varies_over_the_modulator_does_not_shift_the_image():
         warnings.simplefilter("ignore", AccuracyWarning)
         found = instruments.calibrate_table(*instruments_of(table), 532e-9, 20e-3)
     errors = errors_of(found, table)
-    assert all(errors[name] < found.uncertainty[name] for name in errors)
+    assert all(errors[name] < 3 * found.uncertainty[name] for name in errors)
     assert distance_in_pixels(found.registration, table).max() < 0.1
     error = spots.without(found.wavefront - table.truth.wavefront, low_modes(table.modulator))
     assert rms(error) < 2 * np.pi / 100
@@ -209,7 +225,7 @@ def test_calibration_through_a_lens(tmp_path):
         found = instruments.calibrate_table(*instruments_of(table), 532e-9, lens)
     wrong = spots.without(found.wavefront - surface, spots.aberration_modes(table.modulator, 1))
     assert rms(wrong) < 2 * np.pi / 200
-    assert rms(wrong) < found.uncertainty["wavefront"]
+    assert rms(wrong) < 3 * found.uncertainty["wavefront"]
     assert np.abs(found.phases - table.phases).max() < 0.02
     assert rms(found.amplitude - beam / beam.max()) < 0.02
     points = np.random.default_rng(0).uniform(-3e-4, 3e-4, (100, 2))
@@ -248,7 +264,7 @@ def test_an_aberration_of_a_wavelength_and_a_response_that_varies(seed):
     errors = errors_of(found, table)
     for name, bound in (("registration", 0.1), ("wavefront", 2 * np.pi / 100), ("phases", 0.02)):
         assert errors[name] < bound
-        assert errors[name] < found.uncertainty[name]
+        assert errors[name] < 3 * found.uncertainty[name]
 
 
 def test_simulated_instruments_follow_the_protocols_and_are_repeatable():
