@@ -115,16 +115,18 @@ def without_defocus(surface):
     return surface - (system @ found).reshape(surface.shape)
 
 
-def full_panel(bits):
+def full_panel(bits, focal_length=None):
     """Return a table with a panel of 1080 x 1920 pixels, whose camera is mirrored and displaced.
 
-    The aberration is about one wavelength from peak to valley, and the beam is off the axis.
+    The aberration is about one wavelength from peak to valley, and the beam is off the axis. Behind a lens the camera
+    sees 2.7 mm x 3 mm about the axis.
     """
     y, x = ((np.arange(n) - n // 2) / 960 for n in (1080, 1920))
     y = y[:, None]
     beam = np.exp(-((x - 0.1) ** 2 + (y + 0.05) ** 2) / 1.5)
     return Laboratory(
-        pitch=3.74e-6, distance=0.15, camera_shape=(680, 1180), camera_pitch=6.5e-6, bits=bits,
+        pitch=3.74e-6, distance=0.15, camera_shape=(680, 1180) if focal_length is None else (420, 460),
+        camera_pitch=6.5e-6, bits=bits, focal_length=focal_length,
         wavefront=without_defocus(np.pi * (x**3 - 0.5 * x * y**2 + 0.8 * x * y + 0.5 * (x**2 - y**2))),
         amplitude=beam / beam.max(), offset=(8e-5, -5e-5), signs=(-1, 1), terms=1,
     )  # fmt: skip

@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from laboratory import Laboratory, random_table, without_defocus
+from laboratory import Laboratory, full_panel, random_table, without_defocus
 from tables import SMALLER, distance_in_pixels, fresh_seed, instruments_of, low_modes, rms
 
 from odak import AccuracyWarning, instruments
@@ -240,6 +240,23 @@ def test_calibration_through_a_lens(tmp_path):
     capture, ideal = table.light(0, 0, 220, 240), calibration.predicted_capture(read, levels)
     away = np.hypot(*np.moveaxis(read.registration.plane_points(np.indices((220, 240))[::-1].T), -1, 0)).T > 5e-5
     assert np.corrcoef(capture[away], ideal[away])[0, 1] > 0.999
+
+
+@pytest.mark.slow
+def test_a_full_panel_behind_a_lens():
+    """1080 x 1920 pixels, a focal length of 150 mm and 12 bits."""
+    table = full_panel(12, 0.15)
+    found = instruments.calibrate_table(*instruments_of(table), table.wavelength, instruments.Lens(0.15))
+    wrong = spots.without(found.wavefront - table.wavefront, spots.aberration_modes(table.modulator, 1))
+    assert rms(wrong) < 2 * np.pi / 1000
+    assert np.abs(found.phases - table.phases).max() < 0.01
+    assert (table.camera.taken, table.modulator.shown) < (1500, 400)
+    true = np.abs(table.illumination)
+    assert rms(found.amplitude - true / true.max()) < 0.02
+    points = np.random.default_rng(0).uniform(-1e-3, 1e-3, (100, 2))
+    pixels = found.registration.camera_pixels(points)
+    seen = np.stack([table.points(pixels[:, 0], 1), table.points(pixels[:, 1], 0)], axis=-1)
+    assert np.abs(seen - points).max() < 0.1 * table.camera.pitch
 
 
 def test_steps_that_a_lens_does_not_have_say_why():
