@@ -957,7 +957,7 @@ def design(
     values = dict(locals()) | {"glasses": glasses or ()}
     notices = _notices(values.pop("again"), quiet)
     with _messages():
-        from odak.cli.lens_design import DesignJob, run
+        from odak.cli.lens_design import MICROMETRES, DesignJob, run
 
         report = run(DesignJob(**values), notices)
     if quiet:
@@ -968,10 +968,10 @@ def design(
     typer.echo(f"focal length {found['focal_length']:.6g} {unit}, F/{found['f_number']:.3g}")
     for place in report["fields"]:
         before, after = (
-            "rays lost" if value is None else f"{value:.3g} {unit}"
+            "rays lost" if value is None else f"{value * MICROMETRES[unit]:.3g} µm"
             for value in (place["rms_spot_at_start"], place["rms_spot"])
         )
-        typer.echo(f"field {place['field'][0]:g}, {place['field'][1]:g}: RMS spot {before} -> {after}")
+        typer.echo(f"field {place['label']}: RMS spot {before} -> {after}")
     typer.echo(f"{', '.join(report['files'])} in {output}; `odak trace {output / 'lens.json'}` analyses the lens")
 
 

@@ -32,6 +32,7 @@ from odak.learn.raytracing.system import (
     write_zmx,
 )
 from odak.learn.raytracing.system.automatic import default_starts
+from odak.learn.raytracing.system.drawing import field_label
 from odak.learn.raytracing.system.operands import clear_heights
 from odak.learn.raytracing.system.pupils import AIMS
 from odak.learn.raytracing.system.surfaces import is_break
@@ -274,8 +275,9 @@ def _judged(start: optical_system, lens: optical_system, aim: str) -> list[dict]
         before, after = (rms_spot(item, "rings", RINGS, vignetting=False, aim=aim) for item in (start, lens))
         bent = distortion(lens, aim=aim)[lens.reference]
     return [
-        {"field": list(field)} | {"rms_spot_at_start": finite(a), "rms_spot": finite(b), "distortion": finite(c)}
-        for field, a, b, c in zip(lens.fields, before, after, bent, strict=True)
+        {"field": list(field), "label": field_label(lens, i)}
+        | {"rms_spot_at_start": finite(a), "rms_spot": finite(b), "distortion": finite(c)}
+        for i, (field, a, b, c) in enumerate(zip(lens.fields, before, after, bent, strict=True))
     ]
 
 

@@ -87,7 +87,8 @@ def test_a_lens_is_improved_to_what_is_asked(name, asked, tmp_path, capsys):
     out = capsys.readouterr()
     report = json.loads((tmp_path / "report.json").read_text())
     assert all((tmp_path / file).stat().st_size for file in report["files"])
-    assert "varied" in out.out and f"-> {report['fields'][0]['rms_spot']:.3g} mm" in out.out and "step" in out.err
+    assert "varied" in out.out and "step" in out.err
+    assert "field 0°: RMS spot" in out.out and f"-> {1e3 * report['fields'][0]['rms_spot']:.3g} µm" in out.out
     focal, speed, spots = judged(tmp_path / "lens.json")
     assert focal == pytest.approx(asked["focal-length"][1], rel=1e-12)
     assert speed == pytest.approx(asked["f-number"][1], rel=1e-12)
