@@ -204,7 +204,7 @@ def run(job: EyeboxJob, notices: files.Notices = files.SILENT) -> dict:
     stored = torch.stack([files.load_pattern(folder / name, job.bits) for name in names]).to(device)
     seen = torch.stack([_seen(job, stored, place) for place in places])
     wanted = targets.expand(len(places), -1, -1).double()
-    views = seen * best_scale(seen.reshape(1, -1), wanted.reshape(1, -1)).reshape(())
+    views = seen * best_scale(seen, wanted, None)
     quality = [psnr(view, target) for view, target in zip(views, wanted, strict=True)]
     panels = [[picture_panel("Picture", target[None].cpu()) for target in targets]]
     captions = [

@@ -20,6 +20,7 @@ from odak.instruments.protocols import checked_camera
 from odak.learn._tensors import tensor, trainable
 from odak.learn.models.training import train
 from odak.learn.tools.iterations import Run, minimise
+from odak.learn.wave.holograms import best_scale
 from odak.learn.wave.slm import smooth
 from odak.wave.elements import zernike_modes
 from odak.wave.linear_kernels import orders_reaching, pixels_spectrum, taper
@@ -961,8 +962,7 @@ def display_hologram(
     def loss(iteration):
         shown = model._quantised(phase, cycles)
         images = torch.stack([model.image(shown, place) for place in places])
-        scale = (images * target).sum() / images.square().sum().clamp_min(1e-30)
-        return (scale.detach() * images - target).square().mean()
+        return (best_scale(images.detach(), target, None) * images - target).square().mean()
 
     minimise({"phase": phase}, loss, rate, run, rising="")
     levels = model.levels(phase)

@@ -375,7 +375,15 @@ class Display(torch.nn.Module):
         key = colour, dtype, planes
         if key not in self._kept:
             with torch.no_grad(), torch.inference_mode(False):
-                self._kept[key] = torch.cat([self._of_plane(colour, plane, dtype) for plane in planes])
+                rows, columns = self.modulator.resolution
+                # Column by column, which is the order that the propagation reads them in on a CPU.
+                shape = len(planes) * self.samples**2, 2 * columns, 2 * rows
+                kept = torch.empty(shape, dtype=dtype, device=self.powers.device).mT
+                kept = kept if kept.is_cpu else kept.contiguous()
+                each = (kernel for plane in planes for kernel in self._of_plane(colour, plane, dtype))
+                for place, kernel in zip(kept, each, strict=True):
+                    place.copy_(kernel)
+                self._kept[key] = kept
         return self._kept[key]
 
     def _of_plane(self, colour, plane, dtype):
@@ -390,7 +398,7 @@ class Display(torch.nn.Module):
 
         if orders == 1:
             quarters = itertools.product((False, True), repeat=2)
-            shifted = [linear_kernel(angular_spectrum, cutoff, panel.fill, halves=h)(grid(1)) for h in quarters]
+            yield from (linear_kernel(angular_spectrum, cutoff, panel.fill, halves=h)(grid(1)) for h in quarters)
         else:
             # The response at all points of the pixels of the image. Each point takes its own lags, every so many of
             # them, and with them the repetitions of the spectrum.
@@ -402,9 +410,7 @@ class Display(torch.nn.Module):
             kernel = linear_kernel(transfer, math.inf if cutoff is None else cutoff)(grid(count))
             response = torch.fft.ifft2(kernel) * count**2
             points = itertools.product(range(count), repeat=2)
-            shifted = [torch.fft.fft2(response[down::count, across::count]) for down, across in points]
-        # Column by column, which is the order that the propagation reads them in.
-        return torch.stack([kernel.mT for kernel in shifted]).mT
+            yield from (torch.fft.fft2(response[down::count, across::count]) for down, across in points)
 
     def fields(self, phases: torch.Tensor) -> torch.Tensor:
         """Return the fields at the middles of the pixels, of unit power of the sources.
@@ -1381,8 +1387,7 @@ def _focal_targets(display, target):
 
 def brightness_of(images, target):
     """Return the factor of each colour, over all its planes, at which images are closest to a target, ``[C, 1, 1]``."""
-    whole = [values.transpose(0, 1).flatten(1)[:, None] for values in (images, target)]
-    return best_scale(*whole)
+    return best_scale(images, target, (0, -2, -1))[0]
 
 
 def _checked_target(display, target):

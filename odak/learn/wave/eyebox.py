@@ -11,6 +11,7 @@ from odak import _validate
 from odak.learn._tensors import takes_constants, tensor
 from odak.learn.tools.iterations import SOLVERS, Run, minimise
 from odak.learn.wave.fields import intensity, unit_phasor
+from odak.learn.wave.holograms import best_scale
 from odak.learn.wave.training import checked_intensities, fingerprint, generator_from, seeded_loss, started
 from odak.wave.transfer_functions import checked_pitch
 from odak.wave.viewing import eye_transfer, seen_through
@@ -192,9 +193,7 @@ def eyebox_hologram(
         if at_once < len(places):
             chosen = torch.randperm(len(places), generator=generator)[:at_once].to(device)
         shown, wanted = images(chosen), targets[chosen]
-        with torch.no_grad():
-            brightness = (shown * wanted).sum() / shown.square().sum().clamp_min(torch.finfo(shown.dtype).tiny)
-        return loss_of(shown * brightness, wanted)
+        return loss_of(shown * best_scale(shown.detach(), wanted, None), wanted)
 
     def about():
         given = {"learning_rate": learning_rate, "optimizer": optimizer, "pupils": at_once}

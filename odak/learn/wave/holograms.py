@@ -337,9 +337,8 @@ def stochastic_gradient_descent(
         return hologram, shown
 
 
-def best_scale(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Return s = ⟨I, T⟩/⟨I, I⟩, the scale at which an image is closest to its target, ``[..., 1, 1]``."""
-    axes = (-2, -1)
+def best_scale(image: torch.Tensor, target: torch.Tensor, axes: tuple[int, ...] | None = (-2, -1)) -> torch.Tensor:
+    """Return s = ⟨I, T⟩/⟨I, I⟩ over some axes, or all: the scale at which an image is closest to its target."""
     norm = (image * image).sum(axes, keepdim=True).clamp_min(torch.finfo(image.dtype).tiny)
     return (image * target).sum(axes, keepdim=True) / norm
 

@@ -112,6 +112,13 @@ def test_images_are_means_over_pixels(phases, orders):
     assert np.linalg.norm(points - middles) < 0.01 * np.linalg.norm(middles)
 
 
+def test_transfer_functions_lie_in_the_order_in_which_they_are_read():
+    for iris in ("order", None):
+        display = Display(Modulator((8, 12), 8e-6), 532e-9, [2e-3, 3e-3], iris=iris)
+        # On a CPU a column of the spectrum is read at a time: row by row, a step takes a third longer.
+        assert display._kernels(0, torch.complex64).stride()[-2:] == (1, 16)
+
+
 def test_an_iris_cuts_the_spectrum(phases):
     iris = Iris(1e-3, 0.1)
     display = Display(Modulator((24, 20), PITCH, fill=1.0), WAVELENGTH, 2e-3, iris=iris)

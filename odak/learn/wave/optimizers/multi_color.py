@@ -122,6 +122,8 @@ class multi_color_hologram_optimizer:
     """
 
     _title = "multi-colour hologram"
+    # An offset for each frame, of phases that keep their mean; scales of the roughness.
+    _offset_of_frames, _levels = True, 6
     _workspace: Workspace | None = None
 
     __repr__ = _show.one_line
@@ -446,7 +448,7 @@ class multi_color_hologram_optimizer:
         return error / input_image.numel() if self.reduction == "mean" else error
 
     def double_phase_constrain(
-        self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 6
+        self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int | None = None
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the double-phase pattern, phase ∓ offset in a checkerboard, and the roughness of its two parts.
 
@@ -455,15 +457,18 @@ class multi_color_hologram_optimizer:
         phase : torch.Tensor
             Phases of the frames in radians, ``[F, m, n]``.
         phase_offset : torch.Tensor
-            Phase offset of each frame in radians, ``[F]``.
-        levels : int
-            Number of scales, each half as large as the one before, over which the total variation is summed, default 6.
+            Phase offset of each frame in radians, ``[F]``; in the mixed-colour optimizer, which subtracts the mean of
+            the phase, a tensor that broadcasts against the phases.
+        levels : int, optional
+            Number of scales, each half as large as the one before, over which the total variation is summed: 6 by
+            default, in the mixed-colour optimizer 1.
         """
-        pattern = checkerboard(*checked_pattern(phase, phase_offset, of_frames=True))
-        return pattern, double_phase_roughness(pattern, levels)
+        phase, phase_offset = checked_pattern(phase, phase_offset, of_frames=self._offset_of_frames)
+        pattern = checkerboard(phase if self._offset_of_frames else zero_mean(phase), phase_offset)
+        return pattern, double_phase_roughness(pattern, self._levels if levels is None else levels)
 
     def direct_phase_constrain(
-        self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 6
+        self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int | None = None
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the phase minus its mean and minus the offset, and its roughness.
 
@@ -472,13 +477,13 @@ class multi_color_hologram_optimizer:
         phase : torch.Tensor
             Phases of the frames in radians, ``[F, m, n]``.
         phase_offset : torch.Tensor
-            Phase offset of each frame in radians, ``[F]``.
-        levels : int
-            Number of scales, each half as large as the one before, over which the total variation is summed, default 6.
+            Phase offset as in :meth:`double_phase_constrain`.
+        levels : int, optional
+            Number of scales as in :meth:`double_phase_constrain`.
         """
-        phase, phase_offset = checked_pattern(phase, phase_offset, of_frames=True)
+        phase, phase_offset = checked_pattern(phase, phase_offset, of_frames=self._offset_of_frames)
         pattern = zero_mean(phase) - phase_offset
-        return pattern, roughness(pattern, levels)
+        return pattern, roughness(pattern, self._levels if levels is None else levels)
 
     def eyebox_constrain(self, phase: torch.Tensor, offset: float | Sequence[float], diameter: float) -> torch.Tensor:
         """Return the non-uniformity of the intensity in a disc of the hologram's spectrum, and the share outside it.
@@ -642,6 +647,7 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
     """
 
     _title = "mixed-colour hologram"
+    _offset_of_frames, _levels = False, 1
 
     __repr__ = _show.one_line
 
@@ -707,42 +713,6 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
         """
         super().init_optimizer(number_of_iterations)
         self.learning_rates = linear(self.learning_rate, self.learning_rate_floor, number_of_iterations)
-
-    def double_phase_constrain(
-        self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 1
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the double-phase pattern of the phase minus its mean, and the roughness of its two parts.
-
-        Parameters
-        ----------
-        phase : torch.Tensor
-            Phases of the frames in radians, ``[F, m, n]``.
-        phase_offset : torch.Tensor
-            Phase offset in radians, of a shape that broadcasts with that of the phases.
-        levels : int
-            Number of scales, each half as large as the one before, over which the total variation is summed, default 1.
-        """
-        phase, phase_offset = checked_pattern(phase, phase_offset)
-        pattern = checkerboard(zero_mean(phase), phase_offset)
-        return pattern, double_phase_roughness(pattern, levels)
-
-    def direct_phase_constrain(
-        self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 1
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the phase minus its mean and minus the offset, and its roughness.
-
-        Parameters
-        ----------
-        phase : torch.Tensor
-            Phases of the frames in radians, ``[F, m, n]``.
-        phase_offset : torch.Tensor
-            Phase offset in radians, of a shape that broadcasts with that of the phases.
-        levels : int
-            Number of scales, each half as large as the one before, over which the total variation is summed, default 1.
-        """
-        phase, phase_offset = checked_pattern(phase, phase_offset)
-        pattern = zero_mean(phase) - phase_offset
-        return pattern, roughness(pattern, levels)
 
     def _pattern(self):
         constrain = self.double_phase_constrain if self.double_phase else self.direct_phase_constrain
