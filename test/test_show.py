@@ -3,10 +3,15 @@
 import base64
 import functools
 import html.parser
+import importlib.util
 import io
 import math
+import runpy
+import sys
+import types
 import warnings
 from dataclasses import replace
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -220,3 +225,15 @@ def test_a_hologram_shows_its_quality():
     assert page["2 mm"][:2] == ["532 nm", f"{float(found.psnr):.1f} dB"]
     assert [name for name, _ in page.images] == ["target", "image", "pattern"]
     assert (page.drawn(2) == np.round(found.phases[0].numpy() * 255 / (2 * np.pi))).all()
+
+
+@pytest.mark.parametrize("widgets", [True, False])
+def test_progress_bars_are_widgets_where_these_can_be_shown(monkeypatch, widgets):
+    import tqdm
+    import tqdm.auto
+
+    monkeypatch.setitem(sys.modules, "ipykernel", types.ModuleType("ipykernel"))
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: object() if widgets else None)
+    monkeypatch.setattr(tqdm.auto, "tqdm", widget := type("widget", (tqdm.tqdm,), {}))
+    found = runpy.run_path(str(Path(odak.__file__).parent / "_bars.py"))["tqdm"]
+    assert found is (widget if widgets else tqdm.tqdm)

@@ -4,10 +4,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from odak import _array, _validate
 from odak._array import Array
+from odak._bars import tqdm
 
 
 def gradient_descent_1d(

@@ -13,9 +13,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from tqdm import tqdm
-
 from odak import _validate
+from odak._bars import tqdm
 from odak.manager.backends import Backend, Group, Job, Lost, choose
 from odak.manager.server import LOOPBACK
 from odak.manager.tasks import HERE, Outcome

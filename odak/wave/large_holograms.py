@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 from scipy import fft
-from tqdm import tqdm
 
 from odak import _array, _validate
 from odak._array import Array
+from odak._bars import tqdm
 from odak._warnings import AccuracyWarning, warn
 from odak.tools.paths import validate_path
 from odak.wave.methods import find_method

@@ -7,10 +7,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from odak import _array, _validate
 from odak._array import Array
+from odak._bars import tqdm
 from odak._warnings import SamplingWarning, warn
 from odak.wave import transfer_functions as tf
 from odak.wave.linear_kernels import TOLERANCE, axes_of, linear_kernel

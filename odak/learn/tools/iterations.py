@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from tqdm import tqdm
 
 from odak import _validate
+from odak._bars import tqdm
 from odak._warnings import ConvergenceWarning, warn
 from odak.learn._tensors import advising_on_memory
 from odak.learn.tools.file import first_line, read_torch_file

@@ -4,9 +4,9 @@ import logging
 import os
 
 import torch
-from tqdm import tqdm
 
 from odak import _validate
+from odak._bars import tqdm
 from odak.learn._tensors import floating, trainable
 from odak.learn.tools.file import torch_load
 from odak.tools.paths import replacing, validate_path

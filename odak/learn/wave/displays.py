@@ -15,9 +15,9 @@ from typing import Any, overload
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from odak import _array, _show, _validate
+from odak._bars import tqdm
 from odak._warnings import AccuracyWarning, warn
 from odak.instruments import Calibration, Lens, load_calibration
 from odak.learn._tensors import floating

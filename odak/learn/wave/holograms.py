@@ -9,10 +9,10 @@ from numbers import Real
 from typing import Any, ParamSpec, TypeVar
 
 import torch
-from tqdm import tqdm
 
 from odak import _validate
 from odak._array import phasor
+from odak._bars import tqdm
 from odak._warnings import AccuracyWarning, ArgumentWarning, warn
 from odak.learn._tensors import (
     checked_device,

@@ -18,9 +18,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from tqdm import tqdm
 
 from odak import _validate
+from odak._bars import tqdm
 from odak._python import other_python_command
 from odak._warnings import AccuracyWarning, DeviceWarning, warn
 from odak.catalog.materials import MICROMETRES
