@@ -15,8 +15,8 @@ SQUARE = {
     "odak.measurement.slanted_edge_mtf": "ISO 12233 measures along rows or along columns of square pixels",
     "odak.wave.scattered_field": "cubic cells",
 }
-# Their own tests: modulators and cameras of benches; a record of older calls that nothing is computed from.
-ELSEWHERE = ("odak.instruments.", "odak.learn.perception.display_color_hvs")
+# Their own tests: modulators and cameras of benches; files; a record of older calls that nothing is computed from.
+ELSEWHERE = ("odak.instruments.", "odak.tools.save_ome_tiff", "odak.learn.perception.display_color_hvs")
 # What the pitch of columns or of rows alone decides, or nothing for the arguments of their examples.
 UNCHANGED = (
     "odak.learn.wave.beam_quality",

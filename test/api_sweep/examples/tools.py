@@ -1,5 +1,6 @@
 """Valid arguments of odak.tools and odak.learn.tools."""
 
+import importlib.util
 import json
 
 import numpy
@@ -7,7 +8,7 @@ import torch
 from api_sweep.build import Build, field, numbers, tensor
 
 from odak.learn.tools import generate_bspline_basis_2d, multi_layer_perceptron, save_image, save_torch_tensor
-from odak.tools import write_PLY
+from odak.tools import save_ome_tiff, write_PLY
 
 CLOUD = numbers(4, 3)
 RAY = numpy.array([[0.1, 0.2, -0.5], [0.0, 0.6, 0.8]])
@@ -33,6 +34,7 @@ def unwritten(name):
 TEXT = written("a.txt", lambda path: path.write_text("# a\n\nb\n"))
 MESH = written("a.ply", lambda path: write_PLY(numbers(3, 3, 3), path))
 PICTURE = written("a.png", lambda path: save_image(path, tensor(3, 8, 8)))
+OME = written("a.ome.tif", lambda path: save_ome_tiff(path, numbers(8, 8), 8e-6))
 PERCEPTRON = {"n_input": 1, "n_hidden": 4, "n_output": 1, "n_layers": 1}
 
 BY_NAME = {
@@ -173,6 +175,16 @@ BY_CALL = {
     "odak.tools.box_volume_sample": {"no": [2, 2, 2], "size": [1.0, 2.0, 3.0]},
     "odak.tools.convert_bytes": {"num": 5000.0},
     "odak.tools.convert_to_numpy": {"a": tensor(3)},
+    "odak.tools.load_ome_tiff": {"filename": OME},
+    "odak.tools.napari_reader": {"path": "a.ome.tif"},
+    "odak.tools.save_ome_tiff": {
+        "filename": unwritten("a.ome.tif"),
+        "field": field(3, 8, 8),
+        "pitch": 8e-6,
+        "spacing": 1e-3,
+        "wavelength": 532e-9,
+    },
+    "odak.tools.to_xarray": {"field": field(8, 8), "pitch": 8e-6, "wavelength": 532e-9, "distance": 0.1, "name": "u"},
     "odak.tools.copy_file": {"source": TEXT, "destination": unwritten("b.txt")},
     "odak.tools.create_group_tensor": {"number_of_elements": 6, "group_percentages": [0.5, 0.5], "number_of_groups": 2},
     "odak.tools.crop_center": {"size": [8, 8]},
@@ -225,7 +237,12 @@ POSITIVE = {
 NOT_CALLED = {
     "odak.tools.query_llm": "asks a server that a test does not have",
 }
+if importlib.util.find_spec("xarray") is None:
+    NOT_CALLED["odak.tools.to_xarray"] = "needs the package xarray"
 ALLOWED = {
+    ("odak.tools.napari_reader", "path", "*"): "documented: None for what it does not read, as napari asks",
+    ("odak.tools.save_ome_tiff", "field", "* inside"): "a file keeps not-a-number and infinity",
+    ("odak.tools.to_xarray", "field", "* inside"): "an array keeps not-a-number and infinity",
     ("odak*tools.crop_center", "field", "* inside"): "the spoilt sample is cropped away",
     ("odak*tools.cross_product", "vector2", "* inside"): "the second ray's start is not part of the result",
     ("odak*tools.same_side", "*", "* inside"): "a comparison with not-a-number is false",
