@@ -483,7 +483,7 @@ def takes_units(*lengths: str, degrees: Sequence[str] = ()) -> Callable[[F], F]:
         @functools.wraps(function)
         def run(*args, **options):
             if keywords is not None and not keywords.issuperset(options):
-                raise _unknown_keyword(function, own, options)
+                options = _by_known_names(function, own, options)
             found = usual.copy()
             for name, place, converted_by in places:
                 if name in options:
@@ -511,10 +511,30 @@ def takes_units(*lengths: str, degrees: Sequence[str] = ()) -> Callable[[F], F]:
 _ROLES = (("wavelength", "wavelengths"), ("dx", "pixel_pitch", "pitch", "slm_pixel_pitch"), ("distance", "distances"))
 
 
-def _unknown_keyword(function, own: list[str], options) -> TypeError:
-    unknown = next(name for name in options if name not in own)
-    name = function.__qualname__.removesuffix(".__init__")
-    return TypeError(f"{name} has no argument {unknown!r}.{did_you_mean(unknown, own)}")
+# Other words for the names of parameters; a function takes them where it has the name itself.
+SYNONYMS = {
+    "n_iteration": "iterations",
+    "n_iterations": "iterations",
+    "number_of_iterations": "iterations",
+    "pixel_pitch": "pitch",
+    "focal": "focal_length",
+    "centre": "center",
+    "colour": "color",
+}
+
+
+def _by_known_names(function, own: list[str], options) -> dict[str, Any]:
+    """Return keyword arguments by the names of a function's parameters."""
+    found = {}
+    for word, value in options.items():
+        name = word if word in own else SYNONYMS.get(word, word)
+        if name not in own:
+            callee = function.__qualname__.removesuffix(".__init__")
+            raise TypeError(f"{callee} has no argument {word!r}.{did_you_mean(word, own)}")
+        if name in found or (name != word and name in options):
+            raise TypeError(f"{name} and {word} are one argument; give one of them")
+        found[name] = value
+    return found
 
 
 def did_you_mean(value: str, names: Iterable[str]) -> str:

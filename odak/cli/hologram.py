@@ -523,7 +523,7 @@ def _descend_over_areas(job: Job, problem: wave.Problem, powers: bool = False) -
 
 
 def _run(job: Job, callback: Callable) -> wave.Run:
-    return wave.Run(False, callback, iterations=job.iterations, seed=job.seed)
+    return wave.Run(job.iterations, False, callback, seed=job.seed)
 
 
 def _phases_of_frames(job: Job, intensity: torch.Tensor, wavelength: float) -> torch.Tensor:

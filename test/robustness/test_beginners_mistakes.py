@@ -243,3 +243,16 @@ def test_values_that_are_not_finite_are_named(spoilt):
             call()
     with pytest.warns(odak.ArgumentWarning, match="image must be finite"):
         perception.rgb_2_ycrcb(picture.expand(3, 8, 8))
+
+
+def test_other_words_for_a_parameter_are_taken():
+    target = torch.rand(24, 24, generator=torch.Generator().manual_seed(0))
+    kept = wave.double_phase_hologram(target, 532e-9, 2e-3, pitch=8e-6, iris_radius=None)
+    torch.testing.assert_close(
+        wave.double_phase_hologram(target, 532e-9, 2e-3, pixel_pitch="8um", iris_radius=None), kept
+    )
+    with pytest.raises(TypeError, match="pitch and pixel_pitch are one argument"):
+        wave.double_phase_hologram(target, 532e-9, 2e-3, pitch=8e-6, pixel_pitch=8e-6)
+    # Functions whose own name for it is the other word keep it.
+    with pytest.raises(TypeError, match="no argument 'iterations'"):
+        wave.stochastic_gradient_descent(target, 532e-9, 2e-3, 8e-6, iterations=2)

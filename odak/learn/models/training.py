@@ -198,7 +198,7 @@ def train(
     with own_randomness(seed, device), advising_on_memory(_LESS_MEMORY):
         history = training.history
         loop = training.loop = Loop(
-            Run(progress, after_epoch, checkpoint, checkpoint_every),
+            Run(progress=progress, callback=after_epoch, checkpoint=checkpoint, checkpoint_every=checkpoint_every),
             model.state_dict,
             training.about,
             training.parts(),

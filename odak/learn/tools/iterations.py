@@ -34,6 +34,8 @@ class Run:
 
     Parameters
     ----------
+    iterations : int
+        Number of iterations.
     progress : bool
         Show a progress bar.
     callback : callable, optional
@@ -42,23 +44,21 @@ class Run:
         File to keep the state in (``.pt``). If it is there, the run goes on from it, to the same result bit for bit.
     checkpoint_every : int
         Iterations between two writings of that file; it is written at the end and on an interruption too.
-    iterations : int
-        Number of iterations.
     seed : int
         Makes what is drawn at random reproducible.
 
     Examples
     --------
     >>> from odak.learn.wave import Run
-    >>> Run(iterations=20, progress=False).iterations
+    >>> Run(20, progress=False).iterations
     20
     """
 
+    iterations: int = 60
     progress: bool = True
     callback: Callable[..., Any] | None = None
     checkpoint: str | os.PathLike[str] | None = None
     checkpoint_every: int = 50
-    iterations: int = 60
     seed: int = 0
 
     def __post_init__(self):

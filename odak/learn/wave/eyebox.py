@@ -203,7 +203,7 @@ def eyebox_hologram(
         {"phase": phase},
         loss,
         learning_rate,
-        Run(progress, callback, checkpoint, checkpoint_every, iterations),
+        Run(iterations, progress, callback, checkpoint, checkpoint_every),
         solver=optimizer,
         about=about,
         generators=[generator, *drawn_from],

@@ -283,7 +283,7 @@ def stochastic_gradient_descent(
         _validate.integer("seed", seed)
     conserved = not scale and loss_function is None and slm is None
     check_brightness("target", target, 1 if conserved else math.inf, "scale=True")
-    run = Run(progress, callback, checkpoint, checkpoint_every, n_iteration)
+    run = Run(n_iteration, progress, callback, checkpoint, checkpoint_every)
     check_has_kernel(propagation_type)
     optimizer = _validate.one_of("optimizer", optimizer, SOLVERS)
     frames = _validate.integer("frames", frames, minimum=1)

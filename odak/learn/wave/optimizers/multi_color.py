@@ -180,7 +180,9 @@ class multi_color_hologram_optimizer:
         self._peak = peak_amplitude
         self.optimize_peak_amplitude = _validate.flag("optimize_peak_amplitude", optimize_peak_amplitude)
         self.img_loss_thres, self.camera = img_loss_thres, _validate.function_or_none("camera", camera)
-        self.options = Run(progress, callback, checkpoint, checkpoint_every)
+        self.options = Run(
+            progress=progress, callback=callback, checkpoint=checkpoint, checkpoint_every=checkpoint_every
+        )
         self._generator = generator_from(seed)
         self.init_loss_function(loss_function, reduction)
         self.init_phase_scale()

@@ -167,7 +167,7 @@ class multiplane_hologram_optimizer:
         self.targets = checked_targets(targets, (self.number_of_planes, *self.slm_resolution)).to(self.device)
         self.mask_limits = mask_limits
         steps = self.number_of_iterations * self.number_of_planes
-        self.options = Run(progress, callback, checkpoint, checkpoint_every, steps)
+        self.options = Run(steps, progress, callback, checkpoint, checkpoint_every)
         self._generator = generator_from(seed)
         self.init_amplitude(amplitude_initial)
         self.init_phase(phase_initial)
