@@ -127,6 +127,7 @@ def test_uncertainties_contain_the_errors_and_are_of_their_size(calibrated):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 def test_two_of_three_errors_lie_within_one_sigma():
     """On independent tables. Of 16 errors 7 to 15 do so in 97 of 100 cases where it is 68 % of all."""
     within = dict.fromkeys(UNCERTAIN, 0)
@@ -243,8 +244,9 @@ def test_calibration_through_a_lens(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 def test_a_full_panel_behind_a_lens():
-    """1080 x 1920 pixels, a focal length of 150 mm and 12 bits."""
+    """1080 x 1920 pixels, a focal length of 150 mm and 12 bits: three minutes on one core."""
     table = full_panel(12, 0.15)
     found = instruments.calibrate_table(*instruments_of(table), table.wavelength, instruments.Lens(0.15))
     wrong = spots.without(found.wavefront - table.wavefront, spots.aberration_modes(table.modulator, 1))
