@@ -48,8 +48,8 @@ PRIORS = {
 # Samples of the intensity along a pixel of the modulator, at least, and parts of a pixel along each side in which
 # fringing fields vary its phase.
 FINER = 3
-# Captures that the matrix of a fit comes from, at first.
-CURVED = 4
+# Captures that the matrix of a step comes from, and that of the uncertainties.
+CURVED, CERTAIN = 2, 4
 # Samples of the intensity for the cycle of its highest frequency.
 OVER = 3.0
 # Diffraction orders along each axis that are computed, at most.
@@ -796,7 +796,7 @@ def fit_display(
     model: display_model,
     captures: Captures,
     *,
-    iterations: int = 8,
+    iterations: int = 16,
     refinements: int = 0,
     pixels: int = 8192,
     learning_rate: float = 5e-3,
@@ -809,7 +809,7 @@ def fit_display(
     The physical parameters are found by Levenberg and Marquardt's method, with the priors of each parameter, on pixels
     of the camera that are drawn at random; then, where the model has them, the maps of free form and the network by
     Adam on all pixels. Residuals are divided by the standard deviation of their noise. The matrix of the method is that
-    of four captures, corrected by the changes of the gradient, which comes from all.
+    of two captures, corrected by the changes of the gradient, which comes from all.
 
     Parameters
     ----------
@@ -818,7 +818,8 @@ def fit_display(
     captures : odak.instruments.Captures
         Patterns and captures, all with one exposure, see :func:`odak.instruments.record_captures`.
     iterations : int
-        Number of steps for the physical parameters.
+        Number of steps for the physical parameters, at most; as many again follow with the light of the gaps between
+        square pixels, which is not determined before the other parameters are nearly correct.
     refinements : int
         Number of passes through all captures for free forms and network; needs a model that has them.
     pixels : int
@@ -1089,7 +1090,7 @@ def _fit_physical(model, data, chosen, iterations, chunk, random) -> tuple[list[
     precision = torch.cat(
         [torch.full((n,), PRIORS[name] ** -2.0) for name, n in zip(names, sizes, strict=True)]
     ).double()
-    order, few = torch.randperm(len(chosen), generator=random).tolist(), CURVED
+    order = torch.randperm(len(chosen), generator=random).tolist()
 
     def residuals(parts: Sequence[torch.Tensor], k: int) -> torch.Tensor:
         values = dict(zip(names, parts, strict=True))
@@ -1110,12 +1111,12 @@ def _fit_physical(model, data, chosen, iterations, chunk, random) -> tuple[list[
             gradient = gradient + torch.autograd.grad(squares, narrow)[0].double() / 2
         return value, gradient
 
-    def curvature(vector: torch.Tensor, few: int) -> torch.Tensor:
-        """Return the Gauss-Newton matrix that some captures have, on the scale of all."""
+    def curvature(vector: torch.Tensor, few: int, active: Sequence[str]) -> torch.Tensor:
+        """Return the Gauss-Newton matrix of active parameters that some captures have, on the scale of all."""
         parts = vector.to(model._dtype).split(sizes)
         matrix = torch.zeros(len(vector), len(vector), dtype=torch.float64)
 
-        def columns(k: int, which: int) -> list[torch.Tensor]:
+        def columns(k: int, which: int) -> torch.Tensor:
             """Return derivatives by one parameter: what does not depend on it is not differentiated."""
 
             def seen(part):
@@ -1124,49 +1125,67 @@ def _fit_physical(model, data, chosen, iterations, chunk, random) -> tuple[list[
             def along(direction):
                 return torch.func.jvp(seen, (parts[which],), (direction,))[1]
 
-            directions = torch.eye(sizes[which], dtype=model._dtype).split(chunk)
-            return [torch.func.vmap(along)(some) for some in directions]
+            directions = torch.eye(sizes[which], dtype=model._dtype)
+            if names[which] not in active:
+                return directions.new_zeros(sizes[which], len(chosen[k]))
+            return torch.cat([torch.func.vmap(along)(some) for some in directions.split(chunk)])
 
         with torch.no_grad(), warnings.catch_warnings():
             # Torch's own, in forward mode.
             warnings.filterwarnings("ignore", ".*torch.jit.script", DeprecationWarning)
             for k in order[:few]:
-                slopes = torch.cat([part for which in range(len(parts)) for part in columns(k, which)])
+                slopes = torch.cat([columns(k, which) for which in range(len(parts))])
                 matrix += (slopes @ slopes.mT).double()
         return matrix * (len(order) / len(order[:few])) + precision.diag()
 
-    vector, matrix = begin.clone(), None
+    vector = begin.clone()
     value, gradient = misfit(vector)
-    history, damping, fresh, failures = [value / number], 1e-3, False, 0
-    while len(history) <= iterations and failures < 6:
-        if matrix is None:
-            matrix, fresh = curvature(vector, few), True
-        step = torch.linalg.solve(matrix + damping * matrix.diagonal().diag(), gradient)
-        tried, slope = misfit(vector - step)
-        if tried < value:
-            # A step that promises less than a tenth moves no parameter by its standard deviation.
-            done = float(gradient @ step) < 0.1 * max(value / number, 1.0) or value - tried < 1e-4 * value
-            change, along = gradient - slope, matrix @ step
-            matrix = matrix - torch.outer(along, along) / (along @ step)
-            # Positive but where the squares are concave along the step.
-            curve = (change @ step).clamp_min(0.1 * (along @ step))
-            matrix = matrix + torch.outer(change, change) / curve
-            vector, value, gradient, damping = vector - step, tried, slope, max(damping / 10, 1e-9)
-            fresh, failures = False, 0
-            history.append(value / number)
-            if done:
-                break
-        elif fresh:
-            # Short steps along slopes of this place lower the squares.
-            damping, failures = 10 * damping, failures + 1
-            if failures == 3:
-                few, matrix = len(order), None
+    history, best, found = [value / number], value, vector
+    # The light of gaps is not determined before the other parameters are nearly correct.
+    stages = [([name for name in names if name != "gap"], 0.03)] if "gap" in names else []
+    for active, least in [*stages, (names, 1e-4)]:
+        moved = torch.cat([torch.full((n,), float(name in active)) for name, n in zip(names, sizes, strict=True)])
+        before = len(history)
+        if stages and active is names and iterations:
+            # Nothing depends on the light of gaps without width.
+            vector, fill = vector.clone(), sum(sizes[: names.index("fill")])
+            vector[fill] = 0.95 if float(vector[fill]) > 0.99 else vector[fill]
+            value, gradient = misfit(vector)
+        few, matrix, damping, fresh, failures = CURVED, None, 1e-3, False, 0
+        while len(history) < before + iterations and failures < 8:
+            if matrix is None:
+                matrix, fresh = curvature(vector, few, active), True
+            step = torch.linalg.solve(matrix + damping * matrix.diagonal().diag(), moved * gradient)
+            tried, slope = misfit(vector - step)
+            if tried < value:
+                promised = float(gradient @ step)
+                # A step that promises less than a tenth moves no parameter by its standard deviation.
+                done = promised < 0.1 * max(value / number, 1.0) or value - tried < least * value
+                change, along = moved * (gradient - slope), matrix @ step
+                if kept := value - tried > 0.8 * promised and float(change @ step) > 0.1 * float(along @ step):
+                    matrix = matrix - torch.outer(along, along) / (along @ step)
+                    matrix = matrix + torch.outer(change, change) / (change @ step)
+                damping = max(damping / 10, 1e-9) if value - tried > 0.7 * promised else damping
+                vector, value, gradient = vector - step, tried, slope
+                matrix, fresh, failures = matrix if kept else None, False, 0
+                history.append(value / number)
+                if done:
+                    break
+            elif fresh:
+                # Short steps along slopes of this place lower the squares.
+                damping, failures = 10 * damping, failures + 1
+                if failures == 5:
+                    few, matrix = len(order), None
+            else:
+                matrix = None
+        if value < best:
+            best, found = value, vector
         else:
-            matrix = None
+            history = history[:before]
     with torch.no_grad():
-        for name, part in zip(names, vector.to(model._dtype).split(sizes), strict=True):
+        for name, part in zip(names, found.to(model._dtype).split(sizes), strict=True):
             getattr(model, name).copy_(part)
-    deviations = torch.linalg.inv(curvature(vector, few)).diagonal().clamp_min(0).sqrt().split(sizes)
+    deviations = torch.linalg.inv(curvature(found, CERTAIN, names)).diagonal().clamp_min(0).sqrt().split(sizes)
     return history, dict(zip(names, deviations, strict=True))
 
 
