@@ -319,7 +319,7 @@ def test_a_small_fit_finds_alignment_and_distance():
     table = SimulatedTable(12, shape=(16, 16), distance=1.5e-3, camera_shape=(24, 24), **ideal)
     captures = captures_of(table, 3, 4)
     model = started(table, 1.5e-3, zernike_order=2, source_order=2, nodes=4, samples_per_pixel=1)
-    fit = fit_display(model, captures, iterations=9)
+    fit = fit_display(model, captures)
     assert fit.history[-1] < 0.05 * fit.history[0]
     assert float(model.propagation_distance().detach()) == pytest.approx(table.truth.distance, rel=2e-3)
     pixels = np.random.default_rng(0).uniform(4, 20, (50, 2))
@@ -431,16 +431,18 @@ def quality(table, levels, target, positions=(0.0,)):
 @pytest.mark.slow
 def test_holograms_through_the_model_are_better_on_the_table(fitted):
     table, _, model, _ = fitted
-    target = picture(24)
     ideal = display_model([24, 24], 8e-6, 532e-9, 6e-3, [48, 48], 4e-6)
-    found = {}
-    for name, display in (("ideal", ideal), ("fitted", model)):
-        levels = display_hologram(display, target, iterations=80)
-        assert levels.dtype == torch.uint8 and levels.shape == (24, 24)
-        expose(table, levels.numpy())
-        found[name] = quality(table, levels, target)
-    # So few pixels at 6 mm form 14 dB of the picture, and rounding moves the gain by some tenths.
-    assert found["fitted"] > found["ideal"] + 0.5
+    target, gains = picture(24), []
+    # One gain scatters by 0.8 dB, the mean of six by 0.3 dB; a descent of 80 steps has not ended.
+    for shown in (target, target.flip(-1), target.flip(-2), target.mT, target.flip(-1).mT, target.flip(-2).mT):
+        found = []
+        for display in (ideal, model):
+            levels = display_hologram(display, shown, iterations=200)
+            assert levels.dtype == torch.uint8 and levels.shape == (24, 24)
+            expose(table, levels.numpy())
+            found.append(quality(table, levels, shown))
+        gains.append(found[1] - found[0])
+    assert np.mean(gains) > 1.6
 
 
 @pytest.mark.slow
@@ -524,14 +526,15 @@ def test_a_table_of_three_colours_shows_better_holograms():
         there = ([n, n], 8e-6, wavelength, distance, [48, 48], 4e-6)
         ideal = display_model(*there, phases=nominal, samples_per_pixel=1)
         fit_display(model, captures_of(table, 5, 2), iterations=10)
-        found = []
-        for display in (ideal, model):
-            levels = display_hologram(display, target, iterations=100)
-            expose(table, levels.numpy())
-            found.append(quality(table, levels, target))
-        gains.append(found[1] - found[0])
-    # Rounding alone, through the fit and the descent, moves a gain by 0.7 dB.
-    assert min(gains) > 1.0 and np.mean(gains) > 1.6
+        for shown in (target, target.mT):
+            found = []
+            for display in (ideal, model):
+                levels = display_hologram(display, shown, iterations=200)
+                expose(table, levels.numpy())
+                found.append(quality(table, levels, shown))
+            gains.append(found[1] - found[0])
+    # A gain scatters by 0.7 dB.
+    assert np.mean(gains) > 1.8 and min(np.add(gains[::2], gains[1::2])) / 2 > 1.6
 
 
 def test_a_model_starts_from_the_file_of_a_calibration(tmp_path):
