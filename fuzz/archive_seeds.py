@@ -82,12 +82,12 @@ def descend(path, solver):
     """Take two steps down a bowl, with a checkpoint."""
     import torch
 
-    from odak.learn.wave import training
+    from odak.learn.tools import iterations
 
     x = torch.ones(2, dtype=torch.float64, requires_grad=True)
 
-    run = training.Run(progress=False, checkpoint=path, checkpoint_every=1, iterations=2)
-    training.minimise({"x": x}, lambda _: (x - torch.rand(2)).square().sum(), 0.1, run, solver=solver)
+    run = iterations.Run(2, progress=False, checkpoint=path, checkpoint_every=1)
+    iterations.minimise({"x": x}, lambda _: (x - torch.rand(2)).square().sum(), 0.1, run, solver=solver)
 
 
 def train(path):

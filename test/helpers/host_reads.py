@@ -110,7 +110,7 @@ REASONS = {
         raytracing/system/pupils: _continuation _differences _solve aimed solve_pairs
         raytracing/system/sequence: _adjoint axis_signs
         raytracing/system/waves: _peak
-        wave/display_models: _match_brightness _numbers cost
+        wave/display_models: _match_brightness _numbers misfit
         tools/iterations: step
     """,
 }
