@@ -52,6 +52,8 @@ UNITS = {
 }
 # Deviation of the captures of a phase response, 0.002 by noise alone, above which the response is taken to vary.
 SPREAD_OF_RESPONSE = 0.01
+# Residual of a first registration behind a lens in pixels, above which its spots were not found.
+LARGEST_RESIDUAL = 10.0
 # Share of the last change of the wavefront that is taken as its error.
 REST = 0.4
 # Uncertainties above which calibrate_table warns: rad, pixel, rad.
@@ -343,6 +345,15 @@ def calibrate_table(
         if turn >= rounds and change < UNSETTLED:
             break
         registration = register_camera(*there, distance, response, wavefront=wavefront, middle=turn == 0)
+        if turn == 0 and behind_lens and registration.residual > LARGEST_RESIDUAL:
+            spacing = 1e3 * wavelength * abs(ray_matrix(distance)[1]) / modulator.pitch
+            rows, columns = (1e3 * n * camera.pitch for n in camera.shape)
+            raise RuntimeError(
+                f"the spots behind the lens lie {registration.residual:.0f} pixels from where one mapping of the "
+                f"camera places them: orders are {spacing:.3g} mm apart there and the camera's image is "
+                f"{columns:.3g} x {rows:.3g} mm; use a lens of a shorter focal length or a larger camera, and check "
+                "the distances of the lens"
+            )
         if turn == 0 and not isinstance(distance, Lens):
             view = (modulator, camera, wavelength, distance, registration)
             share = np.ones(2)

@@ -319,3 +319,16 @@ def test_a_camera_counts_photons():
     assert np.median(frames.var(0) / expected) == pytest.approx(1.0, abs=0.1) and electrons.mean() > 50
     table.camera.exposure = 1e4
     assert table.camera.capture().min() == 4095
+
+
+def test_a_camera_too_small_for_a_lens_is_reported(monkeypatch):
+    """Within 1.28 mm, a tenth of the distance of orders, the spots of such a panel are not resolved."""
+    lens = instruments.Lens(0.2)
+    table = instruments.SimulatedTable(3, shape=(96, 96), camera_shape=(320, 320), distance=lens)
+    monkeypatch.setattr(calibration, "phases_with_uncertainty", lambda *_: (table.truth.phases, 0.0, 0.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AccuracyWarning)
+        with pytest.raises(
+            RuntimeError, match=r"orders are 13.3 mm apart there and the camera's image is 1.28 x 1.28 mm"
+        ):
+            instruments.calibrate_table(*instruments_of(table), 532e-9, lens)
