@@ -9,7 +9,7 @@ from array_api_compat import torch as torch_namespace
 import odak
 from odak import DeviceWarning
 from odak.learn import wave
-from odak.learn.wave import training
+from odak.learn.tools import iterations
 
 WAVELENGTH, DISTANCE, DX = 532e-9, 0.01, 8e-6
 
@@ -394,7 +394,7 @@ def test_adam_is_torchs_adam():
         loss.backward()
         return loss
 
-    solver = training.Adam([ours])
+    solver = iterations.Adam([ours])
     for _ in range(12):
         assert solver.step(lambda: gradient(ours).detach(), 0.05) == pytest.approx(
             reference.step(lambda: gradient(theirs)).item()
