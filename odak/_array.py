@@ -207,7 +207,8 @@ def numbers_behind(value) -> list[float] | None:
     from odak import _torch_private
 
     value = _torch_private.as_constant(value)
-    if value.is_meta or torch.compiler.is_compiling() or _torch_private.is_wrapped(value):
+    unknown = torch.compiler.is_dynamo_compiling() or _torch_private.is_recording()
+    if value.is_meta or unknown or _torch_private.is_wrapped(value):
         return None
     with _torch_private.outside_functional_transforms():
         return value.detach().reshape(-1).tolist()

@@ -3,7 +3,7 @@
 import sys
 import warnings
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from functools import cache
 from typing import Any
 
@@ -109,6 +109,28 @@ def load_forward_rules() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         import torch._decomp.decompositions_for_jvp  # noqa: F401
+
+
+def keeping() -> AbstractContextManager:
+    """Return a context in which a tensor is made that later calls use too: one with values, which takes gradients.
+
+    In inference mode a tensor could not take part in gradients later, and while torch.export records a call, tensors
+    have no values: one that is kept would falsify each call that comes after.
+    """
+    stack = torch.inference_mode(False)
+    if torch.compiler.is_dynamo_compiling() or not is_recording():
+        return stack
+    from torch.utils._python_dispatch import _disable_current_modes
+
+    contexts = ExitStack()
+    contexts.enter_context(stack)
+    contexts.enter_context(_disable_current_modes())
+    return contexts
+
+
+def is_recording() -> bool:
+    """Return whether operations are recorded on tensors without values, as torch.export does."""
+    return torch._C._get_dispatch_mode(torch._C._TorchDispatchModeKey.FAKE) is not None
 
 
 def count_of_writes(tensor: torch.Tensor) -> int:

@@ -370,7 +370,8 @@ def propagate_within_window(
     size = (2 * shape[0], 2 * shape[1])
     lengths: tuple[Any, ...] = (_plain_pair(dx), wavelength, distance)
     request = (_cached_request if _PLAIN.issuperset(map(type, lengths)) else Request)(*lengths)
-    result = convolve(field, request.kernel_for(field, build, size))
+    # A kernel that is kept is computed from numbers, which a graph of torch.compile does not know.
+    result = convolve(field, _array.outside_graphs(Request.kernel_for, request, field, build, size))
     note_loss(name, field, result)
     return result
 

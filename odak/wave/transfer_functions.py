@@ -631,9 +631,9 @@ def outside_inference(xp):
     """Return a context in which a tensor made may later be used by autograd, whatever mode the caller is in."""
     if "torch" not in xp.__name__:
         return nullcontext()
-    import torch
+    from odak import _torch_private
 
-    return torch.inference_mode(False)
+    return _torch_private.keeping()
 
 
 def pitches(dx, name: str = "dx") -> tuple[Any, Any]:

@@ -6,9 +6,11 @@ import io
 import pickle
 import warnings
 
+import numpy as np
 import pytest
 import representatives
 import torch
+from physics import relative_error
 from representatives import ALL, Holograms, light_and_spot, representative
 from torch import nn
 from torch.utils.data import DataLoader
@@ -16,6 +18,7 @@ from torch.utils.data import DataLoader
 import odak
 from odak import SamplingWarning
 from odak.learn import wave
+from odak.wave.propagation import propagate_beam, propagate_within_window
 
 SPHERE = "intersect_w_sphere, refract"
 NAMES = list(ALL)
@@ -233,3 +236,25 @@ def test_a_fork_while_the_kernels_are_being_looked_up():
         kernels.after_fork()
         assert cache._lock is not held
         assert cache.get("anything", lambda: torch.zeros(1)).shape == (1,)
+
+
+@pytest.mark.parametrize("of_torch", ["export", "compile"])
+@pytest.mark.parametrize("function", [propagate_beam, propagate_within_window])
+def test_kernels_that_a_recorded_call_keeps_are_those_of_a_plain_one(function, of_torch):
+    field = torch.randn(20, 24, dtype=torch.complex128, generator=torch.Generator().manual_seed(0))
+    # Each case has a distance of its own, whose kernel no call before has kept.
+    distance = 1e-3 * (1 + 0.1 * (function is propagate_beam) + 0.01 * (of_torch == "export"))
+    lengths = {"distance": distance, "dx": 8e-6, "wavelength": 532e-9, "propagation_type": "Angular Spectrum"}
+
+    class Module(torch.nn.Module):
+        def forward(self, field):
+            return function(field, **lengths)
+
+    if of_torch == "export":
+        recorded = torch.export.export(Module(), (field,)).module()
+    else:
+        recorded = torch.compile(Module(), backend="eager")
+    found = recorded(field)
+    expected = torch.as_tensor(np.asarray(function(field.numpy(), **lengths)))
+    assert relative_error(found, expected) < 1e-12
+    assert relative_error(function(field, **lengths), expected) < 1e-12

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 from importlib.resources import files
 
+import numpy as np
 import torch
 from torch import nn
 
@@ -199,8 +200,10 @@ class hologram_network(nn.Module):
     def _holograms(self, images, masks, wavelength, dx, distances) -> Iterator[torch.Tensor]:
         """Yield phasors ``[B, 1, rows, columns]`` of images of that shape with masks ``[B or 1, P, rows, columns]``."""
         middle, half = sum(distances) / len(distances), 0.5 * (max(distances) - min(distances))
-        distances = torch.tensor(distances, dtype=torch.float64, device=images.device)
-        carriers = phasor(2 * math.pi * (distances / wavelength % 1), images.dtype.to_complex())[:, None, None]
+        # As NumPy's, the distances are known while a graph of these steps is recorded.
+        distances = np.asarray(distances)
+        cycles = torch.as_tensor(distances / wavelength % 1, device=images.device)
+        carriers = phasor(2 * math.pi * cycles, images.dtype.to_complex())[:, None, None]
 
         def propagate(fields, sign):
             """Return the fields ``[B, P, rows, columns]`` of the planes, or the sum of those that they send back."""

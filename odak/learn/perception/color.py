@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from odak import _array, _validate
+from odak import _array, _torch_private, _validate
 from odak._torch_private import is_plain_on_cpu
 from odak.learn._tensors import as_pictures, in_float32, in_float64, in_own_precision, kind_of
 from odak.learn.perception.hdr import pq_decode, pq_encode
@@ -409,7 +409,7 @@ def constant(entries: tuple, dtype: torch.dtype, device: torch.device) -> torch.
 @functools.lru_cache(maxsize=256)
 def _constant(matrix, dtype, device):
     # A tensor created in inference mode could not be used for gradients later.
-    with torch.inference_mode(False):
+    with _torch_private.keeping():
         return torch.tensor(matrix, dtype=dtype, device=device)
 
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import nn
 
-from odak import _array, _validate
+from odak import _array, _torch_private, _validate
 from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, in_float32, tensor
 from odak.learn.perception.color import srgb_decoded, srgb_to_lab
 from odak.learn.perception.foveation import make_eccentricity_distance_maps
@@ -291,7 +291,7 @@ class CSFLoss(nn.Module):
             across = torch.fft.rfftfreq(columns, pitch, dtype=torch.float64)
             frequencies = torch.hypot(down[:, None], across)
             lowest = 1 / (max(rows, columns) * pitch)
-            with torch.inference_mode(False):
+            with _torch_private.keeping():
                 self.frequencies = frequencies.clamp_min(lowest).to(picture.device, picture.dtype)
             self._kept = key
         return self.frequencies
@@ -416,7 +416,7 @@ def _tables():
 @functools.lru_cache(maxsize=2)
 def _read(path):
     tables = json.loads(path.read_text(encoding="utf-8"))
-    with torch.inference_mode(False):
+    with _torch_private.keeping():
         return {
             name: torch.tensor(value, dtype=torch.float64) for name, value in tables.items() if isinstance(value, list)
         }
@@ -712,7 +712,7 @@ class VisibilityLoss(nn.Module):
         gaze = tuple(float(value) for value in _validate.several("gaze", gaze, 2))
         key = (tuple(picture.shape[-2:]), picture.dtype, picture.device, gaze, tuple(mean.flatten().tolist()))
         if self._kept is None or self._kept[0] != key:
-            with torch.inference_mode(False), torch.no_grad():
+            with _torch_private.keeping(), torch.no_grad():
                 self._kept = (key, self._new_sensitivities(picture, gaze, mean.clone()))
         return self._kept[1]
 

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
-from odak import _validate
+from odak import _torch_private, _validate
 from odak._warnings import ConvergenceWarning, warn
 from odak.learn._tensors import check_values, in_float32, kind_of, takes_constants
 from odak.learn.perception.joint_statistics import descended
@@ -85,7 +85,7 @@ def metamer(
         raise ValueError(f"bounds must be two numbers, the smaller one first, got {bounds!r}")
     iterations = _validate.integer("iterations", iterations)
     generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
-    with torch.inference_mode(False), torch.no_grad():
+    with _torch_private.keeping(), torch.no_grad():
         if start is None:
             noise = torch.rand(picture.shape, dtype=torch.float64, generator=generator).to(picture)
             start = low + (high - low) * noise
@@ -168,7 +168,7 @@ def eigendistortions(
     least = _validate.flag("least", least)
     tolerance = _validate.constant("tolerance", tolerance, positive=True)
     start = np.random.default_rng(_validate.integer("seed", seed)).standard_normal(size)
-    with torch.inference_mode(False), torch.enable_grad():
+    with _torch_private.keeping(), torch.enable_grad():
         free = picture.clone().requires_grad_()
         response = _response(model, free)
         # The gradient is linear in `weights`, and its derivative in them is the product with the Jacobian.
@@ -282,7 +282,7 @@ def maximum_differentiation(
                 raise TypeError(f"{name} must return a tensor of one number, got {value!r:.80}")
             return value.detach(), torch.autograd.grad(value.sum(), free)[0]
 
-    with torch.inference_mode(False), torch.no_grad():
+    with _torch_private.keeping(), torch.no_grad():
         picture, found = picture.clone(), found.clone()
         level, normal = slope(held, "held", found)
         value, along = slope(driven, "driven", found)

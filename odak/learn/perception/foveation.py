@@ -19,7 +19,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from odak import _array, _validate
+from odak import _array, _torch_private, _validate
 from odak._torch_private import is_plain_on_cpu, operator
 from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, checked_device, checked_dtype
@@ -819,7 +819,7 @@ def _uniform_levels(size, squares, dtype):
 
 def _new_level(size, rows, coarse, across, dtype):
     """Return a level of `coarse` rows and columns, its rows made of `rows` rows, its columns of all by `across`."""
-    with torch.inference_mode(False):
+    with _torch_private.keeping():
         pairs = rows == 2 * coarse[0]
         return Level(
             None if pairs else Banded(_means(rows, coarse[0]), COLUMNS, dtype),
@@ -1031,7 +1031,7 @@ class RadiallyVaryingBlur(nn.Module):
         if key == self._key:
             return self._sampler
         # A map made in inference mode could not be used with autograd later.
-        with torch.inference_mode(False), torch.no_grad():
+        with _torch_private.keeping(), torch.no_grad():
             options: dict[str, Any] = {"nominal_width": self.nominal_width, "device": image.device}
             lod = level_map(size, *geometry, dtype=torch.float64, **options)
             self._sampler = MipSampler(lod, image.dtype)

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch.nn import functional
 
-from odak import _validate
+from odak import _torch_private, _validate
 from odak.learn._tensors import as_pictures, check_values
 from odak.learn.perception.pyramids import SpatialSteerablePyramid, pad_image_for_pyramid
 
@@ -312,7 +312,7 @@ def synthesize_texture(
     if progress is not None and not callable(progress):
         raise TypeError(f"progress must be callable, got {type(progress).__name__}")
     generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
-    with torch.inference_mode(False), torch.no_grad():
+    with _torch_private.keeping(), torch.no_grad():
         sample = sample.clone()
         maker = SpatialSteerablePyramid(False, sample.shape[1], 9, count, "full", sample.device)
         _check_sides(maker, levels, sample=sample.shape[-2:], size=(rows, columns))

@@ -207,7 +207,7 @@ class _StatisticsLoss(_EachGaze):
             raise TypeError(f"progress must be callable, got {type(progress).__name__}")
         if not image.numel():
             raise ValueError(f"image must not be empty, got {tuple(image.shape)}")
-        with torch.inference_mode(False), torch.no_grad():
+        with _torch_private.keeping(), torch.no_grad():
             padded, statistics, kept = self._target_statistics(image.detach().clone(), "RGB", where)
             maker = self._maker(image.shape[1])
             if iterations:
@@ -533,7 +533,7 @@ class MetamericLoss(_StatisticsLoss):
         """Return, for each size, the weight of each pixel's statistics; None where all weights are 1."""
         if not (self.use_l2_foveal_loss or self.use_fullres_l0):
             return [None] * len(sizes)
-        with torch.inference_mode(False), torch.no_grad():
+        with _torch_private.keeping(), torch.no_grad():
             levels = [blur.lod_map for blur in self.blurs[:-1]]
             if self.use_fullres_l0:
                 return [*[(level > RESOLVED).to(image.dtype) for level in levels], None]
@@ -1620,11 +1620,11 @@ class TargetCache:
         if self.trusting:
             key = (*key, target.data_ptr(), target.stride(), _torch_private.count_of_writes(target))
         elif not _array.is_readable(target):
-            with torch.inference_mode(False), torch.no_grad():
+            with _torch_private.keeping(), torch.no_grad():
                 return compute()
         if key != self._key or not (self.trusting or torch.equal(target, self._target)):
             # Tensors made in inference mode could not be used with autograd later.
-            with torch.inference_mode(False), torch.no_grad():
+            with _torch_private.keeping(), torch.no_grad():
                 value = compute()
                 # A trusted target is referenced, so that its memory cannot be reused.
                 self._target = target.detach() if self.trusting else target.detach().clone()

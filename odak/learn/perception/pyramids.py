@@ -17,7 +17,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from odak import _validate
+from odak import _torch_private, _validate
 from odak._torch_private import is_plain_on_cpu, operator
 from odak.learn._tensors import checked_device, checked_dtype, in_own_precision, kind_of
 
@@ -442,7 +442,7 @@ class SpatialSteerablePyramid(nn.Module):
         arguments = self._bank()[:3]
         filters = get_steerable_pyramid_filters(*arguments, bilinear=self.use_bilinear_downup, **options)
         # Outside inference mode, so that the filters can be used with autograd later.
-        with torch.inference_mode(False):
+        with _torch_private.keeping():
             for name in ("h0", "l0") if self.use_bilinear_downup else ("h0", "l0", "l"):
                 self._set(f"filt_{name}", filters[name].repeat(self.n_channels, 1, 1, 1))
             bands = torch.cat(filters["b"])
@@ -549,7 +549,7 @@ def _unsteered(size, count, kind, bilinear):
 def _quadrature_taps(size, count, kind, bilinear, dtype, device):
     bands = get_steerable_pyramid_filters(size, count, kind, bilinear=bilinear, dtype=torch.float64)["b"]
     taps = quadrature(torch.cat(bands)[:, 0].numpy(), QUADRATURE_SIZE)
-    with torch.inference_mode(False):
+    with _torch_private.keeping():
         return torch.tensor(taps, dtype=dtype, device=device)
 
 
@@ -689,7 +689,7 @@ class FrequencySteerablePyramid(nn.Module):
         """Return the high-pass mask and, of each level with bands, its size, band masks ``[K, H, W]`` and low-pass."""
         key = (size, dtype, device)
         if self._masks is None or self._masks[0] != key:
-            with torch.inference_mode(False):
+            with _torch_private.keeping():
                 self._masks = (key, *_masks(size, self.n_levels, self.n_orientations, dtype, device))
         return self._masks[1:]
 

@@ -16,7 +16,7 @@ from typing import Any, overload
 import numpy as np
 import torch
 
-from odak import _array, _show, _validate
+from odak import _array, _show, _torch_private, _validate
 from odak._bars import tqdm
 from odak._warnings import AccuracyWarning, warn
 from odak.instruments import Calibration, Lens, load_calibration
@@ -374,7 +374,7 @@ class Display(torch.nn.Module):
         planes = tuple(range(self.shape[0]) if planes is None else planes)
         key = colour, dtype, planes
         if key not in self._kept:
-            with torch.no_grad(), torch.inference_mode(False):
+            with torch.no_grad(), _torch_private.keeping():
                 rows, columns = self.modulator.resolution
                 # Column by column, which is the order that the propagation reads them in on a CPU.
                 shape = len(planes) * self.samples**2, 2 * columns, 2 * rows
@@ -549,7 +549,7 @@ class Display(torch.nn.Module):
         """Return the factors of the light on the panel and of the field behind the lens, which its pixels envelop."""
         key = colour, dtype, beside
         if key not in self._kept:
-            with torch.no_grad(), torch.inference_mode(False):
+            with torch.no_grad(), _torch_private.keeping():
                 cycles, frequencies = self._curvature(colour), []
                 for axis, (n, part) in enumerate(zip(self.modulator.resolution, beside, strict=True)):
                     index = torch.arange(n, dtype=torch.float64) - n // 2

@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from odak import _array, _show, _validate
+from odak import _array, _show, _torch_private, _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import checked_device, floating, kind_of, tensor
 from odak.learn.wave.fields import intensity, unit_phasor
@@ -362,7 +362,7 @@ class display_volume(torch.nn.Module):
         if self._kernels is not None:
             return self._kernels
         self._need_kernels()
-        with nullcontext() if self._is_traced(self._distances) else torch.inference_mode(False):
+        with nullcontext() if self._is_traced(self._distances) else _torch_private.keeping():
             kernels = self._stacked(self._net_distances(), torch.complex64, [None] * self.number_of_channels)
             kernels = torch.fft.fftshift(kernels, dim=(-2, -1))
         if self._may_keep(torch.complex64) and not self._is_traced(self._distances):
@@ -474,12 +474,12 @@ class display_volume(torch.nn.Module):
 
     def _empty(self, planes: int, dtype) -> torch.Tensor:
         rows, columns = self.padded_shape
-        with torch.inference_mode(False):
+        with _torch_private.keeping():
             # Column by column, which is the order that the propagation reads them in.
             return torch.empty((planes, self.number_of_channels, columns, rows), dtype=dtype, device=self.device).mT
 
     def _fill(self, kernels, distances) -> torch.Tensor:
-        with torch.inference_mode(False), torch.no_grad():
+        with _torch_private.keeping(), torch.no_grad():
             colours = list(zip(_validate.numbers(self.wavelengths), self._cutoffs, strict=True))
             for plane, distance in enumerate(_validate.numbers(distances)):
                 for colour, (wavelength, cutoff) in enumerate(colours):

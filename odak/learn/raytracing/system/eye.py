@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import torch
 
-from odak import _show, _validate
+from odak import _show, _torch_private, _validate
 from odak._array import is_readable
 from odak.catalog.materials import Material
 from odak.learn._tensors import kind_of, tensor
@@ -272,7 +272,7 @@ def _medium(name, added=0.0):
 @functools.lru_cache(maxsize=512)
 def _terms(accommodation, diameter, waves):
     """Return the lag of the wavefront in metres as coefficients of (r/R)², (r/R)⁴, … ``[W, terms]``, R = diameter/2."""
-    with torch.inference_mode(False), torch.no_grad():
+    with _torch_private.keeping(), torch.no_grad():
         return _fitted(navarro_eye(accommodation, diameter, waves), None, waves)
 
 
@@ -588,7 +588,7 @@ def retinal_image(
 
 @functools.lru_cache(maxsize=32)
 def _kept_transfer(*arguments):
-    with torch.inference_mode(False), torch.no_grad():
+    with _torch_private.keeping(), torch.no_grad():
         return eye_transfer_function(*arguments)
 
 

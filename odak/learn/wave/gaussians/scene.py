@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-from odak import _validate
+from odak import _torch_private, _validate
 from odak._array import is_readable
 from odak.learn._tensors import rows_of, shaped, tensor
 from odak.learn.tools.transformation import PerspectiveCamera
@@ -373,7 +373,7 @@ class Scene:
 
 @lru_cache(maxsize=4)
 def _aperture(shape, radius, device):
-    with torch.inference_mode(False):
+    with _torch_private.keeping():
         return disc(tuple(2 * n for n in shape), radius).to(device)
 
 
