@@ -419,7 +419,7 @@ class FreeSpace:
     offset: Any = (0.0, 0.0)
     index: Any = 1.0
 
-    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
+    def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -489,7 +489,7 @@ class ThinLens:
     focal: Any
     offset: Any = (0.0, 0.0)
 
-    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
+    def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -504,7 +504,7 @@ class ThinLens:
         _warn_of_lens(self, field.shape[-2:], pitch, wavelength)
         return self.times(field, pitch, wavelength), pitch
 
-    def times(self, field: Array, pitch: Any, wavelength: Any) -> Array:
+    def times(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> Array:
         """Return a field times the transmission of the lens at its samples.
 
         Parameters
@@ -566,7 +566,7 @@ class CircularAperture:
     radius: Any
     offset: Any = (0.0, 0.0)
 
-    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
+    def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -618,7 +618,7 @@ class RectangularAperture:
     width: Any
     offset: Any = (0.0, 0.0)
 
-    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
+    def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -666,7 +666,7 @@ class Mask:
 
     transmission: Any
 
-    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
+    def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -714,7 +714,7 @@ class PhaseModulator:
     samples: int = 1
     angle: Any = None
 
-    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
+    def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -760,7 +760,7 @@ class Polarizer:
 
     angle: Any = 0.0
 
-    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
+    def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -804,7 +804,7 @@ class WavePlate:
     retardance: Any
     angle: Any = 0.0
 
-    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
+    def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -857,7 +857,7 @@ class FirstOrderSystem:
     output_dx: Any = None
     output_shape: Any = None
 
-    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
+    def apply(self, field: Array, pitch: float | Sequence[float], wavelength: float | Array) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters

@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 
 from odak import _array, _show, _validate
+from odak._array import Array
 from odak._warnings import ConvergenceWarning, warn
 from odak.instruments import Calibration, Camera, Captures, Modulator, Registration, load_calibration
 from odak.instruments.mapping import Lens, plane_points, ray_matrix
@@ -173,9 +174,9 @@ class display_model(torch.nn.Module):
         camera_shape: Sequence[int],
         camera_pitch: float | Sequence[float],
         *,
-        phases: Any = None,
-        amplitude: Any = None,
-        wavefront: Any = None,
+        phases: Array | Sequence[float] | None = None,
+        amplitude: Array | None = None,
+        wavefront: Array | None = None,
         registration: Registration | None = None,
         samples_per_pixel: int | None = None,
         iris: float | None = None,

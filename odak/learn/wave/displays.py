@@ -11,7 +11,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, overload
+from typing import Any, Protocol, overload
 
 import numpy as np
 import torch
@@ -839,6 +839,14 @@ class Problem:
         return images * brightness_of(images.detach(), self.target) if self.free else images
 
 
+class Solver(Protocol):
+    """What finds the phases of a problem: an object of one method."""
+
+    def solve(self, problem: Problem) -> torch.Tensor | tuple[torch.Tensor, torch.Tensor]:
+        """Return the phases ``[frames, rows, columns]`` in radians, and the powers of the sources if these change."""
+        ...
+
+
 @dataclass(frozen=True)
 class Descent:
     """Gradient descent over the phases, by L-BFGS or Adam: the solver to begin with.
@@ -1171,7 +1179,7 @@ def optimise(
     display: Display,
     target: Target,
     loss: Callable[..., Any] | None = None,
-    solver: Any = "lbfgs",
+    solver: str | Solver = "lbfgs",
     start: str | torch.Tensor = "gs",
     run: Run | None = None,
     devices: Sequence[torch.device | str | int] | str | None = None,
@@ -1183,7 +1191,7 @@ def optimise(
     display: Display,
     target: list[Target] | list[torch.Tensor],
     loss: Callable[..., Any] | None = None,
-    solver: Any = "lbfgs",
+    solver: str | Solver = "lbfgs",
     start: str | torch.Tensor = "gs",
     run: Run | None = None,
     devices: Sequence[torch.device | str | int] | str | None = None,
@@ -1194,7 +1202,7 @@ def optimise(
     display: Display,
     target: Target | list[Target] | list[torch.Tensor],
     loss: Callable[..., Any] | None = None,
-    solver: Any = "lbfgs",
+    solver: str | Solver = "lbfgs",
     start: str | torch.Tensor = "gs",
     run: Run | None = None,
     devices: Sequence[torch.device | str | int] | str | None = None,
