@@ -18,6 +18,7 @@ SLOW = {
     "guides/foveated_holograms.md",
     "guides/from_slm_to_hologram.md",
     "guides/displays.md",
+    "guides/ecosystem.md",
     "guides/hologram_network.md",
     "guides/large_fields.md",
     "guides/learned_models.md",
