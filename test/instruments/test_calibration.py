@@ -321,6 +321,7 @@ def test_a_camera_counts_photons():
     assert table.camera.capture().min() == 4095
 
 
+@pytest.mark.slow
 def test_a_camera_too_small_for_a_lens_is_reported(monkeypatch):
     """Within 1.28 mm, a tenth of the distance of orders, the spots of such a panel are not resolved."""
     lens = instruments.Lens(0.2)

@@ -202,7 +202,9 @@ FORMS = {
 }
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(
+    "form", [form if form == "colours" else pytest.param(form, marks=pytest.mark.slow) for form in FORMS]
+)
 def test_captures_in_other_forms_are_taken(form):
     table = laboratory()
     assert np.abs(response(table, FORMS[form]) - table.phases).max() < 0.01
@@ -257,7 +259,10 @@ def test_frames_older_than_the_pattern_or_the_exposure_are_named(late):
         response(table, older)
 
 
-@pytest.mark.parametrize(("count", "value"), [pytest.param(1, 4095, marks=pytest.mark.slow), (6, 4095), (6, 3000)])
+@pytest.mark.parametrize(
+    ("count", "value"),
+    [pytest.param(1, 4095, marks=pytest.mark.slow), pytest.param(6, 4095, marks=pytest.mark.slow), (6, 3000)],
+)
 def test_stuck_pixels_do_not_set_the_exposure(count, value):
     """A saturated one ended in an exposure of 15 ns, six in an error of the phase response."""
     table, places = laboratory(), np.random.default_rng(1).integers(60, 140, (count, 2))

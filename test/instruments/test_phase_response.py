@@ -44,7 +44,8 @@ def test_fringing_fields_do_not_falsify_the_phase_response_in_silence(fringing, 
     assert error < 0.1 or any(issubclass(w.category, AccuracyWarning) for w in told)
 
 
-@pytest.mark.parametrize("seed", [17, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (18, 19))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [17, 18, 19])
 def test_a_response_that_varies_is_reported_where_it_is_not_measured(seed):
     """The filter of the tests makes the warning an error, which ends the calibration."""
     table = instruments.SimulatedTable(
