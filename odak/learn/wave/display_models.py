@@ -957,6 +957,7 @@ def display_hologram(
         coarse = torch.randn((1, 1, *(max(n // 8, 2) for n in model.shape)), generator=random)
         phase = torch.nn.functional.interpolate(coarse, model.shape, mode="bicubic")[0, 0]
     phase = model._checked(tensor("phase", phase).to(model._slope.device)).detach().clone().requires_grad_()
+    _validate.check_values("phase", phase)
     run = Run(iterations, False, callback)
     rate = _validate.constant("learning_rate", learning_rate, positive=True)
     cycles = model._cycles()
