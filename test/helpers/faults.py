@@ -6,6 +6,7 @@ import os
 import random
 import signal
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -201,6 +202,10 @@ def kill_again_and_again(run, path, chance):
 
 def kill_runs(folder):
     """Kill runs with checkpoints, and say of each how often and whether it ended as an unbroken one."""
+    from tqdm import tqdm
+
+    # Its own lock is shared with children: one that is killed while it holds it would stop all that follow.
+    tqdm.set_lock(threading.RLock())
     for name, run in RUNS.items():
         whole = run()
         path = str(folder / f"{name}.pt")
