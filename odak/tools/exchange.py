@@ -34,7 +34,7 @@ def to_xarray(
     field : array
         ``[..., rows, columns]``, real or complex, NumPy or torch on any device.
     pitch : float or sequence of float
-        Distance between samples in metres, or that of rows and that of columns.
+        Distance between samples in metres, or a pair for rows and columns.
     wavelength : float or sequence of float, optional
         In metres; several are those of the last axis before the rows.
     distance : float or sequence of float, optional
@@ -110,11 +110,11 @@ def save_ome_tiff(
         ``[frames, planes, colours, rows, columns]`` of 8- to 32-bit integers, single or double precision, real or
         complex; NumPy or torch on any device.
     pitch : float or sequence of float
-        Distance between samples in metres, or that of rows and that of columns.
+        Distance between samples in metres, or a pair for rows and columns.
     spacing : float, optional
         Distance between planes in metres.
     wavelength : float or sequence of float, optional
-        Of each colour in metres.
+        Wavelength of each colour in metres.
 
     Returns
     -------
