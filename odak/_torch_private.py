@@ -128,6 +128,14 @@ def keeping() -> AbstractContextManager:
     return contexts
 
 
+def kept_constant(tensor: torch.Tensor) -> torch.Tensor:
+    """Return a tensor that was kept, contiguous while torch.export records: it warns as it writes any other constant."""
+    if torch.compiler.is_dynamo_compiling() or not is_recording():
+        return tensor
+    with keeping():
+        return tensor.contiguous()
+
+
 def is_recording() -> bool:
     """Return whether operations are recorded on tensors without values, as torch.export does."""
     return torch._C._get_dispatch_mode(torch._C._TorchDispatchModeKey.FAKE) is not None

@@ -603,7 +603,12 @@ class Request:
                 return build(self.grid(shape, xp, device, dtype))
 
         key = (build, shape, self.geometry, self.scale, self.samples, xp, device, dtype)
-        return kernels.on(device).get(key, fresh)
+        kept = kernels.on(device).get(key, fresh)
+        if _array.is_torch(kept):
+            from odak import _torch_private
+
+            return _torch_private.kept_constant(kept)
+        return kept
 
     def kernel_for(self, field, build: Callable, shape: tuple[int, int]):
         """Return the transfer function in the field's library, device and precision, and in chunks as the field is."""

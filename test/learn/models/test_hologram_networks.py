@@ -251,7 +251,6 @@ def test_errors(call, error, message):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:No complete tensor found")  # torch's own, of constants that it writes
 def test_exported(tmp_path):
     class Fixed(torch.nn.Module):
         def __init__(self):
