@@ -165,7 +165,8 @@ def end_corrections(low: float, high: float, taps: int = _TAPS) -> tuple[complex
 
     The fit is by least squares over `low` ≤ ω ≤ `high`, ω being the phase from one term to the next.
     """
-    turns = np.linspace(low, high, 801)
+    # With many more of them, LAPACK takes threads that cost far more than the fit.
+    turns = np.linspace(low, high, 201)
     turns = turns[np.abs(turns) > 1e-6]
     wanted = 1 / (1j * turns) - 1 / (1 - np.exp(-1j * turns))
     terms = np.exp(-1j * turns[:, None] * np.arange(taps))
