@@ -129,7 +129,7 @@ def keeping() -> AbstractContextManager:
 
 
 def kept_constant(tensor: torch.Tensor) -> torch.Tensor:
-    """Return a tensor that was kept, contiguous while torch.export records: it warns as it writes any other constant."""
+    """Return a kept tensor, contiguous while torch.export records, which warns of any other constant as it writes."""
     if torch.compiler.is_dynamo_compiling() or not is_recording():
         return tensor
     with keeping():

@@ -138,7 +138,7 @@ def run(job: MetamerJob, notices: files.Notices = files.SILENT) -> dict:
         return kept
     files.announce(folder, [*NAMES, files.REPORT], notices)
     from odak.learn.perception import MetamericLoss, MetamerMSELoss, make_pooling_size_map_pixels
-    from odak.learn.perception.metameric import metamer_stages
+    from odak.learn.perception.metamers import metamer_stages
 
     view: dict[str, Any] = {
         "alpha": job.alpha,

@@ -1,4 +1,4 @@
-"""Metameric losses and metamers: pooled statistics of steerable pyramids, compared and matched."""
+"""Metameric losses: pooled statistics of two pictures' steerable pyramids, compared, or matched by a metamer."""
 
 import math
 from collections.abc import Callable, Hashable, Sequence
@@ -15,56 +15,44 @@ from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, ch
 from odak.learn.perception.color import rgb_2_ycrcb, ycrcb_2_rgb
 from odak.learn.perception.foveation import (
     RadiallyVaryingBlur,
-    Sampler,
     UniformSampler,
     _growth,
     _point,
     is_blocked,
     level_map,
-    level_weights,
     make_radial_map,
-    plane_chunks,
-    strip_memory,
 )
 from odak.learn.perception.joint_statistics import STEEPNESS, descended, joint_maps
+from odak.learn.perception.metamers import (
+    CLIPPINGS,
+    EARLIER_WARP,
+    FEW_PIXELS,
+    LARGEST_GAIN,
+    METAMER_ITERATIONS,
+    METAMER_ORIENTATIONS,
+    OUTSIDE_WEIGHT,
+    RESCALINGS,
+    WARP,
+    LocalGamut,
+    detail_share,
+    displaced,
+    matched_noise,
+    metamer_stages,
+    rescaled,
+)
+from odak.learn.perception.pooled_statistics import (
+    as_maps,
+    checked_statistics,
+    local_statistics,
+    mean_distance,
+    squared_distance,
+    statistics_maps,
+)
 from odak.learn.perception.pyramids import SpatialSteerablePyramid, pad_image_for_pyramid
 
 RESOLVED = 1e-6
 FOVEA_SHARPNESS = 10
 RADIAL_OFFSET, RADIAL_POWER = 1.1, 4
-RMS_FLOOR, VARIANCE_FLOOR = 1e-6, 1e-7
-# Evaluations of the distance by which a metamer is made.
-METAMER_ITERATIONS = 40
-# Numbers of evaluations relative to those above if statistics of pairs are matched: first without, then with them.
-WITHOUT_PAIRS, WITH_PAIRS = 2, 0.25
-# Least number of orientations by which a metamer is made: two cannot tell 45° from 135°.
-METAMER_ORIENTATIONS = 4
-# Pooling size in pixels below which a metamer is hardly more than the picture itself.
-FEW_PIXELS = 3.0
-# Displacements by which a metamer starts: their strength as a fraction of the pooling size, and at most as a fraction
-# of the distance over which they vary; this distance in pixels of the last low-pass. Displacements that vary slowly
-# keep lines and grain; those of the loss that compares pixels with a metamer vary as in earlier versions.
-WARP, EARLIER_WARP = (0.6, 0.2, 1.5), (0.2, 0.5, 0.25)
-# Side in pixels of the squares in which a displaced picture must vary to be changed further, and the deviation at which
-# half of a change is made: flat regions stay flat.
-DETAIL_SIDE, DETAIL_FLOOR = 9, 0.005
-# Variance of flat regions that rounding in float32 can cause.
-ROUNDING = 1e-6
-# Number of times that the local statistics of the bands are matched to those of the picture before the descent, and the
-# largest factor by which a deviation is increased at a time.
-RESCALINGS, LARGEST_GAIN = 4, 4.0
-# Weight of the squared distance from the bounds. Nearly all pixels at sharp edges are at their bounds.
-OUTSIDE_WEIGHT = 1e-4
-# Bounds of a local gamut: channels of Y′CrCb and their factors, each alone and two at a time. Differences of colour
-# vary several times less than brightness.
-CHROMA = 4.0
-SLABS = tuple(((channel, 1.0 if channel == 0 else CHROMA),) for channel in range(3)) + tuple(
-    ((one, 1.0 if one == 0 else CHROMA), (two, sign * CHROMA))
-    for one, two in ((0, 1), (0, 2), (1, 2))
-    for sign in (1, -1)
-)
-# Number of final clippings to all bounds in turn: clipping to one bound can violate another; less than 0.001 remains.
-CLIPPINGS = 5
 # Smallest pooling region in pixels; smaller ones would take memory without an effect.
 FINEST = 1 / 64
 
@@ -1056,32 +1044,6 @@ class MetamerMSELoss(_EachGaze):
         return super()._apply(function, recurse)
 
 
-def metamer_stages(iterations: int, joint: bool) -> list[tuple[bool, int]]:
-    """Return the descents by which a metamer is made: with statistics of pairs or not, and how many evaluations.
-
-    Parameters
-    ----------
-    iterations : int
-        Evaluations of the distance asked for.
-    joint : bool
-        Whether statistics of pairs are to be matched.
-
-    Returns
-    -------
-    list of tuple
-        One descent of `iterations` without pairs. With `joint` one of twice as many without, and then one of a quarter
-        as many with pairs, rounded up.
-
-    Notes
-    -----
-    An evaluation with pairs takes about six times as long. Where single bands match already, few are needed: less time
-    than for `iterations` of them, and a smaller distance.
-    """
-    if not joint:
-        return [(False, iterations)]
-    return [(False, WITHOUT_PAIRS * iterations), (True, math.ceil(WITH_PAIRS * iterations))]
-
-
 def checked_pictures(name: str, image: torch.Tensor, target: torch.Tensor, n_levels: int) -> None:
     """Raise unless two pictures can be compared: one shape, finite, about 0 … 1, large enough for the pyramid.
 
@@ -1113,469 +1075,6 @@ def checked_pictures(name: str, image: torch.Tensor, target: torch.Tensor, n_lev
         )
     pictures: dict[str, Any] = {f"{name} ERROR: image": image, f"{name} ERROR: target": target}
     check_values(**pictures)
-
-
-def checked_statistics(**lists: Sequence[torch.Tensor]) -> list[list[torch.Tensor]]:
-    """Return two lists of statistics after checking that they come from pictures of one size."""
-    checked: list[list[Any]] = []
-    for name, value in lists.items():
-        checked.append(list(value) if isinstance(value, (list, tuple)) else [])
-        if not checked[-1] or any(not isinstance(one, torch.Tensor) or one.ndim != 4 for one in checked[-1]):
-            raise TypeError(f"{name} must be a list of tensors [B, C, H, W] as calc_statsmaps returns it")
-    if [one.shape[-2:] for one in checked[0]] != [two.shape[-2:] for two in checked[1]]:
-        raise ValueError(f"{' and '.join(lists)} must be statistics of pictures of one size and as many levels")
-    return checked
-
-
-def local_statistics(bands: torch.Tensor, sampler: Sampler) -> torch.Tensor:
-    """Return means and standard deviations over each pixel's pooling region, without a graph.
-
-    Parameters
-    ----------
-    bands : torch.Tensor
-        ``[B, C, K, H, W]`` on a CPU.
-    sampler : Sampler
-        Makes the local means of pictures of this size.
-
-    Returns
-    -------
-    torch.Tensor
-        ``[H, 2, B·C·K, W]``; deviations are at least √1e-7.
-    """
-    planes = _planes(bands.detach())
-    result = planes.new_empty(planes.shape[0], 2, *planes.shape[1:])
-    for chunk in plane_chunks(sampler, planes):
-        part = planes[:, chunk]
-        coarse, memory = _coarse(part, sampler), _memory(sampler, part)
-        for strip in sampler.strips:
-            found = result[strip.rows, :, chunk]
-            _moments(strip, part, coarse, found, memory[: len(found)])
-            found[:, 1].clamp_min_(VARIANCE_FLOOR).sqrt_()
-    return result
-
-
-def as_maps(statistics: torch.Tensor, shape: torch.Size) -> list[torch.Tensor]:
-    """Return mean and deviation of each band ``[B, C, H, W]`` alternately: views of statistics ``[H, 2, B·C·K, W]``."""
-    maps = statistics.unflatten(2, shape[:3]).permute(2, 3, 4, 1, 0, 5)
-    return [maps[:, :, band, kind] for band in range(shape[2]) for kind in range(2)]
-
-
-def squared_distance(
-    bands: torch.Tensor, sampler: Sampler, mask: torch.Tensor | None, target: torch.Tensor
-) -> torch.Tensor:
-    """Return Σ(mask·statistic − target)² over all statistics and pixels of bands.
-
-    Parameters
-    ----------
-    bands : torch.Tensor
-        ``[B, C, K, H, W]`` on a CPU.
-    sampler : Sampler
-        Makes the local means of pictures of this size.
-    mask : torch.Tensor or None
-        How much each pixel counts ``[H, W]``.
-    target : torch.Tensor
-        Statistics of the target as :func:`local_statistics` returns them, times the mask.
-
-    Returns
-    -------
-    torch.Tensor
-        Without axes; differentiable any number of times in the bands. The first gradient is computed on the way.
-    """
-    return _Distance.apply(bands, sampler, mask, target)
-
-
-class _Distance(torch.autograd.Function):
-    @staticmethod
-    def forward(context, bands, sampler, mask, target):
-        context.rest = (sampler, mask, target)
-        planes, weights = _planes(bands), None if mask is None else mask[:, None, None]
-        gradient = torch.empty_like(planes) if context.needs_input_grad[0] else None
-        values = []
-        for chunk in plane_chunks(sampler, planes):
-            part = None if gradient is None else gradient[:, chunk]
-            values += _compare(planes[:, chunk], sampler, weights, target[:, :, chunk], part)
-        if gradient is not None:
-            context.save_for_backward(bands, gradient.unflatten(1, bands.shape[:3]).permute(1, 2, 3, 0, 4))
-        return torch.stack(values).sum()
-
-    @staticmethod
-    def backward(context, outer):
-        bands, gradient = context.saved_tensors
-        if torch.is_grad_enabled():
-            # The gradient is differentiated: it is computed again by differentiable operations.
-            sampler, mask, target = context.rest
-            found = torch.stack([_planes(statistic) for statistic in pooled(bands, sampler)], 1)
-            found = found if mask is None else found * mask[:, None, None]
-            (gradient,) = torch.autograd.grad(((found - target) ** 2).sum(), bands, create_graph=True)
-        return outer * gradient, None, None, None
-
-
-def _planes(bands):
-    """Return bands ``[B, C, K, H, W]`` as planes ``[H, P, W]``, without a copy where the memory layout permits."""
-    return bands.permute(3, 0, 1, 2, 4).flatten(1, 3).contiguous()
-
-
-def _memory(sampler, planes):
-    return strip_memory(sampler, planes, 2 * planes.shape[1]).unflatten(1, (2, -1))
-
-
-def _coarse(planes, sampler):
-    """Return the coarse levels of planes and of their squares, ``[H / 2ˡ, 2, P, W]``."""
-    if not sampler.levels:
-        return []
-    first = sampler.levels[0]
-    if first.rows is not None:
-        return sampler.coarse(first.halve(torch.stack([planes, planes * planes], 1)))
-    even, odd = planes[::2], planes[1::2]
-    halved = planes.new_empty(even.shape[0], 2, *planes.shape[1:])
-    torch.add(even, odd, out=halved[:, 0])
-    torch.mul(even, even, out=halved[:, 1]).addcmul_(odd, odd)
-    return sampler.coarse(halved.mul_(0.5))
-
-
-def _moments(strip, planes, coarse, result, memory):
-    """Write local means and variances of a strip to `result` ``[rows, 2, P, W]``."""
-    part = planes[strip.rows]
-    mean, variance = result.unbind(1)
-    torch.mul(part, strip.fine, out=mean)
-    torch.mul(mean, part, out=variance)
-    strip.add(result, coarse, memory)
-    variance.addcmul_(mean, mean, value=-1)
-
-
-def _compare(planes, sampler, weights, target, gradient):
-    """Return the distances of each strip of some planes; write the gradient where memory for it is given."""
-    moments, errors, memory = (_memory(sampler, planes) for _ in range(3))
-    coarse, values = _coarse(planes, sampler), []
-    totals = [] if gradient is None else [torch.zeros_like(level) for level in coarse]
-    for strip in sampler.strips:
-        length = strip.rows.stop - strip.rows.start
-        found, error, rest = moments[:length], errors[:length], memory[:length]
-        _moments(strip, planes, coarse, found, rest)
-        varies = None if gradient is None else found[:, 1] > VARIANCE_FLOOR
-        found[:, 1].clamp_min_(VARIANCE_FLOOR).sqrt_()
-        weight = None if weights is None else weights[strip.rows]
-        counted = found if weight is None else torch.mul(found, weight, out=error)
-        torch.sub(counted, target[strip.rows], out=error)
-        values.append(torch.dot(error.flatten(), error.flatten()))
-        if gradient is not None:
-            # Errors become gradients by the means of planes and of their squares: d(e²) = 2e·dσ and
-            # dσ = d(power)/2σ − mean·d(mean)/σ; 0 where the variance is clipped.
-            if weight is not None:
-                error.mul_(weight)
-            by_mean, by_power = error.unbind(1)
-            mean, deviation = found.unbind(1)
-            by_power.div_(deviation).mul_(varies)
-            by_mean.addcmul_(mean, by_power, value=-1).mul_(2)
-            torch.addcmul(by_mean, planes[strip.rows], by_power, value=2, out=gradient[strip.rows])
-            gradient[strip.rows].mul_(strip.fine)
-            strip.add_adjoint(error, totals, rest)
-    if totals:
-        _add_coarse(gradient, planes, sampler, totals)
-    return values
-
-
-def _add_coarse(gradient, planes, sampler, totals):
-    """Add the contributions of the coarse levels to the gradient."""
-    halved, first = sampler.coarse_adjoint(totals), sampler.levels[0]
-    if first.rows is not None:
-        by_mean, by_power = first.rows.on_rows_adjoint(halved).unbind(1)
-        gradient.add_(by_mean).addcmul_(planes, by_power, value=2)
-        return
-    by_mean, by_power = halved.unbind(1)
-    pairs = gradient.unflatten(0, (-1, 2))
-    pairs.add_(by_mean[:, None], alpha=0.5).addcmul_(planes.unflatten(0, (-1, 2)), by_power[:, None])
-
-
-def pooled(bands: torch.Tensor, sampler: Sampler) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return means and standard deviations over each pixel's pooling region; differentiable any number of times.
-
-    Parameters
-    ----------
-    bands : torch.Tensor
-        ``[B, C, K, H, W]``.
-    sampler : Sampler
-        Makes the local means of pictures of this size.
-
-    Returns
-    -------
-    tuple of torch.Tensor
-        Both in the shape of the bands; deviations are at least √1e-7.
-    """
-    flat = bands.flatten(1, 2)
-    mean, power = sampler(torch.cat([flat, flat**2], 1)).chunk(2, 1)
-    deviation = (power - mean**2).clamp_min(VARIANCE_FLOOR).sqrt()
-    return mean.reshape(bands.shape), deviation.reshape(bands.shape)
-
-
-def statistics_maps(
-    groups: list[torch.Tensor],
-    samplers: Sequence[Sampler],
-    masks: Sequence[torch.Tensor | None],
-    others: Sequence[torch.Tensor],
-) -> list[torch.Tensor]:
-    """Return mean and standard deviation of a pyramid's bands, each over a pixel's pooling region.
-
-    Parameters
-    ----------
-    groups : list of torch.Tensor
-        Bands ``[B, C, K, H, W]`` as :meth:`SpatialSteerablePyramid.stacked_bands` returns them.
-    samplers : sequence of Sampler
-        Those that compute the local means of each group.
-    masks : sequence of torch.Tensor or None
-        How much each pixel counts ``[H, W]``, for each group.
-    others : sequence of torch.Tensor
-        Maps that are compared without pooling, times their own masks, first of all the last low-pass.
-
-    Returns
-    -------
-    list of torch.Tensor
-        Mean and deviation of the high-pass residual and of each band of each level, 2(1 + (n − 1)K) tensors
-        ``[B, C, H, W]``, and `others`.
-    """
-    maps: list[torch.Tensor] = []
-    for bands, sampler, mask in zip(groups, samplers, masks, strict=True):
-        if is_blocked(bands) and not (bands.requires_grad and torch.is_grad_enabled()):
-            found = as_maps(local_statistics(bands, sampler), bands.shape)
-        else:
-            pairs = zip(*(value.unbind(2) for value in pooled(bands, sampler)), strict=True)
-            found = [one for pair in pairs for one in pair]
-        maps += found if mask is None else [mask * one for one in found]
-    return [*maps, *others]
-
-
-def matched_noise(
-    image: torch.Tensor, statistics: list[torch.Tensor], maker: SpatialSteerablePyramid, n_levels: int, seed: int = 0
-) -> torch.Tensor:
-    """Return noise whose pyramid has the pooled statistics of a picture, and the picture's low-pass.
-
-    Parameters
-    ----------
-    image : torch.Tensor
-        ``[B, C, H, W]``, as padded for the pyramid.
-    statistics : list of torch.Tensor
-        As :func:`statistics_maps` returns them for the picture.
-    maker : SpatialSteerablePyramid
-        The pyramid that they come from.
-    n_levels : int
-        Its levels.
-    seed : int
-        Of the noise, which is one and the same for every picture of a batch.
-
-    Returns
-    -------
-    torch.Tensor
-        ``[B, C, H, W]``.
-
-    Notes
-    -----
-    Walton et al., ACM Trans. Graph. 40, 48 (2021), section 4.
-    """
-    generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
-    noise = torch.rand(1, *image.shape[1:], dtype=torch.float64, generator=generator).to(image)
-    groups, _ = maker.stacked_bands(noise, n_levels)
-    found = []
-    for band in (band for bands in groups for band in bands.unbind(2)):
-        mean = band.mean((2, 3), keepdim=True)
-        found += [mean, ((band - mean) ** 2).mean((2, 3), keepdim=True).sqrt().clamp_min(RMS_FLOOR)]
-    return rescaled(groups, found, statistics, maker)
-
-
-def displaced(
-    image: torch.Tensor, levels: torch.Tensor, cell: int, seed: int = 0, warp: tuple[float, float, float] = WARP
-) -> torch.Tensor:
-    """Return a picture whose pixels come from random positions nearby, at distances that grow with the pooling regions.
-
-    Parameters
-    ----------
-    image : torch.Tensor
-        ``[B, C, H, W]``, sides multiples of `cell`.
-    levels : torch.Tensor
-        MIP level of the pooling region of each pixel ``[H, W]``: its size is 2ˡ. At level 0 pixels stay.
-    cell : int
-        Pixels of the picture in one of the last low-pass, which is compared value by value: the means of the
-        displacements over this length are subtracted, interpolated between them.
-    seed : int
-        Of the displacements, which are one and the same for every picture of a batch.
-    warp : tuple of float
-        Strength of the displacements as a fraction of the pooling size, its largest value as a fraction of the length
-        over which they vary, and this length as a fraction of `cell`.
-
-    Returns
-    -------
-    torch.Tensor
-        ``[B, C, H, W]``.
-
-    Notes
-    -----
-    The displacements are normally distributed, with independent components along rows and columns. Their deviation is
-    0.16 times the pooling size less one pixel, and at most 0.05 times the length over which they vary, so that they
-    hardly turn lines and never fold the picture. Displaced edges stay edges: compare Koenderink et al., J. Vis. 17(2):7
-    (2017), https://doi.org/10.1167/17.2.7.
-    """
-    generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
-    rows, columns = image.shape[-2:]
-    fraction, largest, length = warp
-    grain = max(1, round(length * cell))
-    # Two more samples on each side than the picture needs: bicubic enlargement reads that far.
-    coarse = (1, 2, -(-rows // grain) + 4, -(-columns // grain) + 4)
-    noise = torch.randn(coarse, dtype=torch.float64, generator=generator).to(image)
-    smooth = functional.interpolate(noise, scale_factor=grain, mode="bicubic", align_corners=False)
-    smooth = smooth[..., 2 * grain : 2 * grain + rows, 2 * grain : 2 * grain + columns]
-    means = functional.avg_pool2d(smooth, cell)
-    smooth = smooth - functional.interpolate(means, (rows, columns), mode="bilinear", align_corners=False)
-    strength = (fraction * (2**levels - 1)).clamp(max=largest * grain).to(image)
-    across, down = (strength * smooth)[0].unbind(0)
-    places = [
-        2 * (torch.arange(side, dtype=image.dtype, device=image.device) + 0.5) / side - 1 for side in (columns, rows)
-    ]
-    grid = torch.stack([places[0] + 2 * across / columns, places[1][:, None] + 2 * down / rows], -1)
-    return functional.grid_sample(
-        image, grid.expand(len(image), -1, -1, -1), mode="bicubic", padding_mode="reflection", align_corners=False
-    )
-
-
-def detail_share(picture: torch.Tensor) -> torch.Tensor:
-    """Return how much of a change is made to each pixel: none where a picture is flat, all where it has detail.
-
-    Parameters
-    ----------
-    picture : torch.Tensor
-        ``[B, C, H, W]``.
-
-    Returns
-    -------
-    torch.Tensor
-        ``[B, 1, H, W]``, v/(v + 0.005²) of the variance v, less 10⁻⁶, within 9 x 9 pixels, summed over the channels.
-    """
-    values = torch.cat([picture, picture**2], 1)
-    means = functional.avg_pool2d(values, DETAIL_SIDE, 1, DETAIL_SIDE // 2, count_include_pad=False)
-    mean, power = means.chunk(2, 1)
-    variance = (power - mean**2 - ROUNDING).clamp_min(0).sum(1, keepdim=True)
-    return variance / (variance + DETAIL_FLOOR**2)
-
-
-def rescaled(
-    groups: list[torch.Tensor],
-    found: Sequence[torch.Tensor],
-    wanted: Sequence[torch.Tensor],
-    maker: SpatialSteerablePyramid,
-    largest_gain: float = math.inf,
-) -> torch.Tensor:
-    """Return the picture of a pyramid after setting the mean and the deviation of its bands to given values.
-
-    Parameters
-    ----------
-    groups : list of torch.Tensor
-        High-pass residual and bands ``[B, C, K, H, W]`` of each level.
-    found : sequence of torch.Tensor
-        Mean and deviation of each band in turn, for each pixel or for the whole band; further maps are ignored.
-    wanted : sequence of torch.Tensor
-        As :func:`statistics_maps` returns them: mean and deviation of each band, and the last low-pass.
-    maker : SpatialSteerablePyramid
-        The pyramid that the bands come from.
-    largest_gain : float
-        Largest factor by which a deviation is increased.
-
-    Returns
-    -------
-    torch.Tensor
-        ``[B, C, H, W]``. Bands overlap, so that its own statistics are nearer to those wanted, but not equal to them.
-    """
-    levels: list[list[torch.Tensor]] = []
-    place = 0
-    for bands in groups:
-        levels.append([])
-        for band in bands.unbind(2):
-            gain = (wanted[place + 1] / found[place + 1]).clamp_max(largest_gain)
-            levels[-1].append((band - found[place]) * gain + wanted[place])
-            place += 2
-    pyramid: list[dict[str, Any]] = [{"b": bands} for bands in levels[1:]]
-    pyramid[0]["h"] = levels[0][0]
-    return maker.reconstruct_from_pyramid([*pyramid, {"l": wanted[place]}])
-
-
-def local_range(picture: torch.Tensor, levels: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the least and the largest value of each channel within a square region around each pixel.
-
-    Parameters
-    ----------
-    picture : torch.Tensor
-        ``[B, C, H, W]``.
-    levels : torch.Tensor
-        Of a MIP chain ``[H, W]``, in float64: the square reaches half of 2ˡ pixels to each side, and is the pixel
-        itself at level 0. Between levels the bounds are interpolated.
-
-    Returns
-    -------
-    tuple of torch.Tensor
-        Lower and upper bounds ``[B, C, H, W]``.
-    """
-    weights = level_weights(levels).to(picture.dtype)
-    bounds = []
-    for sign in (-1, 1):
-        extreme, reach, total = sign * picture, 0, sign * picture * weights[0]
-        for level, weight in enumerate(weights[1:]):
-            step = (1 << level) - reach
-            reach += step
-            # The largest of three shifted copies: the region doubles from level to level.
-            for axis in (-1, -2):
-                pad = (step, step, 0, 0) if axis == -1 else (0, 0, step, step)
-                padded, length = functional.pad(extreme, pad, value=-torch.inf), extreme.shape[axis]
-                extreme = extreme.maximum(padded.narrow(axis, 0, length)).maximum(padded.narrow(axis, 2 * step, length))
-            total = total + extreme * weight
-        bounds.append(sign * total)
-    return bounds[0], bounds[1]
-
-
-class LocalGamut:
-    """Convex bounds of the colours that a picture has around each pixel.
-
-    The bounds are on each of Y′, Cr and Cb, and on the sum and the difference of each two of them, colour differences
-    counting `CHROMA` times, over the region of :func:`local_range`; and on R, G and B, the same for all pixels. Bounds
-    on single channels would admit colours that the picture has nowhere, such as a highlight in the hue of its
-    surroundings' most saturated pixel.
-
-    Parameters
-    ----------
-    picture : torch.Tensor
-        Grey or Y′CrCb ``[B, C, H, W]``.
-    levels : torch.Tensor
-        Of a MIP chain ``[H, W]``, in float64, as for :func:`local_range`.
-    least, most : float
-        Bounds of R, G and B; not used for a grey picture, whose local bounds are narrower.
-    """
-
-    def __init__(self, picture: torch.Tensor, levels: torch.Tensor, least: float, most: float) -> None:
-        self.least, self.most = least, most
-        self._coloured = picture.shape[1] == 3
-        self._low, self._high = local_range(self._along(picture), levels)
-
-    def clipped(self, colours: torch.Tensor) -> torch.Tensor:
-        """Return colours clipped to each bound in turn, after which they can be slightly outside of others."""
-        if not self._coloured:
-            return colours.maximum(self._low).minimum(self._high)
-        planes, bounds = list(colours.unbind(1)), zip(self._low.unbind(1), self._high.unbind(1), strict=True)
-        for terms, (low, high) in zip(SLABS, bounds, strict=True):
-            along = _combined(planes, terms)
-            change = (along.maximum(low).minimum(high) - along) / sum(factor**2 for _, factor in terms)
-            for channel, factor in terms:
-                planes[channel] = planes[channel] + factor * change
-        return rgb_2_ycrcb(ycrcb_2_rgb(torch.stack(planes, 1)).clamp(self.least, self.most))
-
-    def _along(self, colours):
-        if not self._coloured:
-            return colours
-        return torch.stack([_combined(colours.unbind(1), terms) for terms in SLABS], 1)
-
-
-def _combined(planes, terms):
-    return torch.stack([factor * planes[channel] for channel, factor in terms]).sum(0)
-
-
-def mean_distance(one: list[torch.Tensor], two: list[torch.Tensor]) -> torch.Tensor:
-    """Return the mean over pairs of maps of their mean squared differences."""
-    return torch.stack([functional.mse_loss(a, b) for a, b in zip(one, two, strict=True)]).mean()
 
 
 class TargetCache:

@@ -5,7 +5,7 @@ import torch
 
 from odak.learn.perception import MetamericLoss, MetamericLossUniform, rgb_2_ycrcb
 from odak.learn.perception.foveation import MipSampler, UniformSampler
-from odak.learn.perception.metameric import (
+from odak.learn.perception.pooled_statistics import (
     as_maps,
     local_statistics,
     pooled,
