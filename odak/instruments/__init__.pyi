@@ -24,6 +24,9 @@ from .feedback import SpotFeedback as SpotFeedback
 from .feedback import equalise_spots as equalise_spots
 from .focus import measure_distance as measure_distance
 from .illumination import measure_illumination as measure_illumination
+from .makers import HoloeyeModulator as HoloeyeModulator
+from .makers import MeadowlarkModulator as MeadowlarkModulator
+from .makers import RaspberryPiCamera as RaspberryPiCamera
 from .mapping import Lens as Lens
 from .mapping import Registration as Registration
 from .phase_response import measure_phase_response as measure_phase_response

@@ -101,8 +101,11 @@ WITHOUT_OUTPUT = {
     "odak.cli.app": "an object of typer",
     "odak.instruments.ScreenModulator": "needs a second screen",
     "odak.instruments.GenICamCamera": "needs a camera",
+    "odak.instruments.HoloeyeModulator": "needs a modulator",
+    "odak.instruments.MeadowlarkModulator": "needs a modulator",
     "odak.instruments.MicroManagerCamera": "needs a camera",
     "odak.instruments.MicroManagerModulator": "needs a modulator",
+    "odak.instruments.RaspberryPiCamera": "needs a camera",
     "odak.instruments.VideoCamera": "needs a camera",
     "odak.visualize.plotly.close_browser": "returns nothing",
 }

@@ -1,0 +1,313 @@
+"""Drivers by the libraries of makers, which are installed apart: Raspberry Pi, Holoeye, Meadowlark.
+
+None was run on hardware: each was tested with a stand-in for the documented calls that it uses.
+"""
+
+import ctypes
+import os
+import re
+import time
+from typing import Any
+
+import numpy as np
+
+from odak import _show, _validate
+from odak.instruments.drivers import _imported, checked_levels
+from odak.tools.paths import validate_path
+
+__all__ = ["HoloeyeModulator", "MeadowlarkModulator", "RaspberryPiCamera"]
+
+
+class RaspberryPiCamera:
+    """Camera of a Raspberry Pi, whose raw frames are read by picamera2.
+
+    Automatic exposure is off and the gain is 1. Each frame begins after it was asked for, so that none is older than
+    the pattern. A new exposure restarts the camera, for otherwise it holds only some frames later.
+
+    Parameters
+    ----------
+    device : int
+        Number of the camera.
+    channel : {"green", "red", "blue"}
+        Colour filter whose pixels are read, every second one along rows and columns. Cameras without filters ignore it.
+    pitch : float, optional
+        Distance in metres between the pixels that are read; from the pixel size that the camera states by default.
+
+    Notes
+    -----
+    Needs the package picamera2, which Raspberry Pi OS brings (``apt install python3-picamera2``); its calls are
+    documented in Raspberry Pi Ltd, The Picamera2 Library. Models with 16 bits per pixel (Raspberry Pi 5) shift the
+    counts to the upper bits, which is taken back. Not run on hardware: tested with a stand-in for picamera2.
+
+    Examples
+    --------
+    >>> from odak.instruments import RaspberryPiCamera
+    >>> camera = RaspberryPiCamera(channel="green")  # doctest: +SKIP
+    """
+
+    __repr__ = _show.one_line
+
+    @_validate.takes_units("pitch")
+    def __init__(self, device: int = 0, channel: str = "green", pitch: float | None = None):
+        device = _validate.integer("device", device)
+        channel = _validate.one_of("channel", channel, ("green", "red", "blue"))
+        if pitch is not None:
+            pitch = float(_validate.number("pitch", pitch, positive=True))
+        self._camera = _imported("picamera2", "picamera2").Picamera2(device)
+        mode = max(self._camera.sensor_modes, key=lambda mode: (mode["size"], mode["bit_depth"]))
+        controls = {"AeEnable": False, "AwbEnable": False, "AnalogueGain": 1.0}
+        wanted = {"size": mode["size"], "format": str(mode["unpacked"])}
+        self._camera.configure(self._camera.create_still_configuration(raw=wanted, controls=controls, queue=False))
+        given = self._camera.camera_configuration()
+        found = re.fullmatch(r"(?:S(?P<filters>[RGB]{4})|R)(?P<bits>\d+)", given["raw"]["format"])
+        if found is None:
+            self._camera.close()
+            raise OSError(f"the camera gives no unpacked raw frames, but {given['raw']['format']}")
+        stored, self.bits = int(found["bits"]), int(mode["bit_depth"])
+        # Frames of 16 bits from a sensor of fewer are shifted.
+        self._shift, self._wide = stored - self.bits, stored > 8
+        first = 0 if found["filters"] is None else found["filters"].index(channel[0].upper())
+        self._step, self._first = (1 if found["filters"] is None else 2), divmod(first, 2)
+        columns, rows = given["raw"]["size"]
+        self._size = (rows, columns)
+        self.shape = (rows // self._step, columns // self._step)
+        # The property is in nanometres and for pixels that are not binned.
+        whole, _ = self._camera.camera_properties["PixelArraySize"]
+        binned = max(round(whole / columns), 1)
+        stated = self._step * binned * 1e-9 * float(self._camera.camera_properties["UnitCellSize"][0])
+        self.pitch = stated if pitch is None else pitch
+        self.region: tuple[int, int, int, int] | None = None
+        shortest, longest, _ = self._camera.camera_controls["ExposureTime"]
+        self.exposure_limits = (1e-6 * shortest, 1e-6 * longest)
+        self._start()
+
+    @property
+    def exposure(self) -> float:
+        """Exposure time in seconds, as the frames report it."""
+        return self._exposure
+
+    @exposure.setter
+    def exposure(self, value: float) -> None:
+        value = float(_validate.number("exposure", value, positive=True))
+        self._camera.stop()
+        self._camera.set_controls({"ExposureTime": round(1e6 * value)})
+        self._start()
+
+    def _start(self) -> None:
+        self._camera.start()
+        self._exposure = 1e-6 * self._frame()[1]["ExposureTime"]
+
+    def _frame(self) -> tuple[np.ndarray, dict[str, Any]]:
+        request = self._camera.capture_request(flush=True)
+        try:
+            return np.array(request.make_array("raw")), request.get_metadata()
+        finally:
+            request.release()
+
+    def capture(self, count: int = 1) -> np.ndarray:
+        """Return captures, uint8 or uint16 ``[count, rows, columns]`` of the region."""
+        row, column, rows, columns = self.region or (0, 0, *self.shape)
+        frames = []
+        for _ in range(_validate.integer("count", count, minimum=1)):
+            frame = self._frame()[0]
+            # Lines are arrays of bytes that end with unused ones.
+            frame = (frame.view(np.uint16) if self._wide else frame)[: self._size[0], : self._size[1]]
+            frame = frame[self._first[0] :: self._step, self._first[1] :: self._step] >> self._shift
+            frames.append(frame[row : row + rows, column : column + columns])
+        return np.stack(frames)
+
+    def close(self) -> None:
+        """Stop the camera and release it."""
+        self._camera.stop()
+        self._camera.close()
+
+
+class HoloeyeModulator:
+    """Modulator of Holoeye, driven by version 4 of its SLM Display SDK.
+
+    Parameters
+    ----------
+    preselect : str
+        Which modulator, such as "index:0" or "name:pluto"; by default the SDK asks where several are connected.
+    settling_time : float
+        Seconds to wait after a pattern was shown.
+
+    Attributes
+    ----------
+    bits : int
+        8.
+    pitch : float
+        Distance between pixels in metres, as the SDK states it.
+
+    Notes
+    -----
+    Needs the SDK's Python packages ``HEDS`` and ``hedslib`` on the path of modules; both come with the SDK (its folders
+    ``examples`` and ``api/python``). Levels are shown as image data, which the SDK does not change. Not run on
+    hardware: tested with a stand-in for the calls ``HEDS.SDK.Init``, ``HEDS.SLM.Init``, ``showImageData`` and those of
+    the size of the SDK's documentation.
+
+    Examples
+    --------
+    >>> from odak.instruments import HoloeyeModulator
+    >>> modulator = HoloeyeModulator("index:0", settling_time=0.1)  # doctest: +SKIP
+    """
+
+    bits = 8
+
+    __repr__ = _show.one_line
+
+    def __init__(self, preselect: str = "", settling_time: float = 0.1):
+        if not isinstance(preselect, str):
+            raise TypeError(f"preselect must be a string, got {type(preselect).__name__}")
+        self.settling_time = float(_validate.number("settling_time", settling_time, least=0))
+        self._sdk = _imported("HEDS", "Holoeye's SLM Display SDK (with its folder of Python modules on the path)")
+        self._check(self._sdk.SDK.Init(4, 0))
+        self._device = self._sdk.SLM.Init(preselect, False)
+        self._check(self._device.errorCode())
+        self.shape = (int(self._device.height_px()), int(self._device.width_px()))
+        self.pitch = 1e-6 * float(self._device.pixelsize_um())
+
+    def _check(self, code: int) -> None:
+        if code:
+            raise OSError(f"the SDK of Holoeye reports: {self._sdk.SDK.ErrorString(code)}")
+
+    def show(self, levels: np.ndarray) -> None:
+        """Show levels 0 … 255, integers ``[rows, columns]``, and wait for the settling time."""
+        found = np.ascontiguousarray(checked_levels(levels, self.shape, self.bits))
+        self._check(self._device.showImageData(found))
+        time.sleep(self.settling_time)
+
+    def close(self) -> None:
+        """Close the window on the modulator."""
+        self._check(self._device.window().close())
+
+
+class MeadowlarkModulator:
+    """Modulator of Meadowlark, driven by the C functions of one of its Blink SDKs.
+
+    Parameters
+    ----------
+    library : str or os.PathLike
+        The SDK's library ``Blink_C_wrapper.dll``, for example in ``C:/Program Files/Meadowlark Optics/Blink
+        OverDrive Plus/SDK``.
+    pitch : float
+        Distance between pixels in metres.
+    lut : str or os.PathLike, optional
+        File of the voltages of the levels, which is loaded to the modulator; by default those that it holds are used.
+    sdk : {"overdrive-plus", "plus", "hdmi"}
+        Which SDK: "overdrive-plus" and "plus" of cards of 8 bits in the computer (1920 × 1152 and 1024 × 1024 pixels
+        as a rule), "hdmi" of modulators that are connected as a screen (1920 × 1200 pixels).
+    board : int
+        Number of the card, from 1; not for "hdmi".
+    settling_time : float
+        Seconds to wait after a pattern was written.
+    timeout : float
+        Seconds to wait for the card; not for "hdmi".
+
+    Attributes
+    ----------
+    bits : int
+        8.
+
+    Notes
+    -----
+    The functions have different arguments in the three SDKs, which a library does not tell: see the file
+    ``Blink_C_wrapper.h`` and the examples beside it. Older versions of "overdrive-plus" have fewer arguments of
+    ``Write_image`` than the eight that are used here. Not run on hardware: tested with stand-ins for the functions.
+
+    Examples
+    --------
+    >>> from odak.instruments import MeadowlarkModulator
+    >>> folder = "C:/Program Files/Meadowlark Optics/Blink Plus"
+    >>> modulator = MeadowlarkModulator(
+    ...     f"{folder}/SDK/Blink_C_wrapper.dll", pitch=17e-6, lut=f"{folder}/LUT Files/linear.lut", sdk="plus"
+    ... )  # doctest: +SKIP
+    """
+
+    bits = 8
+
+    __repr__ = _show.one_line
+
+    @_validate.takes_units("pitch")
+    def __init__(
+        self,
+        library: str | os.PathLike[str],
+        pitch: float,
+        lut: str | os.PathLike[str] | None = None,
+        sdk: str = "overdrive-plus",
+        board: int = 1,
+        settling_time: float = 0.02,
+        timeout: float = 5.0,
+    ):
+        self._path = _existing("library", library)
+        self.pitch = float(_validate.number("pitch", pitch, positive=True))
+        voltages = None if lut is None else os.fsencode(_existing("lut", lut))
+        self._sdk = _validate.one_of("sdk", sdk, ("overdrive-plus", "plus", "hdmi"))
+        self._board = _validate.integer("board", board, minimum=1)
+        self.settling_time = float(_validate.number("settling_time", settling_time, least=0))
+        self._timeout = ctypes.c_uint(round(1e3 * float(_validate.number("timeout", timeout, positive=True))))
+        self._library = ctypes.CDLL(self._path)
+        try:
+            rows, columns, depth = self._open()
+            if depth != 8:
+                raise ValueError(f"the modulator must take 8 bits for each pixel, got {depth}")
+            self.shape = (rows, columns)
+            if voltages is not None and self._sdk == "hdmi":
+                self._check("Load_lut", self._library.Load_lut(voltages))
+            elif voltages is not None:
+                self._check("Load_LUT_file", self._library.Load_LUT_file(self._board, voltages))
+        except Exception:
+            self.close()
+            raise
+
+    def _open(self) -> tuple[int, int, int]:
+        """Start the SDK and return rows, columns and bits."""
+        library = self._library
+        if self._sdk == "hdmi":
+            # Newer versions take a flag, 1 for Python; older ones have no argument and ignore it.
+            library.Create_SDK(ctypes.c_uint(1))
+            return library.Get_Height(), library.Get_Width(), 8
+        boards, fine = ctypes.c_uint(0), ctypes.c_int(0)
+        if self._sdk == "plus":
+            library.Create_SDK(ctypes.byref(boards), ctypes.byref(fine))
+        else:
+            # 12 bits of voltages, nematic, writing to the memory of the card, without overdrive and its tables.
+            options = (1, 1, 0, 10, None)
+            library.Create_SDK(ctypes.c_uint(12), ctypes.byref(boards), ctypes.byref(fine), *options)
+        if not fine.value or boards.value < self._board:
+            message = library.Get_last_error_message
+            message.restype = ctypes.c_char_p
+            text = (message() or b"").decode(errors="replace")
+            raise OSError(f"the Blink SDK found {boards.value} cards, number {self._board} is asked for: {text}")
+        board = self._board
+        return library.Get_image_height(board), library.Get_image_width(board), library.Get_image_depth(board)
+
+    def _check(self, name: str, result: int) -> None:
+        # −1 is the failure of "overdrive-plus", anything but 1 that of the others.
+        if result == -1 or (self._sdk != "overdrive-plus" and result != 1):
+            raise OSError(f"{name} of {self._path!r} failed and returned {result}")
+
+    def show(self, levels: np.ndarray) -> None:
+        """Show levels 0 … 255, integers ``[rows, columns]``, and wait for the settling time."""
+        found = np.ascontiguousarray(checked_levels(levels, self.shape, self.bits))
+        image = found.ctypes.data_as(ctypes.POINTER(ctypes.c_ubyte))
+        write = self._library.Write_image
+        if self._sdk == "hdmi":
+            self._check("Write_image", write(image, ctypes.c_uint(1)))
+        else:
+            # Neither triggers nor pulses.
+            middle = () if self._sdk == "plus" else (ctypes.c_uint(found.size), 0, 0, 0, 0)
+            self._check("Write_image", write(self._board, image, *middle, self._timeout))
+            self._check("ImageWriteComplete", self._library.ImageWriteComplete(self._board, self._timeout))
+        time.sleep(self.settling_time)
+
+    def close(self) -> None:
+        """End the SDK, which releases the modulator."""
+        self._library.Delete_SDK()
+
+
+def _existing(name: str, path: str | os.PathLike[str]) -> str:
+    found = validate_path(path, name=name)
+    if not os.path.isfile(found):
+        raise ValueError(f"{name} must be a file that exists, got {found!r}")
+    return found
