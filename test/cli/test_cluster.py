@@ -88,6 +88,7 @@ def test_over_tls(folder, tmp_path):
     assert main(["certificates", str(tmp_path / "tls")]) == 2
 
 
+@pytest.mark.slow
 def test_what_is_done_is_skipped_and_nothing_else(folder, tmp_path):
     def again(*options):
         run(folder, "--output", tmp_path / "out", *SMALL, "--quiet", *options)
@@ -113,6 +114,7 @@ def test_what_is_done_is_skipped_and_nothing_else(folder, tmp_path):
     assert again(*seeded, "--again") == everything
 
 
+@pytest.mark.slow
 def test_a_picture_that_fails_is_named_and_the_rest_is_done(folder, tmp_path, capsys):
     (folder / "frame3.png").write_bytes(b"no picture at all")
     code = main(["hologram", str(folder), "--output", str(tmp_path / "out"), *SMALL])
@@ -128,6 +130,7 @@ def test_a_picture_that_fails_is_named_and_the_rest_is_done(folder, tmp_path, ca
     assert summary_of(tmp_path / "out")["computed"] == ["frame3"]
 
 
+@pytest.mark.slow
 def test_depth_maps_are_found_by_name(folder, tmp_path):
     depths = tmp_path / "depths"
     depths.mkdir()

@@ -284,6 +284,7 @@ def test_the_same_seed_gives_the_same_pattern(grey_file, tmp_path):
     assert patterns[0] == patterns[1] != patterns[2]
 
 
+@pytest.mark.slow
 def test_colour_becomes_three_holograms(colour_file, tmp_path):
     run(colour_file, "--output", tmp_path, *SMALL, *POINTS, "--quiet")
     report = read_report(tmp_path)
@@ -412,6 +413,7 @@ def test_comparison_has_four_panels_with_scales(grey_file, tmp_path):
     assert np.abs(bar[0] - bar[-1]).max() < 8 and np.ptp(bar[:, 2]) > 100
 
 
+@pytest.mark.slow
 @given(st.lists(st.text("abc MW_.", min_size=1, max_size=90), min_size=4, max_size=4), st.integers(4, 700))
 @settings(max_examples=30)
 def test_captions_stay_within_their_panels(captions, width):

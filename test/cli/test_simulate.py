@@ -161,6 +161,7 @@ def test_a_point_source_and_a_lens_collimate(tmp_path):
     assert np.abs(phase - left).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_a_pattern_of_the_command_line_shows_its_picture(tmp_path):
     options = [
         "--resolution",

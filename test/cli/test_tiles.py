@@ -163,6 +163,7 @@ def test_a_run_is_continued_for_the_same_picture_only(grey_file, tmp_path):
     assert read_report(tmp_path / "b")["parameters"]["distance"] == 4e-3
 
 
+@pytest.mark.slow
 def test_damage_between_two_runs_is_named_and_mended(grey_file, tmp_path):
     options = [*GEOMETRY, "--quiet", "--iterations"]
     for folder in ("a", "b"):

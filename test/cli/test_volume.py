@@ -92,6 +92,7 @@ def test_report_states_what_the_saved_patterns_show(method, options, files, tmp_
     assert pixels(tmp_path / "focal_stack.png").shape[1] > 2 * COLUMNS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["multiplane", "multi-color"])
 def test_areas_are_optimised_and_stated_on_all_planes(method, files, tmp_path):
     picture, depth = files
@@ -140,6 +141,7 @@ def test_colours_share_frames_on_one_plane(frames, files, tmp_path):
     assert np.array_equal(first, pixels(tmp_path / "b" / "hologram_frame1.png"))
 
 
+@pytest.mark.slow
 def test_saturated_colours_keep_their_sources_low(files, tmp_path):
     """A red picture needs no blue light: the sources are not driven at full power."""
     with Image.open(files[0]) as picture:

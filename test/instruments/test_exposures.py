@@ -62,6 +62,7 @@ def test_pixels_that_are_always_saturated_are_reported():
         instruments.capture_hdr(table.camera, [1.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [4, pytest.param(5, marks=pytest.mark.slow)])
 def test_the_time_constant_is_found(seed):
     table = instruments.SimulatedTable(fresh_seed(seed), **SMALL, time_constant=8e-3)
@@ -290,6 +291,7 @@ def test_a_dark_table_and_limits_of_the_exposure_are_named():
         assert instruments.set_exposure(camera) == 0.05
 
 
+@pytest.mark.slow
 def test_a_response_that_ends_early_is_named():
     table = laboratory(phases=1.5 * np.pi * np.arange(256) / 255)
     with pytest.warns(AccuracyWarning, match=r"leave out 0\.5π of 2π"):

@@ -54,6 +54,7 @@ def test_feedback_through_a_hidden_aberration():
     assert found.levels.shape == (144, 144) and found.intensities.mean() == pytest.approx(1)
 
 
+@pytest.mark.slow
 def test_given_intensities_and_bad_arguments():
     table = instruments.SimulatedTable(
         2, shape=(80, 80), camera_shape=(160, 160), distance=10e-3, misalignment=False, nonlinearity=False

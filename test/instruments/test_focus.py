@@ -9,6 +9,7 @@ from odak import AccuracyWarning, instruments
 from odak.instruments import focus, spots
 
 
+@pytest.mark.slow
 def test_sharpest_focus_has_the_astigmatism_of_the_table():
     """Its error is below λ/400, with a wrong registration and where the estimate is wrong by λ/10."""
     table = instruments.SimulatedTable(fresh_seed(22), shape=(96, 96), distance=12e-3, camera_shape=(140, 140))
@@ -25,6 +26,7 @@ def test_sharpest_focus_has_the_astigmatism_of_the_table():
     assert rms(spots.without(wrong - truth.wavefront, low)) < 2 * np.pi / 400
 
 
+@pytest.mark.slow
 def test_focus_outside_of_the_range_warns():
     table = instruments.SimulatedTable(
         4, shape=(96, 96), camera_shape=(120, 120), distance=12e-3, aberration=0.0, distance_error=0.0

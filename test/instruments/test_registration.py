@@ -51,6 +51,7 @@ def test_first_registration_of_an_independent_table_with_orders_in_view():
     assert found.residual < 0.2
 
 
+@pytest.mark.slow
 def test_a_camera_that_sees_few_spots_is_reported():
     table = instruments.SimulatedTable(2, aberration=0.0, camera_shape=(90, 90), misalignment=False)
     # As if the three single spots had been far apart.

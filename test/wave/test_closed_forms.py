@@ -206,6 +206,7 @@ def test_rayleigh_sommerfeld_is_the_direct_sum(distance, shape, random):
     assert relative_error(odak.wave.rayleigh_sommerfeld_sum(field, None, distance, DX, WAVELENGTH), expected) < 1e-10
 
 
+@pytest.mark.slow
 def test_stretched_methods_agree_with_the_direct_sum_in_the_far_range():
     shape, distance = (48, 56), 0.05
     field = gaussian_beam(shape, DX, 6e-5, 0.0, WAVELENGTH) * np.exp(1j * np.pi * 5e3 * coordinates(shape, DX)[1])

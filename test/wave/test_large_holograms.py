@@ -117,6 +117,7 @@ def test_gerchberg_saxton_takes_the_steps_of_the_one_in_memory(tmp_path):
     np.testing.assert_allclose(np.exp(1j * phase.compute()), expected, atol=2e-5)
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_ends_as_an_unbroken_one(tmp_path, monkeypatch):
     pytest.importorskip("zarr")
     from odak.wave import large_holograms
@@ -141,6 +142,7 @@ def test_an_interrupted_run_ends_as_an_unbroken_one(tmp_path, monkeypatch):
         hologram_in_chunks(picture(), tmp_path / "b", 4, **{**PROBLEM, "distance": 3e-3})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "damage",
     ["flipped", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("missing", "truncated", "array", "numbers"))],

@@ -176,6 +176,7 @@ def test_gradients_and_faces(method):
     np.testing.assert_allclose(single.numpy(), arrays, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_gradients_of_the_born_series():
     generator = torch.Generator().manual_seed(0)
     incident = torch.exp(1.5j * torch.arange(4, dtype=torch.float64))[:, None].repeat(1, 5).requires_grad_()

@@ -54,6 +54,7 @@ def test_phase_stays_inside_the_modulators_range(target):
     assert phase.max() <= np.pi + 1e-9
 
 
+@pytest.mark.slow
 def test_acceleration_saves_half_of_the_iterations():
     axis = np.arange(64) - 32
     smooth = 0.5 + 0.3 * np.sin(9 * axis[:, None] / 64) * np.cos(7 * axis / 64)

@@ -260,6 +260,7 @@ def test_metamers_keep_edges_that_short_displacements_make_ragged():
         assert 0 < missing(joint, False) < 0.75 * earlier
 
 
+@pytest.mark.slow
 def test_a_texture_has_the_moments_of_details_that_it_was_not_made_from():
     centres = 96 * noise(60, 2, seed=5)
     line = torch.arange(96.0)

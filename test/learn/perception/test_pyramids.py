@@ -317,6 +317,7 @@ def test_refused_pictures():
         maker.construct_pyramid(noise(1, 1, 32, 32), 1)
 
 
+@pytest.mark.slow
 def test_kept_banks_are_what_the_design_gives(tmp_path):
     """The file of taps is data made by this code: made anew, a bank is the same, and none can be much improved."""
     banks = [(1, (13, 5, 5, 5), False), (2, (13, 5, 5, 5), True)]

@@ -63,6 +63,7 @@ def test_faults_are_those_of_the_display(phase):
     close(camera(full_well=None, exposure=0.01, slm=inside)(phase), expected)
 
 
+@pytest.mark.slow
 def test_a_sensor_pixel_collects_the_samples_of_a_pixel(phase):
     slm = spatial_light_modulator(fill_factor=0.8, samples_per_pixel=3)
     tilt = zernike_phase(24, 32, {(1, 1): 0.3})

@@ -313,6 +313,7 @@ def test_levels_are_nearest_where_the_response_varies():
     assert torch.autograd.grad(shown.sum(), phase)[0].eq(1).all()
 
 
+@pytest.mark.slow
 def test_a_small_fit_finds_alignment_and_distance():
     # Points instead of square pixels: fewer frequencies.
     ideal = {"nonlinearity": False, "aberration": 0.0, "samples_per_pixel": 1}

@@ -457,6 +457,7 @@ def test_every_field_of_wide_lenses_is_aimed(name):
     torch.testing.assert_close(found.y, (radius * points[:, 1]).expand_as(found.y), atol=1e-8, rtol=0)
 
 
+@pytest.mark.slow
 def test_rays_that_cannot_be_aimed_say_so():
     """No ray at 60 degrees gets through two holes in line."""
     lens = optical_system([surface(1.0, thickness=30.0, material=1.5), surface(thickness=5.0, stop=True)], 1.9)

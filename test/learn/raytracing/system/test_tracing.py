@@ -65,6 +65,7 @@ def test_fused_kernel_agrees_with_plain_operations(batch, many, monkeypatch):
         torch.testing.assert_close(a, b, rtol=1e-11, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_gradients_of_rays_and_all_numbers(batch):
     numbers, rays = batch
     inputs = [value[:1].clone().requires_grad_() for value in (*rays, *numbers[:5])]

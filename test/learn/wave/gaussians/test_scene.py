@@ -211,6 +211,7 @@ def test_distances_have_a_gradient():
     assert bool(gradient.isfinite().all()) and bool(gradient.any())
 
 
+@pytest.mark.slow
 def test_the_hologram_of_a_gaussian_is_a_gaussian_beam():
     # A deviation of s pixels on the plane is the waist of a beam of radius √2·s pixels, seen from a distance.
     size, pitch, distance = 128, 4e-6, 4e-3
