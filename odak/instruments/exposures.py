@@ -274,18 +274,41 @@ def capture_hdr(
             fine.append(taken.max(0) < SATURATED * top)
     finally:
         camera.exposure = before
-    seen, usable = np.stack(frames), np.stack(fine)
-    lengths = np.asarray(times, float)[:, None, None]
-    # Weights from the light itself rather than from each capture, whose chance would bias them: in two rounds.
-    rate = _weighted(seen / lengths, usable * lengths)
-    variance = (noise[0] * np.clip(rate, 0, None) * lengths + noise[1]) / lengths**2
-    rate = _weighted(seen / lengths, usable / np.where(np.isfinite(variance), variance, 1.0))
+    rate = combined(np.stack(frames), np.stack(fine), np.asarray(times, float), noise)
     if np.isinf(rate).any():
         warn(
             f"{np.isinf(rate).sum()} pixels are saturated at all exposures: add one below {min(times):.3g} s",
             AccuracyWarning,
         )
     return rate
+
+
+def combined(
+    seen: np.ndarray, usable: np.ndarray, exposures: np.ndarray, noise: tuple[float, float] = (0.2, 1.0)
+) -> np.ndarray:
+    """Return counts per second from those of several exposures without their offset.
+
+    Parameters
+    ----------
+    seen : numpy.ndarray
+        Counts ``[exposure, ...]``.
+    usable : numpy.ndarray
+        Whether they are not saturated.
+    exposures : numpy.ndarray
+        Exposure times in seconds.
+    noise : tuple of float
+        Slope (counts per electron) and offset (counts²) of their variance.
+
+    Returns
+    -------
+    numpy.ndarray
+        Counts per second ``[...]``; infinite where all are saturated.
+    """
+    lengths = exposures.reshape(-1, *(seen.ndim - 1) * (1,))
+    # Weights from the light itself rather than from each capture, whose chance would bias them: in two rounds.
+    rate = _weighted(seen / lengths, usable * lengths)
+    variance = (noise[0] * np.clip(rate, 0, None) * lengths + noise[1]) / lengths**2
+    return _weighted(seen / lengths, usable / np.where(np.isfinite(variance), variance, 1.0))
 
 
 def _weighted(values: np.ndarray, weights: np.ndarray) -> np.ndarray:

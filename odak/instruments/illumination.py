@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.instruments.exposures import set_exposure
+from odak.instruments.exposures import combined, set_exposure
 from odak.instruments.mapping import Lens, Registration, ray_matrix
 from odak.instruments.phase_response import nearest_levels
 from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
@@ -23,6 +23,9 @@ ASIDE = 0.3
 DUSTY = 1.5e-4
 # Share of the light that specks of dust absorb, and uncertainty of the illumination that is reported.
 DEPTH, EVEN = 0.7, 0.013
+# Bits of cameras below which each pattern is captured at a second exposure, longer by a factor, because most speckles
+# are much darker than the brightest; and electrons of a full pixel, from which the weights follow.
+FEW_BITS, LONGER, WELL = 10, 8, 20_000.0
 QUARTERS = np.arange(4) * (np.pi / 2)
 
 
@@ -47,7 +50,7 @@ def measure_illumination(
     its neighbours are those of a sum of waves whose amplitudes are the exponential of a polynomial of the position. How
     much light a pixel sends to the point depends on the angle, too, because of the area of the pixels, the gaps between
     them and fringing fields; four points are used, so that the dependence on the angle is separated from that on the
-    position. The coefficients of both are fitted.
+    position. The coefficients of both are fitted. Cameras of fewer than 10 bits capture each pattern at two exposures.
 
     Parameters
     ----------
@@ -261,14 +264,20 @@ def _speckles(
     # times as bright as their mean.
     cells = steps.shape[1]
     camera.exposure *= cells / 8
+    top, exposures = (1 << camera.bits) - 1, np.array([1.0, LONGER] if camera.bits < FEW_BITS else [1.0])
     frames = []
-    for step in steps:
-        show(step)
-        frames.append(averaged(camera, captures))
-    seen = np.stack(frames).reshape(len(steps), -1)
-    fine = seen.max(-1) < 0.95 * ((1 << camera.bits) - 1)
+    for factor in exposures:
+        camera.exposure *= factor
+        for step in steps:
+            show(step)
+            frames.append(averaged(camera, captures))
+        camera.exposure /= factor
+    seen = np.stack(frames).reshape(len(exposures), len(steps), -1)
+    fine = seen[0].max(-1) < 0.95 * top
     # The minimum over many speckles is zero intensity.
-    seen = (seen[fine] - np.quantile(seen, 0.005)) / camera.exposure
+    offsets = np.quantile(seen, 0.005, axis=(1, 2), keepdims=True)
+    noise = (top / (WELL * captures), 1 / (12 * captures))
+    seen = combined(seen - offsets, seen < 0.95 * top, exposures, noise)[fine] / camera.exposure
     camera.exposure /= cells / 8
     row, column, high, wide = camera.region or (0, 0, *camera.shape)
     camera.region = None

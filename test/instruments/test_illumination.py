@@ -2,7 +2,9 @@
 
 import warnings
 
+import numpy as np
 import pytest
+from laboratory import random_table
 from tables import fresh_seed, instruments_of, rms
 
 from odak import AccuracyWarning, instruments
@@ -36,3 +38,23 @@ def test_dust_is_reported(seed):
     with pytest.warns(AccuracyWarning, match="darker than the polynomial by up to"):
         error = illumination_found(fresh_seed(seed), dust=3)
     assert 0.02 < error < 0.05
+
+
+@pytest.mark.filterwarnings("ignore:the illumination is uncertain:odak.AccuracyWarning")
+def test_illumination_by_cameras_of_8_bits(monkeypatch):
+    """Two exposures of each pattern take the place of bits."""
+
+    def error():
+        table, _ = random_table(9)
+        table.camera.bits = 8
+        mapping = np.diag([*(table.camera.pitch * np.array(table.signs)), 1.0])
+        mapping[:2, 2] = table.offset
+        known = instruments.Registration(mapping, 0.0, table.camera.shape)
+        there = (*instruments_of(table), table.wavelength, table.distance, table.phases, known)
+        found = instruments.measure_illumination(*there, wavefront=table.wavefront)
+        true = np.abs(table.illumination)
+        return rms(found - true / true.max())
+
+    assert error() < 0.015
+    monkeypatch.setattr("odak.instruments.illumination.FEW_BITS", 0)
+    assert error() > 0.02
