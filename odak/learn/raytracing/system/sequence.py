@@ -435,109 +435,165 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable | None 
     :func:`odak.raytracing.interfaces.refracted` or its siblings. Failed rays continue along the axis, so that no NaN
     enters a gradient.
     """
-    rays, rest = tensors[:6], tensors[6:]
-    dtype = rays[0].dtype
-    curvature, conic, distance, coefficients, index, *rest = (value.to(dtype) for value in rest)
-    wavelength, shift, tilt = None, None, None
-    if layout.placed or any(layout.phases):
-        wavelength, shift, tilt, *rest = rest
-    others = iter(rest)
-    total: Any = sum(rays)
-    status = torch.where(torch.isfinite(total), HIT, int(RayStatus.MISS))
-    # Rays that could not be aimed have infinite direction cosines.
-    status = torch.where(torch.isinf(rays[5]), int(RayStatus.NOT_AIMED), status).to(torch.int8)
-    x, y, z, u, v, w = (torch.where(status == HIT, value, float(i == 5)) for i, value in enumerate(rays))
-    point, direction, path = (x, y, z), (u, v, w), torch.zeros_like(x + distance[..., 0])
-    status = status.expand(path.shape)
-    frames = Frames() if any(isinstance(order, int) for order in layout.orders) else None
-    medium: Graded | None = None
-    for i, kind in enumerate(layout.kinds):
-        shape = _shape(kind, curvature[..., i], conic[..., i], coefficients[..., i, :], others)
-        phase, gradient = (_rebuilt(given[i], others) if given else None for given in (layout.phases, layout.media))
-        action, sign = layout.actions[i], layout.signs[i]
-        if medium is None:
-            point = (point[0], point[1], point[2] - distance[..., i])
-        else:
-            medium = medium.further(distance[..., i])
-        if frames is not None:
-            frames.move(distance[..., i])
-        place: Frame | None = None
-        if layout.placed:
-            place = placement(shift[..., i, :], tilt[..., i, :], layout.orders[i])  # type: ignore[index]
-            if action == "break":
-                if frames is not None:
-                    place = frames.change(place, layout.orders[i])
-                if record is not None:
-                    record(Passage(i, action, change=place))
-                if medium is None:
-                    point, direction = place.enter(point, direction)
-                else:
-                    medium = medium._replace(frame=medium.frame.then(place))
-                continue
-            if medium is None:
-                point, direction = place.enter(point, direction)
-        if frames is not None:
-            frames.append()
-        n1 = index[..., i]
-        if medium is not None:
-            here = medium.frame if place is None else medium.frame.then(place)
-            curved = arrive(medium.gradient, medium.base, here, point, direction, shape, sign, record is not None)
-            point, direction, n1, length, arrived, carried = curved
-            status = _with_event(status, arrived, RayStatus.NOT_CONVERGED)
-            path = path + torch.where(status == HIT, length, 0.0)
-            if record is not None and carried is not None:
-                record(Passage(i, "bend", change=(medium.frame, carried[0]), length=carried[1]))
-        # A ray must arrive from the side that its surface is passed from.
-        moves = direction[2] * sign > 64 * torch.finfo(dtype).eps
-        status = _with_event(status, moves, RayStatus.MISS)
-        point, direction = _on_axis(status, sign, point, direction)
-        found, state = intersection(point, direction, shape, None, "through")
-        status = _with_event(status, found.hit, state)
-        kept = status == HIT
-        path = path + n1 * torch.where(kept, found.distance, 0.0)
-        point, direction = _on_axis(status, sign, found.point, direction)
-        limit = layout.limits[i]
-        if limit is not None:
-            x, y = point[:2]
-            inside = x * x + y * y <= limit * limit if isinstance(limit, float) else limit.passes(x, y)
-            status = _with_event(status, inside, RayStatus.VIGNETTED)
-        incoming, normal, n2 = direction, None, index[..., i + 1]
-        if action != "pass" or phase is not None:
-            normal = _on_axis(status, 1, point, found.normal)[1]
-            n2 = n1 if action == "reflect" else index[..., i + 1]
-            if gradient is not None:
-                vertex = point if place is None else place.leave(point, direction)[0]
-                squared = gradient.squared(*vertex, n2)[0]
-                n2 = torch.where(squared > 0, squared, 1.0).sqrt()
-            if phase is not None:
-                covered = phase.covers(point[0], point[1])
-                status = status if covered is True else _with_event(status, covered, RayStatus.VIGNETTED)
-                wave = wavelength  # type: ignore[assignment]
-                direction, through, extra = phase.deflect(point, direction, normal, n1, n2, wave, action == "reflect")
-                path = path + torch.where(status == HIT, extra, 0.0)
-            elif action == "reflect":
-                direction, through = interfaces.reflected(direction, normal), torch.ones_like(kept)
-            else:
-                direction, through, _ = interfaces.refracted(direction, normal, n1, n2)
-            status = _with_event(status, through, RayStatus.TOTAL_INTERNAL_REFLECTION)
-            point, direction = _on_axis(status, -sign if action == "reflect" else sign, point, direction)
-        if record is not None:
-            normal = _on_axis(status, 1, point, found.normal)[1] if normal is None else normal
-            ways = [incoming, direction, normal]
-            if place is not None:
-                ways = [place.leave(point, way)[1] for way in ways]
-            length = torch.where(status == HIT, found.distance, 0.0)
-            record(Passage(i, action, ways[0], ways[1], ways[2], n1, n2, length, None, point, status))
-        if place is not None:
-            point, direction = place.leave(point, direction)
-        if gradient is not None:
-            medium = Graded(gradient, index[..., i + 1], IDENTITY)
-        elif medium is not None and action == "reflect":
-            point, direction = medium.frame.leave(point, direction)
-        else:
-            medium = None
-    held: Any = (*point, *direction, path, status)
+    walk = _Walk(layout, tensors[:6], tensors[6:], record)
+    for i in range(len(layout.kinds)):
+        walk.pass_element(i)
+    held: Any = (*walk.point, *walk.direction, walk.path, walk.status)
     return State(*held)
+
+
+class _Walk:
+    """Rays on their way through a sequence: where they are, what befell them, and the graded medium they are in.
+
+    One method for each kind of event. Failed rays lie on the axis: :meth:`_fail` keeps the first event of each.
+    """
+
+    def __init__(self, layout: Layout, rays, numbers, record):
+        self.layout, self.record, self.dtype = layout, record, rays[0].dtype
+        self.curvature, self.conic, self.distance, self.coefficients, self.index, *rest = (
+            value.to(self.dtype) for value in numbers
+        )
+        self.wavelength = self.shift = self.tilt = None
+        if layout.placed or any(layout.phases):
+            self.wavelength, self.shift, self.tilt, *rest = rest
+        self.others = iter(rest)
+        total: Any = sum(rays)
+        status = torch.where(torch.isfinite(total), HIT, int(RayStatus.MISS))
+        # Rays that could not be aimed have infinite direction cosines.
+        status = torch.where(torch.isinf(rays[5]), int(RayStatus.NOT_AIMED), status).to(torch.int8)
+        x, y, z, u, v, w = (torch.where(status == HIT, value, float(i == 5)) for i, value in enumerate(rays))
+        self.point, self.direction = (x, y, z), (u, v, w)
+        self.path = torch.zeros_like(x + self.distance[..., 0])
+        self.status = status.expand(self.path.shape)
+        self.frames = Frames() if any(isinstance(order, int) for order in layout.orders) else None
+        self.medium: Graded | None = None
+
+    def pass_element(self, i: int) -> None:
+        """Take the rays to a surface and past it, or into the frame of a coordinate break."""
+        layout, place = self.layout, None
+        shape = _shape(
+            layout.kinds[i], self.curvature[..., i], self.conic[..., i], self.coefficients[..., i, :], self.others
+        )
+        phase, gradient = (
+            _rebuilt(given[i], self.others) if given else None for given in (layout.phases, layout.media)
+        )
+        self._advance(self.distance[..., i])
+        if layout.placed:
+            place = placement(self.shift[..., i, :], self.tilt[..., i, :], layout.orders[i])  # type: ignore[index]
+        if layout.actions[i] == "break":
+            self._change_frame(i, place)
+            return
+        if place is not None and self.medium is None:
+            self.point, self.direction = place.enter(self.point, self.direction)
+        if self.frames is not None:
+            self.frames.append()
+        before = self.index[..., i] if self.medium is None else self._bend(i, self.medium, shape, place)
+        found = self._meet(i, shape, before)
+        self._limit(layout.limits[i])
+        incoming, behind, normal = self.direction, self.index[..., i + 1], None
+        if layout.actions[i] != "pass" or phase is not None:
+            normal = _on_axis(self.status, 1, self.point, found.normal)[1]
+            behind = self._turn(i, normal, before, behind, phase, gradient, place)
+        if self.record is not None:
+            normal = _on_axis(self.status, 1, self.point, found.normal)[1] if normal is None else normal
+            self._report(i, (incoming, self.direction, normal), before, behind, found.distance, place)
+        if place is not None:
+            self.point, self.direction = place.leave(self.point, self.direction)
+        self._enter_medium(i, gradient)
+
+    def _fail(self, good, event) -> None:
+        self.status = _with_event(self.status, good, event)
+
+    def _advance(self, distance) -> None:
+        """Move the origin along the axis to the next vertex."""
+        if self.medium is None:
+            x, y, z = self.point
+            self.point = (x, y, z - distance)
+        else:
+            self.medium = self.medium.further(distance)
+        if self.frames is not None:
+            self.frames.move(distance)
+
+    def _change_frame(self, i: int, place) -> None:
+        """Enter the frame of a coordinate break."""
+        if self.frames is not None:
+            place = self.frames.change(place, self.layout.orders[i])
+        if self.record is not None:
+            self.record(Passage(i, "break", change=place))
+        if self.medium is None:
+            self.point, self.direction = place.enter(self.point, self.direction)
+        else:
+            self.medium = self.medium._replace(frame=self.medium.frame.then(place))
+
+    def _bend(self, i: int, medium: "Graded", shape: Shape, place):
+        """Follow the rays through a graded medium to a surface; return the index there."""
+        here = medium.frame if place is None else medium.frame.then(place)
+        sign, track = self.layout.signs[i], self.record is not None
+        curved = arrive(medium.gradient, medium.base, here, self.point, self.direction, shape, sign, track)
+        self.point, self.direction, index, length, arrived, carried = curved
+        self._fail(arrived, RayStatus.NOT_CONVERGED)
+        self.path = self.path + torch.where(self.status == HIT, length, 0.0)
+        if self.record is not None and carried is not None:
+            self.record(Passage(i, "bend", change=(medium.frame, carried[0]), length=carried[1]))
+        return index
+
+    def _meet(self, i: int, shape: Shape, index):
+        """Intersect the rays with a surface, and return what :func:`intersection` found."""
+        sign = self.layout.signs[i]
+        # A ray must arrive from the side that its surface is passed from.
+        self._fail(self.direction[2] * sign > 64 * torch.finfo(self.dtype).eps, RayStatus.MISS)
+        point, self.direction = _on_axis(self.status, sign, self.point, self.direction)
+        found, state = intersection(point, self.direction, shape, None, "through")
+        self._fail(found.hit, state)
+        self.path = self.path + index * torch.where(self.status == HIT, found.distance, 0.0)
+        self.point, self.direction = _on_axis(self.status, sign, found.point, self.direction)
+        return found
+
+    def _limit(self, limit) -> None:
+        """Stop the rays outside an aperture."""
+        if limit is not None:
+            x, y = self.point[:2]
+            inside = x * x + y * y <= limit * limit if isinstance(limit, float) else limit.passes(x, y)
+            self._fail(inside, RayStatus.VIGNETTED)
+
+    def _turn(self, i: int, normal, before, behind, phase, gradient, place):
+        """Refract, reflect or diffract the rays; return the index on the side to which they go."""
+        mirror, direction = self.layout.actions[i] == "reflect", self.direction
+        behind = before if mirror else behind
+        if gradient is not None:
+            vertex = self.point if place is None else place.leave(self.point, direction)[0]
+            squared = gradient.squared(*vertex, behind)[0]
+            behind = torch.where(squared > 0, squared, 1.0).sqrt()
+        if phase is not None:
+            covered = phase.covers(*self.point[:2])
+            if covered is not True:
+                self._fail(covered, RayStatus.VIGNETTED)
+            wave: Any = self.wavelength
+            direction, through, extra = phase.deflect(self.point, direction, normal, before, behind, wave, mirror)
+            self.path = self.path + torch.where(self.status == HIT, extra, 0.0)
+        elif mirror:
+            direction, through = interfaces.reflected(direction, normal), torch.ones_like(self.status == HIT)
+        else:
+            direction, through, _ = interfaces.refracted(direction, normal, before, behind)
+        self._fail(through, RayStatus.TOTAL_INTERNAL_REFLECTION)
+        sign = self.layout.signs[i]
+        self.point, self.direction = _on_axis(self.status, -sign if mirror else sign, self.point, direction)
+        return behind
+
+    def _report(self, i: int, ways, before, behind, distance, place) -> None:
+        """Record the passage of a surface, directions in the frame of the axis."""
+        one, two, normal = ways if place is None else (place.leave(self.point, way)[1] for way in ways)
+        length, action = torch.where(self.status == HIT, distance, 0.0), self.layout.actions[i]
+        self.record(Passage(i, action, one, two, normal, before, behind, length, None, self.point, self.status))
+
+    def _enter_medium(self, i: int, gradient) -> None:
+        """Enter the medium behind a surface, a graded one or not."""
+        if gradient is not None:
+            self.medium = Graded(gradient, self.index[..., i + 1], IDENTITY)
+        elif self.medium is not None and self.layout.actions[i] == "reflect":
+            self.point, self.direction = self.medium.frame.leave(self.point, self.direction)
+        else:
+            self.medium = None
 
 
 def _shape(kind, curvature, conic, coefficients, others) -> Shape:
