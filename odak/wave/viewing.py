@@ -99,13 +99,13 @@ def eye_image(
     transfer, lens = eye_transfer(
         field, dx, wavelength, distance, pupil_position, pupil_diameter, focus, rotation, aberrations
     )
-    return seen_through(field, transfer, lens)
+    return retinal_field(field, transfer, lens)
 
 
 def eye_transfer(
     like: Array, dx, wavelength, distance, pupil_position, pupil_diameter, focus, rotation=(0.0, 0.0), aberrations=None
 ) -> tuple[Array, Array]:
-    """Return what :func:`seen_through` needs, which is the same for all fields of a shape.
+    """Return the transfer function and the lens for :func:`retinal_field`, the same for all fields of a shape.
 
     Parameters
     ----------
@@ -177,8 +177,8 @@ def eye_transfer(
     return xp.fft.fftn(_short(xp, response, shape), axes=_AXES), lens[0][:, None] * lens[1]
 
 
-def seen_through(field: Array, transfer: Array, lens: Array) -> Array:
-    """Return the field on the retina, ``[..., rows, columns]``, of what :func:`eye_transfer` returned.
+def retinal_field(field: Array, transfer: Array, lens: Array) -> Array:
+    """Return the field on the retina, ``[..., rows, columns]``, computed by the result of :func:`eye_transfer`.
 
     Parameters
     ----------

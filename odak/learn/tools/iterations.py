@@ -220,7 +220,7 @@ class Loop:
         self.best_loss = torch.full((), math.inf, dtype=torch.float64, device=self.device)
         if run.checkpoint is not None and os.path.exists(run.checkpoint):
             state = read_checkpoint(run.checkpoint, about, kind)
-            with taking_up(run.checkpoint):
+            with naming_checkpoint(run.checkpoint):
                 self._take_up(state)
         self._remember_randomness()
 
@@ -356,7 +356,7 @@ def read_checkpoint(path: str | os.PathLike, about: dict[str, Any], kind: str) -
 
 
 @contextmanager
-def taking_up(path: str | os.PathLike) -> Iterator[None]:
+def naming_checkpoint(path: str | os.PathLike) -> Iterator[None]:
     """Convert errors while a state is restored to a ValueError that names its file.
 
     Parameters

@@ -14,7 +14,7 @@ from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.holograms import best_scale
 from odak.learn.wave.training import checked_intensities, fingerprint, generator_from, seeded_loss, started
 from odak.wave.transfer_functions import checked_pitch
-from odak.wave.viewing import eye_transfer, seen_through
+from odak.wave.viewing import eye_transfer, retinal_field
 
 
 @takes_constants("wavelength", "distance", "pitch", "pupil_diameter", "focus", "learning_rate")
@@ -186,7 +186,7 @@ def eyebox_hologram(
 
     def images(chosen):
         lens = lenses[0] if shared else lenses[chosen]
-        return intensity(seen_through(modulate(phase), transfers[chosen], lens)).mean(0)
+        return intensity(retinal_field(modulate(phase), transfers[chosen], lens)).mean(0)
 
     def loss(iteration):
         chosen = slice(None)
