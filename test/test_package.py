@@ -187,7 +187,7 @@ def run(code):
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
 
 
-def test_import_pulls_in_neither_torch_nor_plotly_nor_writes_a_file(tmp_path):
+def test_import_pulls_in_no_torch_no_plotly_and_writes_nothing(tmp_path):
     heavy = "{'torch', 'plotly', 'numpy', 'scipy'}"
     code = f"import os, sys; os.chdir({str(tmp_path)!r}); import odak; print(sorted({heavy} & set(sys.modules)))"
     assert run(code).strip() == "[]"
@@ -198,7 +198,7 @@ def test_numpy_under_its_older_name():
     assert odak.np is numpy
 
 
-def test_subpackages_load_on_use_and_a_class_named_as_its_module_stays_the_class():
+def test_subpackages_load_on_use_and_homonymous_classes_stay():
     loaded = run(
         "import odak; print(odak.wave.wavenumber(1.0), odak.learn.wave.propagate_beam.__name__, odak.pi)\n"
         "import odak.learn.raytracing.detector; print(type(odak.learn.raytracing.detector).__name__)"

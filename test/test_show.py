@@ -210,7 +210,7 @@ def test_other_objects_describe_themselves_in_a_line(place):
     assert 16 < len(text) < 700 and "\n" not in text and "0x" not in text and not text.endswith("()")
 
 
-def test_a_line_has_numbers_of_short_arrays_and_shapes_of_long_ones():
+def test_lines_show_numbers_of_short_and_shapes_of_long_arrays():
     found = spot_diagram(load_system("cooke_triplet"))
     sizes = ", ".join(f"{size:.6g}" for size in found.rms.tolist())
     assert f"rms=[{sizes}]" in repr(found) and f"x=float64{list(found.x.shape)}" in repr(found)

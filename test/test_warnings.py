@@ -58,7 +58,7 @@ def test_a_name_found_elsewhere_by_accident_says_where_it_lives(old):
 
 
 @pytest.mark.parametrize("old", sorted(_moved.MOVED_MODULES))
-def test_earlier_module_paths_give_the_names_that_live_elsewhere_now(old):
+def test_earlier_module_paths_give_names_that_live_elsewhere_now(old):
     module = importlib.import_module(old)
     targets = _moved.MOVED_MODULES[old]
     for target in [targets] if isinstance(targets, str) else targets:

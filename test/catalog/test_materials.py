@@ -312,7 +312,7 @@ def test_absorption_from_files(tmp_path, own_catalogue):
     assert catalog.internal_transmittance("entry", 0.5e-6, 1.0) == pytest.approx(expected, rel=1e-12)
 
 
-def test_a_model_glass_reproduces_its_statements_and_comes_near_the_real_one():
+def test_model_glass_keeps_its_statements_near_the_real_one():
     lines = {"g": 0.4358343, "F": 0.4861327, "d": 0.5875618, "C": 0.6562725}
     real = catalog.material("N-BK7")
     partial = {name: real.index(line) for name, line in lines.items()}

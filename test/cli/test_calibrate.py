@@ -321,7 +321,7 @@ def test_a_hologram_behind_a_lens_is_that_which_the_table_shows(tmp_path):
     assert np.corrcoef(light[away], seen[away])[0, 1] > 0.999
 
 
-def test_pictures_behind_a_lens_are_not_distorted_and_what_it_does_not_take_is_named(tmp_path, capsys):
+def test_pictures_behind_a_lens_are_undistorted_misuse_is_named(tmp_path, capsys):
     behind_a_lens(tmp_path, (40, 60), 0.0)
     assert holograms(tmp_path, "--iterations", "3", "--resolution", "40", "60") == 0
     assert "forms a bright spot in the middle of the picture" in capsys.readouterr().err
@@ -386,7 +386,7 @@ def sensor():
 
 
 @pytest.mark.slow
-def test_from_an_independent_table_with_a_lens_to_the_hologram_on_it(tmp_path, monkeypatch):
+def test_from_independent_table_with_lens_to_hologram_on_it(tmp_path, monkeypatch):
     """Each step by the command line: its calibration, a hologram for it, a capture of this beside the prediction."""
     install(INDEPENDENT, tmp_path, monkeypatch)
     table = ["--modulator", "rig-panel", "--camera", "rig-sensor", *LENS, "--quiet"]

@@ -9,7 +9,7 @@ import odak
 from odak.cli import app, main
 
 
-def test_as_a_module_in_a_process_of_its_own_whose_help_needs_no_torch():
+def test_module_runs_in_its_own_process_help_needs_no_torch():
     code = (
         "import runpy, sys\n"
         "from odak.cli import main\n"

@@ -636,7 +636,7 @@ def test_float_pictures_must_stay_in_range(tmp_path, capsys):
     assert "0 to 1" in capsys.readouterr().err
 
 
-def test_a_picture_of_few_rows_is_refused_and_of_several_frames_the_first_is_used(tmp_path, capsys):
+def test_few_rows_are_refused_and_first_of_several_frames_used(tmp_path, capsys):
     Image.new("L", (1000, 3), 200).save(tmp_path / "wide.png")
     assert main(["hologram", str(tmp_path / "wide.png"), "--output", str(tmp_path / "out")]) == 2
     assert "becomes 6 x 1920 pixels" in capsys.readouterr().err and not (tmp_path / "out").exists()

@@ -224,7 +224,7 @@ DEMANDS = ["--focal-length", "50mm", "--f-number", "4", "--field", "10"]
         (["singlet", "--output", "/proc/none"], "--output cannot be written to"),
     ],
 )
-def test_what_will_not_do_is_said_in_a_line_and_nothing_is_written(arguments, message, tmp_path, monkeypatch, capsys):
+def test_what_will_not_do_is_said_in_line_and_nothing_is_written(arguments, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["design", "--quiet", *arguments]) == 2
     error = capsys.readouterr().err
@@ -261,7 +261,7 @@ def test_a_mirror_becomes_a_paraboloid(tmp_path):
     assert float(found.surfaces[0].thickness) == pytest.approx(-100, abs=1e-4)
 
 
-def test_near_objects_keep_their_distance_and_aspheres_get_their_terms(tmp_path):
+def test_near_objects_keep_their_distance_aspheres_their_terms(tmp_path):
     relay = [surface(60.0, thickness=4.0, material="N-BK7"), surface(-60.0, thickness=118.0)]
     save_system(optical_system(relay, 6.0, object_distance=115.0, fields=[0.0, 1.0]), tmp_path / "relay.json")
     arguments = ["--f-number", "7", "--aspheric-terms", "1", "--field", "2", "--iterations", "3", "-q"]
@@ -275,7 +275,7 @@ def test_near_objects_keep_their_distance_and_aspheres_get_their_terms(tmp_path)
     )
 
 
-def test_a_length_that_was_not_reached_and_a_doubtful_one_are_warned_of(tmp_path, capsys):
+def test_lengths_not_reached_and_doubtful_ones_are_warned_of(tmp_path, capsys):
     # A singlet of 100 mm cannot have its image within 1 mm.
     options = ["--iterations", "1", "--quiet", "-o", str(tmp_path)]
     assert main(["design", "singlet", "--track", "1mm", *options]) == 0

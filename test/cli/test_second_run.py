@@ -147,7 +147,7 @@ def test_the_lock_of_a_killed_run_ends_with_it(tmp_path):
     assert (tmp_path / "other").read_text() == "kept"
 
 
-def test_paths_too_long_for_patterns_are_refused_before_the_computation(tmp_path, capsys):
+def test_paths_too_long_for_patterns_are_refused_beforehand(tmp_path, capsys):
     folder = tmp_path / ("a" * 200) / ("b" * (260 - 201 - len(str(tmp_path)) - 5))
     assert main(["hologram", "photo", "--resolution", "32", "32", "--distance", "3e-3", "-o", str(folder)]) == 2
     told = capsys.readouterr().err

@@ -151,7 +151,7 @@ def test_fields_and_stacks(suffix, tmp_path):
     assert f"field{suffix}" in page and "phase" in page
 
 
-def test_what_is_too_large_for_a_page_is_averaged_or_cut_but_never_decimated():
+def test_what_is_too_large_for_a_page_is_averaged_or_cut():
     stripes = np.tile([0.0, 1.0], (8, 1500))
     assert np.array_equal(show._block_means(stripes, 2), np.full((4, 1500), 0.5))
     figure, caption = show._field_figure(stripes, "stripes")
@@ -166,7 +166,7 @@ def test_pictures_and_lenses(tmp_path):
     assert "Plotly.newPlot(" in page_of("cooke_triplet", tmp_path)
 
 
-def test_pages_are_written_to_html_files_only_whose_folder_is_made(tmp_path, capsys):
+def test_pages_are_written_to_html_files_whose_folder_is_made(tmp_path, capsys):
     page = tmp_path / "new" / "page.html"
     assert main(["show", "singlet", "-o", str(page), "--no-open"]) == 0 and page.is_file()
     Image.new("RGB", (9, 8), "red").save(tmp_path / "red.png")
@@ -290,7 +290,7 @@ def test_what_does_not_decode_is_refused_and_odd_names_are_drawn(folder, capsys)
     assert shown(folder, {"a": "\ud800", "pattern": {"files": ["missing.png"]}}) == 0
 
 
-def test_pictures_of_sixteen_bits_are_scaled_and_types_are_those_of_the_content(tmp_path):
+def test_sixteen_bit_pictures_are_scaled_and_types_are_known(tmp_path):
     levels = np.arange(0, 2**16, 256, dtype=np.uint16).reshape(16, 16)
     Image.fromarray(levels).save(tmp_path / "deep.tif")
     Image.new("L", (4, 4)).save(tmp_path / "in_fact.png", format="GIF")

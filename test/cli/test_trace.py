@@ -149,7 +149,7 @@ def test_a_zmx_file_is_traced_and_what_was_ignored_is_said(tmp_path, capsys, mon
 
 
 @pytest.mark.slow
-def test_an_afocal_system_is_traced_without_the_figures_of_a_focus(tmp_path, capsys):
+def test_afocal_system_is_traced_without_figures_of_focus(tmp_path, capsys):
     plate = optical_system([surface(thickness=3.0, material="N-BK7"), surface(thickness=20.0)], 5.0)
     save_system(plate, tmp_path / "plate.json")
     assert main(["trace", str(tmp_path / "plate.json"), "--output", str(tmp_path), "--rings", "2"]) == 0

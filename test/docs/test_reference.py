@@ -157,7 +157,7 @@ def test_methods_name_their_parameters():
     assert unnamed == set() and sent == set()
 
 
-def test_commands_keep_what_stands_in_angle_brackets_and_their_defaults():
+def test_commands_keep_angle_brackets_and_their_defaults():
     page = reference._commands_of({"app": "odak.cli.app"})
     assert "Writes hologram_&lt;nm&gt;nm.png" in page and "<nm>" not in page
     assert "| `--pixel-pitch` | 8um | Pixel pitch of the modulator" in page

@@ -109,7 +109,7 @@ def test_no_role_and_no_tex_command_is_printed(site):
             assert "\\" not in formula.get_text(), f"{page.relative_to(site)}: {formula.get_text()}"
 
 
-def test_every_public_name_has_one_entry_and_earlier_anchors_stay(site):
+def test_public_names_have_one_entry_and_earlier_anchors_stay(site):
     reference = script("reference")
     listed = [
         heading["id"]
@@ -165,7 +165,7 @@ def opened(url, profile):
 
 
 @pytest.mark.browser
-def test_browser_has_nothing_to_complain_of_and_a_phone_can_read_it(site, address, tmp_path):
+def test_browser_reports_no_errors_and_a_phone_can_read_it(site, address, tmp_path):
     names = [page.relative_to(site).as_posix() for page in pages(site)]
     names = [name for name in names if name.startswith(READ_IN_A_BROWSER)]
     assert len(names) > 20

@@ -44,7 +44,7 @@ def test_phase_response_within_two_hundredths(calibrated):
         ((150, 128), (0.0, 0.0), r"the light of the modulator is \d+ pixels, .* mm, wider than it along rows"),
     ],
 )
-def test_a_camera_that_does_not_see_the_panel_is_told_where_to_move(shape, offset, message):
+def test_camera_that_does_not_see_panel_is_told_where_to_move(shape, offset, message):
     table = Laboratory(shape, distance=0.01, camera_shape=(200, 260), offset=offset)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(calibration, "phases_with_uncertainty", lambda *_: (table.phases, 0.0, 0.0))
@@ -189,7 +189,7 @@ def test_files_are_read_back(calibrated, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_response_that_varies_over_the_modulator_does_not_shift_the_image():
+def test_response_varying_over_the_modulator_keeps_the_image():
     """With the response of the whole panel alone, the image is 0.2 pixels beside its place."""
     table = instruments.SimulatedTable(fresh_seed(16), regional=0.05)
     with warnings.catch_warnings():
@@ -272,7 +272,7 @@ def test_steps_that_a_lens_does_not_have_say_why():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [fresh_seed(21), 3, 5])
-def test_an_aberration_of_a_wavelength_and_a_response_that_varies(seed):
+def test_aberration_of_wavelength_and_response_that_varies(seed):
     """Registration 0.1 pixels, wavefront λ/100, phases 0.02 rad; the illumination is not measured."""
     table = instruments.SimulatedTable(seed, **SMALLER, aberration=1.0, regional=0.05, flicker=0.01)
     with pytest.MonkeyPatch.context() as patch:
@@ -286,7 +286,7 @@ def test_an_aberration_of_a_wavelength_and_a_response_that_varies(seed):
         assert errors[name] < 3 * found.uncertainty[name]
 
 
-def test_simulated_instruments_follow_the_protocols_and_are_repeatable():
+def test_simulated_instruments_follow_protocols_and_repeat():
     first, second, other = (
         instruments.SimulatedTable(seed, shape=(24, 32), camera_shape=(40, 48)) for seed in (3, 3, 4)
     )

@@ -141,7 +141,7 @@ def test_what_compresses_best_is_read_too(tmp_path, monkeypatch):
     assert np.array_equal(instruments.load_calibration(tmp_path / "a.h5").amplitude, found.amplitude)
 
 
-def test_the_captures_of_the_package_are_those_that_its_script_makes():
+def test_captures_of_package_are_those_that_its_script_makes():
     pytest.importorskip("h5py", reason="h5py is not installed")
     path = importlib.resources.files("odak") / "assets" / "simulated_captures.h5"
     captures = instruments.load_captures(path)

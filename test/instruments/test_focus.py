@@ -73,7 +73,7 @@ def test_distance_of_a_full_panel(wrong, bits, distance):
     assert distance_found(wrong, (1080, 1920), bits, distance, captures=1) == pytest.approx(1, abs=1e-4)
 
 
-def test_distance_without_light_is_an_error_that_says_what_was_seen():
+def test_distance_without_light_is_error_that_says_what_was_seen():
     table = Laboratory((48, 64), distance=0.01, camera_shape=(120, 120))
     table.power = 0.0
     there = (*instruments_of(table), table.wavelength, 0.01, table.phases, aligned(table))

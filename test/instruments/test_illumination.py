@@ -23,7 +23,7 @@ def illumination_found(seed, **faults):
 @pytest.mark.parametrize(
     "faults", [{"fill_factor": 0.9, "samples_per_pixel": 2}, {"fringing": 0.3, "samples_per_pixel": 2}, {}]
 )
-def test_illumination_does_not_depend_on_gaps_fringing_fields_and_the_wavelength(faults):
+def test_illumination_is_independent_of_gaps_fringes_wavelength(faults):
     """At 450 nm pixels at the edges do not reach the axis, and the uncertainty stated is up to 3 %."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "the illumination is uncertain by 0.0[123]", AccuracyWarning)

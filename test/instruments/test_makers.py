@@ -70,7 +70,7 @@ class Blink:
 
 
 @pytest.mark.parametrize("sdk", HEADERS)
-def test_meadowlark_gets_the_levels_by_the_functions_of_its_library(sdk, monkeypatch, tmp_path):
+def test_meadowlark_gets_levels_by_functions_of_its_library(sdk, monkeypatch, tmp_path):
     library, lut = tmp_path / "Blink_C_wrapper.dll", tmp_path / "linear.lut"
     library.write_bytes(b"")
     lut.write_bytes(b"")
@@ -198,7 +198,7 @@ class Picamera2:
 
 
 @pytest.mark.parametrize(("filters", "depth", "stored"), [("BGGR", 12, 12), ("RGGB", 10, 16), ("", 8, 8)])
-def test_a_camera_of_a_raspberry_pi_reads_raw_pixels_of_one_colour(filters, depth, stored, monkeypatch):
+def test_camera_of_raspberry_pi_reads_raw_pixels_of_one_colour(filters, depth, stored, monkeypatch):
     made = []
     module = types.ModuleType("picamera2")
     module.Picamera2 = lambda number: made.append(Picamera2(number, filters, depth, stored)) or made[-1]

@@ -31,7 +31,7 @@ def test_a_response_that_falls_with_the_level(wrong):
 
 
 @pytest.mark.parametrize(("fringing", "bound"), [(0.2, 0.03), (0.4, 0.1)])
-def test_fringing_fields_do_not_falsify_the_phase_response_in_silence(fringing, bound):
+def test_fringing_fields_spoil_the_phase_response_with_notice(fringing, bound):
     """The bounds are 0.5 % and 5 % of the largest phase; more than a tenth of a radian comes with a warning."""
     table = instruments.SimulatedTable(
         5, shape=(96, 96), camera_shape=(80, 80), distance=8e-3, fringing=fringing, samples_per_pixel=2
@@ -46,7 +46,7 @@ def test_fringing_fields_do_not_falsify_the_phase_response_in_silence(fringing, 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [17, 18, 19])
-def test_a_response_that_varies_is_reported_where_it_is_not_measured(seed):
+def test_varying_response_is_reported_where_not_measured(seed):
     """The filter of the tests makes the warning an error, which ends the calibration."""
     table = instruments.SimulatedTable(
         fresh_seed(seed), shape=(96, 96), camera_shape=(80, 80), distance=8e-3, regional=0.05

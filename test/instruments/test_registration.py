@@ -34,7 +34,7 @@ def test_first_registration_with_an_aberration_of_a_wavelength(seed):
     assert found.residual < 0.2
 
 
-def test_first_registration_of_an_independent_table_with_orders_in_view():
+def test_first_registration_of_a_table_with_orders_in_view():
     """Mirrored, with gaps between pixels and an aberration of a wavelength; the distance is wrong by 1.3 %."""
     y, x = ((np.arange(n) - n // 2) / 54 for n in (108, 108))
     y = y[:, None]
@@ -64,7 +64,7 @@ def test_a_camera_that_sees_few_spots_is_reported():
 
 
 @pytest.mark.slow
-def test_first_registration_of_an_oblong_panel_all_of_which_is_lit():
+def test_first_registration_of_oblong_panel_all_of_which_is_lit():
     """The second moments of its pixels differ along rows and columns: the curvature was 4 times too large."""
     y, x = ((np.arange(n) - n // 2) / 240 for n in (270, 480))
     y = y[:, None]

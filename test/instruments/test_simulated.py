@@ -239,7 +239,7 @@ def test_light_of_a_lens_at_other_distances_is_collins_integral():
         assert found == pytest.approx(expected, abs=1e-4 * light.max())
 
 
-def test_lenses_that_image_the_panel_or_are_far_from_focus_are_refused():
+def test_lenses_imaging_the_panel_or_out_of_focus_are_refused():
     with pytest.raises(ValueError, match="before and after must not image the modulator"):
         instruments.Lens(0.1, before=0.2, after=0.2)
     with pytest.raises(ValueError, match="distance must be a lens near whose back focal plane"):

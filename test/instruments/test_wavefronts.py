@@ -12,7 +12,7 @@ from odak.instruments import spots
 
 
 @pytest.mark.slow
-def test_large_wavefront_seen_by_a_camera_that_is_turned_and_mirrored():
+def test_large_wavefront_seen_by_a_turned_and_mirrored_camera():
     """Root mean square of half a wavelength, a panel that is not square; the response is known."""
     table = instruments.SimulatedTable(
         fresh_seed(11), shape=(84, 110), distance=15e-3, camera_shape=(290, 250), aberration=0.5

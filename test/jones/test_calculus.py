@@ -42,7 +42,7 @@ def test_malus(angle):
     np.testing.assert_allclose(turn(-angle) @ passed, [[np.cos(np.radians(angle))], [0]], atol=1e-12)
 
 
-def test_quarter_wave_plate_makes_circular_light_of_the_hand_stated():
+def test_quarter_wave_plate_makes_circular_light_of_hand_stated():
     # Along the fast axis at 45° the field leads; x → fast then slow: clockwise for who looks at the source.
     for angle, state in ((45, RIGHT), (-45, LEFT)):
         out = jones.apply_matrix(jones.quarter_wave_plate(angle), jones.electricfield(1, 0))

@@ -104,7 +104,7 @@ def test_results_have_the_shape_of_all_arguments():
 
 
 @pytest.mark.parametrize("absorbing", [0.2 - 3.4j, np.array([1.5, 0.2 - 3.4j]), torch.tensor(0.2 - 3.4j)])
-def test_indices_that_amplify_or_absorb_before_the_stack_are_refused(absorbing):
+def test_indices_that_amplify_or_absorb_before_stack_are_refused(absorbing):
     with pytest.raises(ValueError, match=r"indices\[1\] must be n \+ iκ .*exp\(i\(kz − ωt\)\); got κ = -3\.4"):
         thin_film_stack(WAVELENGTH, [1.0, absorbing], [])
     with pytest.raises(ValueError, match=r"indices\[0\], of the incident medium, must not absorb; got κ = 3\.4"):

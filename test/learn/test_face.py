@@ -60,7 +60,7 @@ def test_numbers_lists_and_arrays_become_tensors():
     assert isinstance(scaled([1.0]), np.ndarray)
 
 
-def test_precision_is_the_widest_of_the_tensors_and_gradients_pass():
+def test_precision_is_widest_of_tensors_and_gradients_pass():
     field = torch.tensor([1.0, 2.0], requires_grad=True)
     assert (
         tools.distance_between_two_points(field.new_zeros(3), torch.ones(3, dtype=torch.float64)).dtype == torch.float64
@@ -78,7 +78,7 @@ def test_signature_is_that_of_the_core_in_terms_of_tensors():
     assert face.__module__ == __name__ and face.__name__ == "scaled"
 
 
-def test_documentation_speaks_of_tensors_and_of_the_defaults_of_the_face():
+def test_documentation_speaks_of_tensors_and_of_defaults_of_face():
     text = face.__doc__
     assert "Return a tensor times a factor." in text
     assert "field : torch.Tensor\n    A tensor of any shape." in text
@@ -99,7 +99,7 @@ def test_wrong_calls_are_type_errors():
         torch_face(scaled, defaults={"facter": 1})
 
 
-def test_faces_of_the_package_can_be_pickled_compiled_and_transformed():
+def test_faces_can_be_pickled_compiled_and_transformed():
     assert pickle.loads(pickle.dumps(jones.retarder)) is jones.retarder
     angles = torch.linspace(0, 90, 5, dtype=torch.float64)
     expected = jones.polarizer(angles)

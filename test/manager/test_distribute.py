@@ -23,7 +23,7 @@ def serial(compute, jobs, **options):
     return work
 
 
-def test_results_are_in_the_order_of_submission_and_a_second_run_repeats_them():
+def test_results_are_in_order_of_submission_and_repeatable():
     calls = []
     work = serial(lambda value: calls.append(value) or 2 * value, [[3], [1], [2]])
     assert work.run() == [6, 2, 4] == work.results == work.run()

@@ -56,7 +56,7 @@ def test_a_scheduler_that_is_not_there():
 
 
 @pytest.mark.slow
-def test_a_plain_script_uses_all_cores_by_default_and_leaves_nothing_behind():
+def test_plain_script_uses_all_cores_and_leaves_nothing_behind():
     code = """
         import os
         from odak.manager import agent
@@ -190,7 +190,7 @@ def test_certificates(tmp_path, pair):
         ("tcp://no.such.host.invalid:8786", True),
     ],
 )
-def test_plain_tcp_stays_on_this_machine_unless_the_network_is_trusted(address, refused):
+def test_plain_tcp_stays_local_unless_the_network_is_trusted(address, refused):
     check_transport("address", address, trusted_network=True)
     if refused:
         with pytest.raises(ValueError, match="is not an address of this machine only, and over plain TCP"):
@@ -288,7 +288,7 @@ def poisoned(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_no_process_imports_from_the_current_folder_and_its_modules_are_sent_with_the_tasks(poisoned, monkeypatch):
+def test_modules_of_the_current_folder_are_sent_not_imported(poisoned, monkeypatch):
     (poisoned / "my_helpers.py").write_text("FACTOR = 3\n\n\ndef triple(value):\n    return FACTOR * value\n")
     monkeypatch.syspath_prepend("")
     with agent(workers=1, verbose=False) as work:
@@ -307,7 +307,7 @@ def test_no_process_imports_from_the_current_folder_and_its_modules_are_sent_wit
 
 
 @pytest.mark.slow
-def test_a_worker_of_the_command_line_imports_nothing_from_the_current_folder(poisoned):
+def test_command_line_worker_imports_nothing_from_its_folder(poisoned):
     options = {"host": "127.0.0.1", "port": 0, "dashboard_address": "127.0.0.1:0"}
     with distributed.SpecCluster(scheduler={"cls": distributed.Scheduler, "options": options}, workers={}) as there:
         command = [sys.executable, "-I", "-m", "odak", "worker", there.scheduler_address, "--workers", "1"]

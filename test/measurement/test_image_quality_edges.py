@@ -40,7 +40,7 @@ def test_transfer_of_a_known_edge(angle, sigma, window):
     assert result.frequency.max() == pytest.approx(1, abs=0.03)
 
 
-def test_the_standard_without_correction_stays_within_its_own_error():
+def test_standard_without_correction_stays_within_its_own_error():
     result = slanted_edge_mtf(edge_picture(5, 0.5), correct_bins=False)
     below = result.frequency <= 0.5
     error = result.mtf - transfer(result.frequency, 5, 0.5)

@@ -105,7 +105,7 @@ def test_maxwells_fish_eye_images_every_point_onto_its_antipode():
     assert torch.allclose(found.state[6], torch.tensor(math.pi, dtype=F64), rtol=1e-10, atol=0)
 
 
-def test_function_gradients_have_the_derivatives_of_their_formula():
+def test_function_gradients_have_derivatives_of_their_formula():
     place = torch.randn(3, 5, generator=torch.Generator().manual_seed(4), dtype=F64)
     by_function = FunctionGradient.of(lambda x, y, z, n, a: n * (1 + a * (x * x + y * y)) ** 0.5, [-0.01])
     for a, b in zip(by_function.squared(*place, BASE), RadialGradient([-0.01]).squared(*place, BASE), strict=True):

@@ -110,7 +110,7 @@ def test_large_batches_broadcast_like_small_ones(library, random):
         np.testing.assert_allclose(found[last], expected, rtol=1e-12)
 
 
-def test_the_critical_angle_itself_goes_through_along_the_surface():
+def test_critical_angle_itself_goes_through_along_surface():
     out, status = interfaces.refract_directions(np.array([4.0, 0, 3]), Z, 1.25, 1.0)
     assert status == HIT
     np.testing.assert_allclose(out, [5, 0, 0], atol=1e-12)
@@ -151,7 +151,7 @@ def test_lost_rays_leave_the_gradients_of_the_others_alone():
     np.testing.assert_allclose(direction.grad, [[1, 1, -1], [1, 1, -1], [0, 0, 0], [0, 0, 0]], atol=1e-15)
 
 
-def test_normals_that_are_none_leave_the_gradients_of_the_others_alone():
+def test_normals_that_are_none_leave_gradients_of_others_alone():
     normal = torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]).double().requires_grad_()
     direction = torch.tensor([0.6, 0.0, 0.8]).double()
     out = interfaces.reflect_directions(direction, normal)

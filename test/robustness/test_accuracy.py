@@ -100,7 +100,7 @@ def test_error_against_the_closed_form(method, z):
 
 
 @pytest.mark.parametrize("z", [1e-2, 1.0])
-def test_the_angular_spectrum_differs_from_a_paraxial_beam_as_theory_says(z):
+def test_angular_spectrum_differs_from_paraxial_as_theory_says(z):
     result = odak.wave.propagate_beam(
         beam(0.0), None, z, PITCH, WAVELENGTH, "Angular Spectrum", zero_padding=[True, False, True]
     )

@@ -62,7 +62,7 @@ def test_a_gaze_in_pixels_is_pointed_out():
     loss(picture, picture, gaze=[-0.5, 1.5])
 
 
-def test_an_image_slightly_above_one_is_not_saved_black_unnoticed(tmp_path):
+def test_image_slightly_above_one_is_not_saved_black_unnoticed(tmp_path):
     image = torch.tensor([[0.0, 0.5, 1.0001]])
     with pytest.warns(odak.ArgumentWarning, match="give cmax=1.0"):
         save_image(tmp_path / "dark.png", image)

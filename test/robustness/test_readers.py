@@ -131,7 +131,7 @@ def test_the_guard_sees_every_misdeed(misdeed, told, tmp_path):
     assert told in found
 
 
-def test_the_guard_tells_threads_of_the_reader_from_those_that_ran_before(tmp_path):
+def test_guard_tells_threads_of_the_reader_from_earlier_ones(tmp_path):
     outside, inside, begin, done = tmp_path / "out", tmp_path / "inside", threading.Event(), threading.Event()
     inside.mkdir()
 

@@ -240,7 +240,7 @@ def test_a_fork_while_the_kernels_are_being_looked_up():
 
 @pytest.mark.parametrize("of_torch", ["export", "compile"])
 @pytest.mark.parametrize("function", [propagate_beam, propagate_within_window])
-def test_kernels_that_a_recorded_call_keeps_are_those_of_a_plain_one(function, of_torch):
+def test_kernels_that_recorded_call_keeps_are_those_of_plain_one(function, of_torch):
     field = torch.randn(20, 24, dtype=torch.complex128, generator=torch.Generator().manual_seed(0))
     # Each case has a distance of its own, whose kernel no call before has kept.
     distance = 1e-3 * (1 + 0.1 * (function is propagate_beam) + 0.01 * (of_torch == "export"))

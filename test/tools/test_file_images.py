@@ -281,7 +281,7 @@ def test_a_failing_encoder_leaves_the_old_file(tmp_path, monkeypatch, name, shap
     assert [entry.name for entry in tmp_path.iterdir()] == [name]
 
 
-def test_an_unwritable_folder_is_a_permission_error_with_the_path(tmp_path, monkeypatch):
+def test_unwritable_folder_is_permission_error_with_path(tmp_path, monkeypatch):
     path = tmp_path / "a.png"
     path.write_bytes(b"old")
 

@@ -49,7 +49,7 @@ def test_indices_go_on_from_ray_to_ray():
 
 @settings(max_examples=30)
 @given(st.integers(0, 2**16))
-def test_a_perpendicular_section_makes_a_closed_box_around_the_ray(seed):
+def test_perpendicular_section_makes_closed_box_around_ray(seed):
     random = np.random.default_rng(seed)
     start, end = random.normal(size=(2, 3)) * 5
     mesh = PLY_object()
@@ -70,7 +70,7 @@ def test_rays_along_x_are_flat_only_by_the_older_layout():
     assert np.ptp(places(square)[:, 1:], axis=0) == pytest.approx([0.5, 0.5])
 
 
-def test_many_rays_are_as_drawn_one_by_one_and_lost_ones_are_left_out():
+def test_many_rays_are_drawn_as_one_by_one_without_lost_ones():
     random = np.random.default_rng(0)
     rays = random.normal(size=(50, 2, 3))
     rays[7, 1] = np.nan

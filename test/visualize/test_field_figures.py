@@ -191,7 +191,7 @@ def test_spectrum_of_a_tilted_wave_peaks_at_its_angle():
     assert (panel.values > -60).sum() == 1
 
 
-def test_spectrum_leaves_out_evanescent_waves_and_needs_the_scale():
+def test_spectrum_leaves_out_evanescent_waves_and_needs_scale():
     panel = spectrum(np.random.default_rng(0).normal(size=(64, 64)) + 0j, 0.2e-6, 532e-9)
     inside = np.abs(np.fft.fftfreq(64, 0.2e-6) * 532e-9) < 1
     assert panel.values.shape == (inside.sum(),) * 2 and inside.sum() < 64

@@ -93,7 +93,7 @@ def test_a_title_cannot_end_the_script(tmp_path):
     assert "<script>alert" not in text
 
 
-def test_showing_without_a_display_writes_a_page_and_opens_nothing(tmp_path, opened):
+def test_showing_without_display_writes_page_and_opens_nothing(tmp_path, opened):
     path = filled(rayshow).show()
     assert path == str(tmp_path / "picture_1.html") and not opened
     assert 'src="plotly.min.js"' in (tmp_path / "picture_1.html").read_text(encoding="utf-8")

@@ -105,7 +105,7 @@ def test_light_at_the_edge_of_the_band_has_no_orders(ratio, magnification, out, 
     assert (abs(found) ** 2).sum() == pytest.approx((abs(expected) ** 2).sum(), rel=0.05)
 
 
-def test_a_window_behind_a_lens_is_dark_beyond_the_highest_frequency(random):
+def test_window_behind_lens_is_dark_beyond_highest_frequency(random):
     field = np.exp(2j * np.pi * random.random((8, 8)))
     matrix = space(0.1) @ lens(0.1)
     focus, pitch = propagate_abcd(field, matrix, 8e-6, WAVELENGTH)
@@ -170,7 +170,7 @@ def test_a_bench_is_its_elements_one_after_another(random):
     assert len(np.unique(np.asarray(picture).reshape(-1, 3), axis=0)) > 4
 
 
-def test_a_medium_shortens_the_wavelength_and_the_reduced_distance(random):
+def test_medium_shortens_wavelength_and_reduced_distance(random):
     field = random.normal(size=(16, 16)) + 1j * random.normal(size=(16, 16))
     water = optical_bench([FreeSpace(0.002, "AS", index=1.33)], WAVELENGTH)
     expected = propagate_beam(field, None, 0.002, 8e-6, WAVELENGTH / 1.33, "AS", zero_padding=(True, False, True))
@@ -280,7 +280,7 @@ def test_a_cylindrical_system_has_a_matrix_for_each_axis():
 
 
 @pytest.mark.parametrize("name", ["Fraunhofer", "Incoherent Angular Spectrum", "custom"])
-def test_spaces_whose_result_is_no_field_of_the_same_pitch_are_refused(name):
+def test_spaces_whose_result_has_another_pitch_are_refused(name):
     with pytest.raises(ValueError, match="propagation_type"):
         FreeSpace(5.0, name).apply(np.ones((4, 4), complex), 8e-6, WAVELENGTH)
 
@@ -443,7 +443,7 @@ def test_a_lens_transforms_a_gaussian_into_its_spectrum():
     np.testing.assert_allclose(at_lens, expected, atol=1e-9)
 
 
-def test_fraunhofer_names_the_lens_where_the_far_field_is_not_meant():
+def test_fraunhofer_names_lens_where_far_field_is_not_meant():
     with pytest.warns(odak.SamplingWarning, match="lens_fourier_transform is for the focal plane of a lens"):
         odak.wave.propagate_beam(np.ones((64, 64), complex), None, 0.2, 8e-6, WAVELENGTH, "Fraunhofer")
 

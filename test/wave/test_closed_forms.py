@@ -67,7 +67,7 @@ def test_plane_wave_gains_its_phase_over_20_cm(method):
     assert np.abs(result / wrapped_phasor(0.2, WAVELENGTH) - 1).max() < 1e-6
 
 
-def test_tilted_plane_wave_gains_the_phase_of_its_axial_wave_number():
+def test_tilted_plane_wave_gains_phase_of_its_axial_wave_number():
     n, order = 128, 9
     y, x = coordinates((n, n), DX)
     frequency = order / (n * DX)
@@ -129,7 +129,7 @@ def test_fraunhofer_in_front_and_behind_is_the_sum_written_out(random):
     np.testing.assert_allclose(tensors.numpy(), pattern, rtol=1e-12)
 
 
-def test_fraunhofer_inverse_is_exact_and_equal_size_keeps_the_width(random):
+def test_fraunhofer_inverse_is_exact_and_equal_size_keeps_width(random):
     field = random.normal(size=(40, 51)) + 1j * random.normal(size=(40, 51))
     pattern = odak.wave.fraunhofer(field, None, 0.1, DX, WAVELENGTH)
     np.testing.assert_allclose(odak.wave.fraunhofer_inverse(pattern, None, 0.1, DX, WAVELENGTH), field, atol=1e-12)
@@ -207,7 +207,7 @@ def test_rayleigh_sommerfeld_is_the_direct_sum(distance, shape, random):
 
 
 @pytest.mark.slow
-def test_stretched_methods_agree_with_the_direct_sum_in_the_far_range():
+def test_stretched_methods_agree_with_direct_sum_in_far_range():
     shape, distance = (48, 56), 0.05
     field = gaussian_beam(shape, DX, 6e-5, 0.0, WAVELENGTH) * np.exp(1j * np.pi * 5e3 * coordinates(shape, DX)[1])
     expected = odak.wave.rayleigh_sommerfeld_sum(field, None, distance, DX, WAVELENGTH)
@@ -303,7 +303,7 @@ def test_each_field_of_the_direct_sum_has_its_own_numbers(random):
     assert odak.wave.rayleigh_sommerfeld_sum(field.astype(np.complex64), None, *given[:, 0]).dtype == np.complex64
 
 
-def test_the_first_integral_agrees_with_plane_waves_near_the_field():
+def test_first_integral_agrees_with_plane_waves_near_field():
     dx, wavelength, n = 1e-7, 532e-9, 256
     y, x = coordinates((n, n), dx)
     field = np.exp(-(x**2 + y**2) / (1.5e-6) ** 2).astype(complex)

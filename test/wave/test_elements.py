@@ -166,7 +166,7 @@ def test_gradients_and_faces():
 
 
 @pytest.mark.parametrize("pixels", [2.5, 3.5, 5.5])
-def test_slope_of_a_disc_is_the_circumference_where_the_rim_touches_edges_of_pixels(pixels):
+def test_slope_of_a_disc_is_its_circumference_at_pixel_edges(pixels):
     # The next number above: the slopes of the parts of the area next to the rim are almost infinite.
     radius = torch.tensor(math.nextafter(pixels * 1.1, 10.0), dtype=torch.float64, requires_grad=True)
     (slope,) = torch.autograd.grad(circular_aperture((13, 12), 1.1, radius).sum() * 1.1**2, radius)

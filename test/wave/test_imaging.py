@@ -192,7 +192,7 @@ def disc(shape, dx, radius):
 
 
 @pytest.mark.parametrize("distance", [0.0, 2e-3, -2e-3])
-def test_a_point_through_a_disc_keeps_its_energy_and_is_an_airy_pattern(distance):
+def test_point_through_disc_keeps_its_energy_and_is_airy_pattern(distance):
     point = np.zeros((64, 64))
     point[32, 32] = 3.0
     pupil = disc((64, 64), DX, 1 / (8 * DX))
@@ -207,7 +207,7 @@ def test_a_point_through_a_disc_keeps_its_energy_and_is_an_airy_pattern(distance
 
 
 @pytest.mark.parametrize("shape", [(8, 9), (7, 6)])
-def test_the_transfer_function_is_the_autocorrelation_of_kernel_and_pupil(shape, random):
+def test_transfer_function_is_autocorrelation_of_kernel_pupil(shape, random):
     """The sum over all pairs of frequencies, written out."""
     pupil = random.normal(size=shape) + 1j * random.normal(size=shape)
     kernel = odak.wave.get_propagation_kernel(*shape, DX, 532e-9, 5e-4, "AS", dtype=np.complex128)

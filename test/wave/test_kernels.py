@@ -38,7 +38,7 @@ def test_methods_without_a_transfer_function_are_refused(name):
         get_propagation_kernel(8, 6, distance=0.01, propagation_type=name)
 
 
-def test_a_distance_of_zero_is_refused_where_nothing_is_defined_there():
+def test_distance_of_zero_is_refused_where_it_is_undefined():
     for name in ("Impulse Response Fresnel", "Seperable Impulse Response Fresnel"):
         with pytest.raises(ValueError, match="distance must not be zero"):
             get_propagation_kernel(8, 6, distance=0.0, propagation_type=name)

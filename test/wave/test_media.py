@@ -237,7 +237,7 @@ def test_plane_waves_of_few_indices_are_those_of_each(random, levels):
     assert bool(slope.isfinite().all())
 
 
-def test_few_levels_of_index_cost_little_and_their_error_is_bounded():
+def test_few_levels_of_index_cost_little_with_bounded_error():
     """Against the plane waves of each of the indices that are there; axial waves are exact with any levels."""
     place = (np.arange(32) - 16) * 0.5e-6
     beam = np.exp(-(place[:, None] ** 2 + place**2) / (1e-6) ** 2).astype(complex)

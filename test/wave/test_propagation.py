@@ -422,7 +422,7 @@ def test_no_field_at_all():
 
 
 @pytest.mark.parametrize("distances", [[2e-3], [-2e-3], [2e-3, 3e-3]])
-def test_linear_kernels_of_several_distances_are_computed_in_parts(distances, monkeypatch, random):
+def test_linear_kernels_of_several_distances_come_in_parts(distances, monkeypatch, random):
     monkeypatch.setattr(odak.wave.linear_kernels, "_SLAB", 200)
     field = torch.from_numpy(random.normal(size=(1, 24, 20)) + 1j * random.normal(size=(1, 24, 20)))
     lengths = (8e-6, 532e-9, "Linear Angular Spectrum")

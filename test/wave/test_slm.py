@@ -58,7 +58,7 @@ def test_double_phase_parts_compose_again(rows, columns, batch, face):
     np.testing.assert_array_equal(odak.wave.compose_double_phase(high, low), image)
 
 
-def test_double_phase_parts_are_the_two_colours_of_a_checkerboard():
+def test_double_phase_parts_are_two_colours_of_checkerboard():
     image = np.arange(25).reshape(5, 5)
     high, low = odak.wave.decompose_double_phase(image)
     np.testing.assert_array_equal(high, [[0, 2], [6, 8], [10, 12], [16, 18]])

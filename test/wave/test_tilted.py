@@ -230,7 +230,7 @@ def test_both_steps_with_oblong_pixels_and_exchanged_axes(angles, window_dx):
 
 
 @pytest.mark.parametrize("angles", [(10, 20, 0), (10, 20, 45)])
-def test_frequencies_a_period_apart_are_added_where_the_window_has_the_pitch_of_the_field(angles, random):
+def test_frequencies_a_period_apart_add_up_in_equal_pitch(angles, random):
     field = random.normal(size=(40, 36)) + 1j * random.normal(size=(40, 36))
     found = propagate_to_tilted_plane(field, WAVELENGTH, 1e-3, 8e-6, angles)
     # The same places, which are summed one by one.

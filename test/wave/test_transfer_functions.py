@@ -84,7 +84,7 @@ def test_fresnel_and_rayleigh_sommerfeld(distance):
 
 
 @pytest.mark.parametrize("dx", [8e-6, 0.2e-6])
-def test_incoherent_transfer_function_is_one_at_zero_and_nowhere_more(dx):
+def test_incoherent_transfer_function_is_largest_at_zero(dx):
     grid = grid_of((16, 12), dx, 2e-6)
     found = tf.incoherent_angular_spectrum(grid)
     np.testing.assert_allclose(found[0, 0], 1, rtol=1e-12)

@@ -51,7 +51,7 @@ def test_set_amplitude_and_add_phase():
     np.testing.assert_allclose(odak.wave.add_phase(field, np.array([[0.0, np.pi]])), [[1, -1]] * field, atol=1e-12)
 
 
-def test_random_phase_is_uniform_over_half_a_turn_and_reproducible():
+def test_random_phase_is_uniform_over_half_turn_and_reproducible():
     field = np.ones((200, 200))
     once, again = (odak.wave.add_random_phase(field, seed=3) for _ in range(2))
     np.testing.assert_array_equal(once, again)

@@ -52,7 +52,7 @@ def test_plane_waves():
         odak.wave.propagate_plane_waves(np.ones(2), np.array([1.0, 0.0]), 7)
 
 
-def test_phases_of_many_turns_do_not_lose_their_digits_in_single_precision(random):
+def test_phases_of_many_turns_keep_digits_in_single_precision(random):
     k = 2 * np.pi / 532e-9
     opd = random.uniform(0.1, 0.9, (8, 8)).astype(np.float32)
     expected = np.exp(1j * k * opd.astype(np.float64)) / opd.astype(np.float64) ** 2

@@ -79,7 +79,7 @@ def test_the_guard_at_high_apertures(aperture, far, near):
         assert np.abs(expected).max() > 0.01
 
 
-def test_noise_up_to_the_edge_of_the_band_is_not_defined_better_than_its_tails(random):
+def test_noise_at_the_band_edge_is_as_uncertain_as_its_tails(random):
     field = np.exp(2j * np.pi * random.random((32, 32)))
     frequency = np.fft.fftfreq(1024, 8e-6)
     kernel = np.exp(2j * np.pi * 0.01 * np.sqrt(1 / WAVELENGTH**2 - frequency[:, None] ** 2 - frequency**2))

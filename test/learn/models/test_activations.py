@@ -46,7 +46,7 @@ def test_siren_activation(x):
     assert torch.equal(models.siren_activation()(x), x.sin())
 
 
-def test_film_siren_activation_has_a_frequency_and_a_phase_per_feature(x):
+def test_film_siren_has_a_frequency_and_a_phase_per_feature(x):
     layer = models.film_siren_activation(3).double()
     a, b = layer.alpha.detach().tolist()
     assert torch.allclose(layer(x), element_by_element(lambda v, n: math.sin(a[n] * v + b[n]), x))
@@ -54,7 +54,7 @@ def test_film_siren_activation_has_a_frequency_and_a_phase_per_feature(x):
 
 
 @pytest.mark.parametrize("layer", [models.gaussian_activation, models.film_siren_activation])
-def test_learned_activations_start_from_a_standard_normal_distribution(layer):
+def test_learned_activations_start_from_a_standard_normal(layer):
     torch.manual_seed(1)
     alpha = layer(4000).alpha.detach()
     assert abs(alpha.mean()) < 0.06 and abs(alpha.std() - 1) < 0.04
@@ -82,7 +82,7 @@ def test_positional_encoding(rows, features, octaves):
 
 
 @pytest.mark.parametrize("octaves", [4, 50, 64, 65, 200])
-def test_positional_encoding_of_float32_is_that_of_the_same_numbers(octaves):
+def test_positional_encoding_of_float32_is_that_of_same_numbers(octaves):
     x = torch.rand(5, 2, generator=torch.Generator().manual_seed(0))
     encoded = models.positional_encoder(octaves)(x)
     assert encoded.dtype == torch.float32

@@ -92,7 +92,7 @@ def test_gradients():
     torch.autograd.gradgradcheck(gaussians.sum_of_soft_gaussians, inputs, fast_mode=True)
 
 
-def test_a_penalty_on_the_gradient_in_the_coordinates_is_differentiated():
+def test_penalty_on_gradient_in_coordinates_is_differentiated():
     model = gaussians_2d(5).double()
     x, y = (value[..., None].clone().requires_grad_() for value in grid(3, 4))
     (slope,) = torch.autograd.grad(model(x, y).sum(), x, create_graph=True)

@@ -122,7 +122,7 @@ def test_spatial_gate():
     assert torch.allclose(gate(x), x / (1 + torch.exp(-scores)))
 
 
-def test_block_attention_is_the_channel_gate_and_then_the_spatial_one():
+def test_block_attention_is_channel_gate_and_then_spatial_one():
     x = picture(2, 4, 9, 8)
     both = models.convolutional_block_attention(4, 2).double()
     assert torch.allclose(both(x), both.spatial_gate(both.channel_gate(x)))

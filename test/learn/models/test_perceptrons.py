@@ -225,7 +225,7 @@ def test_a_dense_level_is_bilinear_interpolation():
 
 
 @pytest.mark.parametrize("dimensions", [1, 2, 3])
-def test_levels_too_fine_for_the_table_share_entries_by_the_published_hash(dimensions):
+def test_levels_too_fine_for_the_table_share_hashed_entries(dimensions):
     size, cells = 19, 32
     encoder = models.hash_grid_encoder(dimensions, 1, 2, size, cells, cells, low=0.0, high=1.0).double()
     with torch.no_grad():

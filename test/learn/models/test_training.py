@@ -92,7 +92,7 @@ def test_a_linear_network_finds_the_least_squares_solution():
 @pytest.mark.parametrize("own_generator", [False, True])
 @pytest.mark.parametrize("every", [1, 3])
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
-def test_a_resumed_training_ends_bit_for_bit_as_an_uninterrupted_one(own_generator, every, error, tmp_path):
+def test_resumed_training_ends_bit_for_bit_as_uninterrupted_one(own_generator, every, error, tmp_path):
     options = {
         "validation": DataLoader(samples(seed=5), batch_size=7),
         "scheduler": lambda optimizer: torch.optim.lr_scheduler.StepLR(optimizer, 3, 0.5),
@@ -169,7 +169,7 @@ def test_the_best_weights_are_kept():
 @pytest.mark.parametrize(
     ("options", "ends_at"), [({}, 10), ({"patience": 3}, 4), ({"callback": interrupt_after(8)}, 4)]
 )
-def test_without_validation_the_last_weights_are_kept_but_for_a_stop(options, ends_at):
+def test_without_validation_last_weights_are_kept_but_for_stop(options, ends_at):
     # The loss before step n is lowest for n = 4.
     place = nn.Linear(1, 1, bias=False)
     nn.init.zeros_(place.weight)
@@ -252,7 +252,7 @@ def test_a_checkpoint_of_another_training_is_refused(tmp_path):
         run(checkpoint=path)
 
 
-def test_a_checkpoint_runs_no_code_and_a_failed_write_leaves_the_older_one(tmp_path, monkeypatch):
+def test_checkpoint_runs_no_code_and_failed_write_keeps_older(tmp_path, monkeypatch):
     path, proof = tmp_path / "training.pt", tmp_path / "proof"
 
     class Trap:

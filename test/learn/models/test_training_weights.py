@@ -41,7 +41,7 @@ def test_the_module_keeps_its_dtype(tmp_path):
     assert second.outc.weight.dtype == torch.float64
 
 
-def test_a_file_that_does_not_fit_is_described_and_changes_nothing(tmp_path):
+def test_file_that_does_not_fit_is_described_and_changes_nothing(tmp_path):
     state = network(0).state_dict()
     state["more.weight"] = torch.rand(3)
     del state["inc.model.0.model.0.weight"]

@@ -168,7 +168,7 @@ def test_lower_precision_where_autocast_asks_for_it():
     assert weight.grad.dtype == torch.float32
 
 
-def test_nothing_of_the_size_of_the_windows_is_kept_for_the_backward_pass():
+def test_nothing_of_size_of_windows_is_kept_for_backward_pass():
     x, weight = normal(1, 4, 16, 16), normal(3, 4, 3, 3).requires_grad_()
     factors = factors_of(x, 3, 1, 1)
     kept = []
@@ -218,7 +218,7 @@ def test_one_map_of_factors_serves_a_batch():
 
 
 @pytest.mark.parametrize(("picture", "map_"), [((7, 7), (3, 3)), ((7, 6), (3, 3)), ((6, 3), (3, 1))])
-def test_sizes_that_do_not_meet_are_padded_by_what_the_stride_leaves(picture, map_):
+def test_sizes_that_do_not_meet_are_padded_by_what_stride_leaves(picture, map_):
     layer = models.spatially_adaptive_convolution(2, 3, stride=2).double()
     x, factors = normal(2, 2, *picture), normal(2, 18, *map_)
     more = [n % 2 for n in picture]
@@ -240,7 +240,7 @@ def tied(layer):
 
 
 @pytest.mark.parametrize("make", LAYERS)
-def test_the_weight_is_one_parameter_whatever_happens_to_the_layer(make):
+def test_weight_is_one_parameter_whatever_happens_to_layer(make):
     layer = make()
     state = {key: value + 1 for key, value in layer.state_dict().items()}
     assert list(state) == ["weight", "standard_convolution.weight"] and tied(layer)

@@ -57,7 +57,7 @@ def test_ciede2000_of_the_34_published_pairs():
     assert torch.allclose(ciede2000(first, second), ciede2000(second, first), atol=1e-12)
 
 
-def test_differences_of_equal_colours_are_zero_and_so_are_their_gradients():
+def test_equal_colours_have_zero_difference_and_zero_gradient():
     for function in (delta_e, ciede2000):
         for lab in ((0.0, 0.0, 0.0), (50.0, 10.0, -20.0)):
             first = torch.tensor(lab, dtype=torch.float64).reshape(3, 1, 1).requires_grad_()

@@ -77,7 +77,7 @@ def test_narrow_primaries_fail_more():
     assert torch.equal(people, sample_observers(40, seed=1))
 
 
-def test_the_standard_observer_sees_no_difference_and_one_person_by_numpy():
+def test_standard_observer_sees_no_difference_one_person_does():
     light, standard = illuminant_d65(WAVES).double(), cone_fundamentals(WAVES).double()
     lasers = lines(2.0)
     person = individual_cone_fundamentals(WAVES, lens=2.3)

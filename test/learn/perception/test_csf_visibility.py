@@ -27,7 +27,7 @@ def test_contrast_at_the_highest_frequency_is_one():
         assert math.exp(0.106 * frequency * (eccentricity + 2.3) / 2.3) / 64 == pytest.approx(1)
 
 
-def test_the_highest_frequency_needs_no_values_of_a_device_without_any():
+def test_highest_frequency_needs_no_values_of_device_without_any():
     assert highest_frequency(torch.empty(3, 2, device="meta")).shape == (3, 2)
     with pytest.raises(ValueError, match="eccentricity"):
         highest_frequency(torch.tensor([1.0, -0.5]))
@@ -70,7 +70,7 @@ def test_losses_of_gratings_follow_the_contrast_sensitivity(cycles, monkeypatch)
     assert float(found) == pytest.approx(float(expected), rel=0.1)
 
 
-def test_detail_has_a_smaller_loss_away_from_the_gaze_and_on_a_mask():
+def test_detail_has_smaller_loss_away_from_gaze_and_on_mask():
     wide = VisibilityLoss(real_image_width=0.1, real_viewing_distance=0.7)
     flat = torch.full((1, 1, 64, 64), 0.5, dtype=torch.float64)
     error = torch.zeros_like(flat)

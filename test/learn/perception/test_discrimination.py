@@ -26,7 +26,7 @@ def linear(rows=8):
     return twice, model
 
 
-def test_a_metamer_of_a_linear_model_is_the_projection_of_the_start():
+def test_metamer_of_linear_model_is_projection_of_start():
     matrix, model = linear()
     picture, start = noise(*SHAPE), noise(*SHAPE, seed=2)
     steps = []

@@ -237,7 +237,7 @@ def test_tables_are_differentiable_in_the_wavelengths(table):
     assert torch.autograd.gradcheck(table, waves)
 
 
-def test_luminance_of_light_changes_with_its_wavelength_as_the_table_does():
+def test_luminance_changes_with_wavelength_as_in_the_table():
     wave = torch.tensor([600.25], dtype=torch.float64, requires_grad=True)
     (slope,) = torch.autograd.grad(p.color_matching_functions(wave)[1].sum(), wave)
     first, second = p.color_matching_functions([600.0, 601.0])[1]

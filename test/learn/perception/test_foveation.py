@@ -51,7 +51,7 @@ def test_linear_pooling_grows_by_alpha_per_radian(alpha):
     torch.testing.assert_close(quadratic * 0.02 / 65 / math.sqrt(math.pi / 4), alpha * angle**2, rtol=2e-4, atol=1e-9)
 
 
-def test_pooling_on_a_wide_screen_is_the_ellipse_that_a_cone_cuts_out_of_it():
+def test_pooling_on_a_wide_screen_is_the_ellipse_of_a_cone():
     alpha, width, distance = 0.4, 1.0, 0.5
     pixels = perception.make_pooling_size_map_pixels([0.5, 0.5], (1, 101), alpha, width, distance, "linear", **EXACT)
     x = np.linspace(-0.5, 0.5, 101)[90] * width

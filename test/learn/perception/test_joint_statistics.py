@@ -96,7 +96,7 @@ def test_complex_bands_have_the_phase_of_a_grating(count):
 
 
 @pytest.mark.parametrize(("size", "kind"), [(5, "cropped"), (9, "full")])
-def test_filters_in_quadrature_give_the_amplitude_of_gratings_along_each_orientation(size, kind):
+def test_quadrature_filters_give_amplitudes_along_orientations(size, kind):
     maker = SpatialSteerablePyramid(False, 1, size, 4, kind)
     for k in range(4):
         picture = grating(64, 13.0, math.pi * k / 4)
@@ -138,7 +138,7 @@ def test_pairs_are_covariances_by_numpy():
     np.testing.assert_allclose(upward, np.sqrt(np.mean((moduli[0][0] - down) ** 2)), rtol=1e-9)
 
 
-def test_statistics_of_pairs_tell_an_edge_from_noise_of_the_same_spectrum():
+def test_pair_statistics_tell_an_edge_from_noise_of_its_spectrum():
     picture = torch.zeros(1, 1, 64, 64, dtype=torch.float64)
     picture[..., 20:44, 12:50] = 1
     spectrum = torch.fft.fft2(picture)
@@ -223,7 +223,7 @@ def coherence(picture):
     return float((aligned * trace).sum() / trace.sum())
 
 
-def test_metamers_of_pairs_are_closer_when_single_bands_are_matched_first(monkeypatch):
+def test_metamers_of_pairs_are_closer_with_single_bands_first(monkeypatch):
     picture = edge_picture()[..., 8:56, 8:56]
     options = {"n_pyramid_levels": 3, "n_orientations": 4, "joint": True}
     maker = MetamerMSELoss(**VIEW, **options)
@@ -242,7 +242,7 @@ def test_metamers_of_pairs_are_closer_when_single_bands_are_matched_first(monkey
 
 
 @pytest.mark.slow
-def test_metamers_keep_edges_that_short_displacements_make_ragged():
+def test_metamers_keep_edges_that_short_displacements_fray():
     picture = edge_picture()
     view = {"alpha": 1.0, "real_image_width": 1.0, "real_viewing_distance": 0.7}
 
@@ -261,7 +261,7 @@ def test_metamers_keep_edges_that_short_displacements_make_ragged():
 
 
 @pytest.mark.slow
-def test_a_texture_has_the_moments_of_details_that_it_was_not_made_from():
+def test_texture_has_moments_of_details_it_was_not_made_from():
     centres = 96 * noise(60, 2, seed=5)
     line = torch.arange(96.0)
     sample = torch.zeros(96, 96)
@@ -283,7 +283,7 @@ def test_a_texture_has_the_moments_of_details_that_it_was_not_made_from():
     assert abs(k_made - kurtosis) < max(0.5 * abs(k_start - kurtosis), 0.6)
 
 
-def test_grey_pictures_with_one_orientation_have_no_pairs_at_the_last_level():
+def test_grey_single_orientation_has_no_pairs_at_the_last_level():
     picture, other = noise(1, 1, 65, 65), noise(1, 1, 65, 65, seed=1)
     # High-pass residual and four bands, the mean and the deviation of each.
     assert texture_statistics(picture, n_orientations=1)["bands"].shape == (1, 10)

@@ -87,7 +87,7 @@ def test_detail_counts_more_under_the_gaze_than_away_from_it():
     assert values[0] > 10 * values[2] > 0
 
 
-def test_other_noise_of_the_same_kind_has_a_small_loss_away_from_the_gaze():
+def test_other_noise_of_same_kind_has_small_loss_away_from_gaze():
     """Pixels differ as much from other noise as from its blur; statistics distinguish them."""
     one, two = 0.3 * noise(1, 3, 64, 64) + 0.35, 0.3 * noise(1, 3, 64, 64, seed=1) + 0.35
     flat = torch.full_like(one, 0.5)

@@ -40,7 +40,7 @@ def grid(count, extent, depth):
         *(f"odak.raytracing.{module}" for module in ("boundary", "primitives", "ray")),
     ],
 )
-def test_documented_modules_are_importable_and_say_what_they_hold(name):
+def test_documented_modules_are_importable_and_documented(name):
     module = importlib.import_module(name)
     package = importlib.import_module(name.rpartition(".")[0])
     shared = [public for public in package.__all__ if hasattr(module, public)]

@@ -42,7 +42,7 @@ def test_class_and_module_of_one_name():
     assert rt.detector.detector is detector
 
 
-def test_a_ray_through_a_pixel_lights_that_pixel_alone_however_tilted():
+def test_ray_through_a_pixel_lights_that_one_however_tilted():
     plate = tilted()
     chosen = torch.tensor([0, 6, 17, 28, 34, 17])
     points, image, distances = plate.intersect(rays_to(plate.pixel_locations[chosen]), color=1)

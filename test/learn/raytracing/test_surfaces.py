@@ -218,7 +218,7 @@ def test_surfaces_without_coefficients():
         assert found == pytest.approx(float(core.intersect_w_sag(ray.numpy(), surface).distance), rel=1e-12)
 
 
-def test_a_tangent_ray_leaves_the_derivatives_of_others_unchanged():
+def test_tangent_ray_leaves_derivatives_of_others_unchanged():
     rays = torch.tensor([[[0, -20.0, 0], [0, 1.0, 0]], [[0, 1.0, -5], [0, 0, 1.0]]], dtype=F64)
     curvature = torch.tensor(0.1, dtype=F64, requires_grad=True)
     rt.intersect_w_sag(rays, core.Conic(curvature)).distance[1].backward()

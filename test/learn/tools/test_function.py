@@ -30,7 +30,7 @@ def test_basis_is_scipys():
     assert grid[3, 1].tolist() == [0.5, 0.0]
 
 
-def test_splines_sum_to_one_inside_and_to_five_sixths_at_the_edge():
+def test_splines_sum_to_one_inside_and_to_five_sixths_at_edge():
     line = generate_bspline_basis_2d([8, 1], [1, 71], **double)[0].sum(0)
     assert torch.allclose(line[10:-10], torch.ones(51, **double), atol=1e-14)
     assert torch.allclose(line[[0, -1]], torch.full((2,), 5 / 6, **double), atol=1e-14)

@@ -104,7 +104,7 @@ def test_interruption_gives_the_best_so_far(start, caplog):
     assert "interrupted after 10 of 20" in caplog.text
 
 
-def test_interruption_within_an_iteration_leaves_whole_parameters(start, tmp_path):
+def test_interruption_within_iteration_leaves_whole_parameters(start, tmp_path):
     path = tmp_path / "run.pt"
 
     def loss_of(iteration, parameter):
@@ -118,7 +118,7 @@ def test_interruption_within_an_iteration_leaves_whole_parameters(start, tmp_pat
 
 
 @pytest.mark.parametrize("stop", [1, 2, 6])
-def test_interruption_within_a_line_search_goes_back_to_its_start(start, stop, tmp_path):
+def test_interruption_within_line_search_goes_back_to_its_start(start, stop, tmp_path):
     path, calls = tmp_path / "run.pt", itertools.count(1)
 
     def quartic(iteration, parameter, stop=None):

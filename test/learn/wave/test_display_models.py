@@ -126,7 +126,7 @@ def test_captures_of_an_independent_table_are_predicted():
 
 
 @pytest.mark.slow
-def test_a_calibration_of_an_independent_table_is_refined_by_a_fit_to_captures():
+def test_calibration_of_a_table_is_refined_by_a_fit_to_captures():
     """Known to 1 % in distance, calibrated, then fitted: the truth is the table's own, and its captures are predicted.
 
     The gaps between the pixels are dark and the beam is off the axis; so few pixels leave the calibration uncertain.
@@ -489,7 +489,7 @@ def test_wrong_arguments_are_named(fitted):
 
 
 @pytest.mark.slow
-def test_a_realistic_table_is_predicted_to_its_noise_and_shows_better_holograms():
+def test_realistic_table_is_predicted_and_shows_better_holograms():
     """All faults, with dust and a response that differs from pixel to pixel, found by maps of free form."""
     n, distance = 32, 3e-3
     faults = {"aberration": 0.2, "fringing": 0.4, "samples_per_pixel": 1, "fill_factor": 1.0, "iris": None, "dust": 2}

@@ -112,7 +112,7 @@ def test_images_are_means_over_pixels(phases, orders):
     assert np.linalg.norm(points - middles) < 0.01 * np.linalg.norm(middles)
 
 
-def test_transfer_functions_lie_in_the_order_in_which_they_are_read():
+def test_transfer_functions_lie_in_order_in_which_they_are_read():
     for iris in ("order", None):
         display = Display(Modulator((8, 12), 8e-6), 532e-9, [2e-3, 3e-3], iris=iris)
         # On a CPU a column of the spectrum is read at a time: row by row, a step takes a third longer.

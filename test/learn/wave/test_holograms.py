@@ -177,7 +177,7 @@ def soft():
     return torch.from_numpy(0.2 + np.exp(-((y / 5.0) ** 2) - ((x - 2) / 6.0) ** 2))
 
 
-def test_alternating_projections_and_the_planes_optimizer_account_for_the_size_of_pixels(soft):
+def test_projections_and_planes_optimizer_account_for_pixel_size(soft):
     """Pixels of three fifths of the pitch, evaluated on pixels drawn as squares."""
     distance = 1.5e-3
     options = {"propagation_type": "Angular Spectrum", "initial_phase": torch.zeros_like(soft)}
@@ -202,7 +202,7 @@ def test_alternating_projections_and_the_planes_optimizer_account_for_the_size_o
         wave.gerchberg_saxton(soft, *place, pixel_fill=1.5)
 
 
-def test_double_phase_of_finite_pixels_encodes_the_field_that_they_attenuate(soft):
+def test_double_phase_encodes_the_field_finite_pixels_attenuate(soft):
     made = {
         fill: wave.double_phase_hologram(soft, WAVELENGTH, 5e-4, DX, "Angular Spectrum", pixel_fill=fill)
         for fill in (None, 9 / 25)
@@ -402,7 +402,7 @@ def test_adam_is_torchs_adam():
     torch.testing.assert_close(ours, theirs)
 
 
-def test_gradients_are_taken_even_where_the_caller_switched_them_off(target):
+def test_gradients_are_taken_even_where_caller_switched_them_off(target):
     with torch.no_grad():
         inside = descend(target, n_iteration=3)[0]
     assert torch.equal(inside, descend(target, n_iteration=3)[0])
@@ -425,7 +425,7 @@ def test_lbfgs_moves_on_large_pictures_and_reports_the_mean():
     assert image.isfinite().all()
 
 
-def test_gerchberg_saxton_takes_the_arguments_of_gradient_descent(target):
+def test_gerchberg_saxton_takes_arguments_of_gradient_descent(target):
     own = wave.gerchberg_saxton(target.sqrt(), 3, DISTANCE, DX, WAVELENGTH, propagation_type="TR Fresnel", seed=1)
     place = (target, WAVELENGTH, DISTANCE, DX)
     with pytest.warns(odak.ArgumentWarning, match="no use for learning_rate"):

@@ -343,7 +343,7 @@ def test_default_blur_grows_by_parts_of_a_pixel():
 
 
 @pytest.mark.parametrize("aperture", [None, 0.1])
-def test_blur_of_the_geometry_is_a_disc_that_grows_with_distance_and_wavelength(aperture):
+def test_geometric_blur_disc_grows_with_distance_and_wavelength(aperture):
     colours, pitch, step = [639e-9, 473e-9], 8e-6, 2e-3 if aperture is None else 1e-3
     size, places = 161, [0.0, step, 3 * step]
     depth = torch.zeros(size, size, dtype=torch.float64)

@@ -113,7 +113,7 @@ def test_the_bar_stays_with_the_final_loss(capsys):
     assert f"loss={losses[-1]:.3g}" in last
 
 
-def test_targets_of_a_multiplane_loss_go_to_the_multiplane_optimizer():
+def test_targets_of_multiplane_loss_go_to_multiplane_optimizer():
     loss = wave.multiplane_loss(draw(1, *SIZE), draw(*SIZE, seed=1), number_of_planes=8)
     targets = loss.get_targets()[0]
     assert targets.shape == (8, 1, *SIZE)

@@ -212,7 +212,7 @@ def test_free_brightness_is_that_of_the_closest_images():
     assert psnr(images, made.targets) > psnr(fixed, made.targets) + 0.2
 
 
-def test_images_are_compared_with_targets_of_the_brightness_asked_for():
+def test_images_are_compared_with_targets_of_given_brightness():
     brightest = []
 
     def loss(image, target):

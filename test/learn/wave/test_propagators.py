@@ -73,7 +73,7 @@ def test_relay_leaves_the_net_distance(phases):
 
 
 @pytest.mark.filterwarnings("ignore:.*averages the field:odak.AccuracyWarning")
-def test_a_relay_of_fresnel_impulse_responses_leaves_the_net_distance(phases):
+def test_relay_of_fresnel_impulse_responses_leaves_net_distance(phases):
     offset = 5e-3
     options = {"propagation_type": "Impulse Response Fresnel", "image_location_offset": offset}
     show = display(propagator_type="back and forth", aperture_samples=[1, 1, 1, 1], **options)
@@ -92,7 +92,7 @@ def test_a_relay_of_fresnel_impulse_responses_leaves_the_net_distance(phases):
 
 
 @pytest.mark.parametrize("shape", [(24, 32), (32, 20)])
-def test_an_iris_is_round_and_its_cut_off_falls_with_the_wavelength(shape):
+def test_iris_is_round_and_its_cut_off_falls_with_wavelength(shape):
     phases = 2 * math.pi * torch.rand(3, *shape, generator=torch.Generator().manual_seed(1))
     radius, focal = 0.7e-3, 0.05
     show = propagator(
@@ -290,7 +290,7 @@ def test_module_moves_and_keeps_its_distances(phases):
     torch.testing.assert_close(show.reconstruct(phases.double()).float(), before, rtol=1e-4, atol=1e-5)
 
 
-def test_kernels_are_centred_and_their_inverse_is_the_impulse_response():
+def test_kernels_are_centred_and_inverse_to_the_impulse_response():
     show = display(aperture=torch.ones(48, 64))
     kernels = show.kernels
     assert kernels.shape == (2, 3, 48, 64)
@@ -305,7 +305,7 @@ def test_kernels_are_centred_and_their_inverse_is_the_impulse_response():
     torch.testing.assert_close(show.propagate(field, kernels[1, 2]), expected, atol=1e-6, rtol=1e-4)
 
 
-def test_kernels_are_built_once_for_the_planes_that_are_asked_for(phases):
+def test_kernels_are_built_once_for_planes_that_are_asked_for(phases):
     show, field = display(number_of_depth_layers=3), wave.unit_phasor(phases[0])
     assert not show.generated_kernels.any()
     first = show(field, 1, 2)

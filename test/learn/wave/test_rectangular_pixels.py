@@ -112,7 +112,7 @@ def test_optimizers_claim_what_an_independent_propagation_gives():
         assert physics.relative_error(plane.numpy(), intensity(phase, distance)) < 1e-3
 
 
-def test_double_phase_takes_an_iris_that_stops_the_orders_along_both_axes():
+def test_double_phase_iris_stops_the_orders_along_both_axes():
     hologram, shown = learn.double_phase_hologram(target(), WAVELENGTH, DISTANCE, PITCH)
     expected = intensity(hologram.angle(), cutoff=0.25 / max(PITCH))
     assert physics.relative_error(shown.abs().numpy() ** 2, expected) < 0.05

@@ -241,7 +241,7 @@ def test_a_display_shows_what_its_modulator_sends(s):
         assert physics.relative_error(shown[colour, 0, colour], abs(expected) ** 2) < 1e-4
 
 
-def test_hologram_optimised_through_the_model_is_better_on_the_modulator():
+def test_hologram_optimised_through_model_is_better_on_modulator():
     generator = torch.Generator().manual_seed(1)
     target = torch.rand(6, 8, generator=generator).repeat_interleave(8, 0).repeat_interleave(8, 1)
     slm = spatial_light_modulator(bits=8, fill_factor=0.8, dead_area_phase=1.0)

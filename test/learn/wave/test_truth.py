@@ -70,7 +70,7 @@ def test_no_propagation_type_claims_more_than_exact_propagation(method, share):
     assert abs(excess(images[0, 0, 0], torch.polar(torch.ones(size), phase[0]), target, distance)) < 0.1
 
 
-def test_averages_over_pixels_are_those_of_real_pixels_and_averages_over_the_image_are_a_warning():
+def test_averages_over_pixels_are_real_and_over_images_warned_of():
     # Near enough for the paraxial phase.
     distance, colour = CRITICAL / 4, COLOURS[1]
     options = {"distances": [distance], "propagation_type": "IR Fresnel", "propagator_type": "forward"}
@@ -244,7 +244,7 @@ def test_display_without_relay():
     assert abs(decibels(shown, picture(*SIZE)) - decibels(expected, picture(*SIZE))) < 0.3
 
 
-def test_a_camera_loop_that_gets_worse_says_so_and_returns_its_best():
+def test_camera_loop_that_gets_worse_warns_and_returns_its_best():
     target, distance = picture(*SIZE), 0.3 * CRITICAL
     start = torch.zeros(SIZE)
     options = {"n_iteration": 60, "scale": True, "initial_phase": start, "learning_rate": 0.2, "progress": False}

@@ -175,7 +175,7 @@ def test_array_comes_top_row_first(program, picture):
         ("kill -9 $$", "exit code -9"),
     ],
 )
-def test_failure_tells_what_blender_wrote_and_leaves_the_old_file(program, picture, tmp_path, body, words):
+def test_failure_tells_what_blender_wrote_and_leaves_old_file(program, picture, tmp_path, body, words):
     (tmp_path / "a.png").write_text("old")
     before = {entry.name for entry in tmp_path.iterdir()}
     with pytest.raises(blender.BlenderError, match=f"(?s){words}"):

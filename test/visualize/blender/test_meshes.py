@@ -45,7 +45,7 @@ def test_sphere():
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.02)
 
 
-def test_tubes_have_the_volume_of_their_prisms_whatever_their_direction(random):
+def test_tubes_have_the_volume_of_their_prisms_in_any_direction(random):
     starts, ends = random.normal(size=(2, 50, 3))
     starts[:3], ends[:3] = 0, np.eye(3)
     tubes = items.tube_mesh(starts, ends, 0.03, 8)

@@ -153,7 +153,7 @@ def shares(seen):
     return seen[..., :2] / np.where(seen[..., 2:] > 0.3, seen[..., 2:], np.nan)
 
 
-def test_glass_ball_turns_what_is_behind_it_upside_down_just_as_odak_traces_it():
+def test_glass_ball_inverts_its_background_as_odak_traces_it():
     index, size = 1.5168, 60.0
     picture = scene_of((64, 64), samples=64)
     picture.add_sphere([0.0, 0.0, 0.0], 5.0, material="N-BK7", segments=256)
@@ -212,7 +212,7 @@ def test_lens_shows_what_odak_traces_through_it():
 
 
 @pytest.mark.parametrize("unit", ["mm", "m"])
-def test_white_matt_surface_under_a_watt_has_the_value_of_the_law(unit):
+def test_white_matt_surface_under_watt_has_value_of_law(unit):
     picture = blender.scene(unit=unit, resolution=(9, 9), samples=256, device="cpu")
     picture.set_background("black", 0)
     picture.add_plane([2e4, 2e4], rotation=[180, 0, 0])

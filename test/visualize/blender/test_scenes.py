@@ -225,7 +225,7 @@ def test_image_of_any_kind_is_the_same(picture, tmp_path):
     st.floats(5, 120),
     st.floats(0.1, 50),
 )
-def test_rays_of_a_camera_end_in_the_pixels_they_are_projected_to(location, projection, fov, along):
+def test_rays_of_camera_end_in_pixels_they_are_projected_to(location, projection, fov, along):
     picture = blender.scene(resolution=(3, 5))
     camera = picture.add_camera(location, [0.1, 0.2, 9.0], projection=projection, fov=fov, width=2.0)
     axes = np.asarray(camera.axes)
@@ -277,7 +277,7 @@ def test_an_empty_scene_is_refused():
 
 
 @pytest.mark.parametrize("unit", ["m", "mm"])
-def test_a_scene_without_lights_and_background_is_lit_by_the_studio(unit):
+def test_scene_without_lights_and_background_is_lit_by_studio(unit):
     picture = blender.scene(unit=unit)
     picture.add_sphere([1, 2, 3], radius=2.0)
     camera = picture._view((480, 640))

@@ -79,7 +79,7 @@ def test_lost_rays_do_not_count_in_spots():
     assert bool(rms_spot(system)[2].isnan())
 
 
-def test_numbers_at_one_wavelength_give_the_results_of_that_wavelength():
+def test_numbers_at_one_wavelength_give_results_of_that_one():
     """Without dispersion, so that the pupils of all wavelengths are the same."""
     rows = [surface(50.0, thickness=5.0, material=1.6, stop=True), surface(thickness=80.0)]
     lens = optical_system(rows, 6.0, fields=[2.0], wavelengths=[4e-4, 5e-4, 7e-4])

@@ -55,7 +55,7 @@ def judged_alone(lens, angles, size, bent):
 
 
 @pytest.mark.slow
-def test_a_lens_is_designed_from_flat_plates_and_the_seed_repeats_it():
+def test_lens_is_designed_from_flat_plates_and_seed_repeats_it():
     """The requirements are met for rays of another pattern; the same seed gives the same digits."""
     asked = (["N-LAK33B", "stop", "SF5", "N-LAK33B"], 50.0, 5.6, 10.0)
     options = {"edge": 0.5, "back": 20.0, "track": 80.0, "starts": 6, "iterations": 8, "polish": 1, "seed": 4}
@@ -74,7 +74,7 @@ def test_a_lens_is_designed_from_flat_plates_and_the_seed_repeats_it():
 
 
 @pytest.mark.slow
-def test_glasses_that_vary_from_the_start_correct_colour_and_spots():
+def test_glasses_that_vary_from_start_correct_colour_and_spots():
     """A triplet of 50 mm, f/2.8 and 20 degrees, judged by rays and paraxial sums that are not the library's."""
     options = {"glass": (1.5, 9.0), "air": (0.3, 15.0), "edge": 0.6, "back": 20.0, "track": 80.0, "polish": 1}
     lens = automatic_design(
@@ -117,7 +117,7 @@ def test_the_usual_design_holds_its_limits():
 
 
 @pytest.mark.parametrize(("f_number", "poor"), [(2.0, True), (4.0, False)])
-def test_spots_of_aspheres_above_a_400th_of_the_focal_length_give_a_warning(f_number, poor):
+def test_large_spots_of_aspheres_give_a_warning(f_number, poor):
     """One step of a singlet leaves large spots at f/2 and smaller ones at f/4."""
     options = {"aspheric_terms": 1, "wavelengths": [587.6e-6], "starts": 1, "stages": 1, "iterations": 1, "polish": 0}
     with warnings.catch_warnings(record=True) as caught:

@@ -40,7 +40,7 @@ def _toric():
     return optical_system([front, surface(-60.0, thickness=50.0), surface(thickness=1.0)], 5.0)
 
 
-def test_the_best_form_of_a_thin_lens_is_that_of_third_order_theory():
+def test_best_form_of_thin_lens_is_that_of_third_order_theory():
     """Least spherical aberration of a distant point: q = 2(n² − 1)/(n + 2) (Jenkins and White 1976, eq. 9n)."""
     n = 1.6
     lens = _singlet(index=n, aperture=0.5)
@@ -144,7 +144,7 @@ def test_pickups_hold_and_bounds_are_kept():
     assert abs(c[0]) <= 0.02 * (1 + 1e-14)
 
 
-def test_rays_that_pass_the_conic_of_an_asphere_by_are_traced_by_the_fused_kernel(monkeypatch):
+def test_rays_past_the_conic_of_an_asphere_are_traced_fused(monkeypatch):
     """A paraboloid minus itself is a plane, which every ray meets; many of these rays do not meet the paraboloid."""
 
     def plate(**front):
@@ -176,7 +176,7 @@ def test_a_run_in_two_parts_that_keeps_the_damping_is_one_run():
     assert not torch.equal(again.x, whole.x)
 
 
-def test_jacobians_with_tilts_and_through_apertures_that_lose_rays():
+def test_jacobians_with_tilts_and_apertures_that_lose_rays():
     """The trace in plain operations, forwards, agrees with the fused one; lost rays have no derivative."""
     triplet = load_system("cooke_triplet")
     fused = lens_design(triplet, "spot", Variable("curvature", range(6)), count=2).linearised
@@ -314,7 +314,7 @@ def test_units_of_solves_near_objects():
     assert math.isfinite(f)
 
 
-def test_rays_that_the_fused_kernel_cannot_follow_have_the_same_derivatives(monkeypatch):
+def test_rays_outside_the_fused_kernel_have_equal_derivatives(monkeypatch):
     """Where the replay fails, derivatives are computed by autograd through the plain operations."""
     lens = optical_system(
         [

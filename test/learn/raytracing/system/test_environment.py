@@ -28,14 +28,14 @@ def thermal_coefficient(glass, change=1.0):
     return 7.1e-6 - (high - low) / change / (low - 1)
 
 
-def test_the_focal_length_of_a_thin_lens_changes_as_its_coefficient_says():
+def test_thermal_focal_length_changes_as_the_coefficient_says():
     lens = singlet()
     cold, warm = (float(first_order(in_environment(lens, t)).focal_length) for t in (20.0, 30.0))
     assert cold == pytest.approx(float(first_order(lens).focal_length), rel=1e-12)
     assert (warm / cold - 1) / 10 == pytest.approx(thermal_coefficient("N-BK7", 10.0), rel=1e-4)
 
 
-def test_a_mount_of_the_coefficient_of_the_lens_keeps_the_image_in_place():
+def test_mount_of_coefficient_of_lens_keeps_image_in_place():
     """Passive athermalisation: the mount grows as the focal length does."""
     lens = singlet()
     behind = float(first_order(lens).image_distance)
@@ -91,7 +91,7 @@ def test_coefficients_and_gaps_grow_with_the_lens():
     assert edges[1] == pytest.approx(edges[0] * (1 + 20e-4), rel=1e-10)
 
 
-def test_the_focal_length_has_a_gradient_by_temperature_and_curvature():
+def test_focal_length_has_gradient_by_temperature_and_curvature():
     lens = singlet()
     bend = lens.vary(curvature=0)[0]
 

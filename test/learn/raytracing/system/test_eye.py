@@ -134,7 +134,7 @@ def perfect_transfer(size, pitch, diameter):
     return 2 / math.pi * (torch.acos(share) - share * (1 - share**2).sqrt())
 
 
-def test_transfer_function_without_aberrations_is_the_closed_form():
+def test_transfer_function_without_aberrations_is_closed_form():
     # A pupil of half a millimetre has no aberrations worth the name.
     size, pitch = (64, 48), 2e-4
     found = eye_transfer_function(size, pitch, GREEN, 0.5, vergence=float(eye_refraction(GREEN, 0.5)))[0]
@@ -170,7 +170,7 @@ def test_a_coherent_point_is_seen_as_the_incoherent_one():
     assert seen.pitch == (GREEN / (n * pitch),) * 2
 
 
-def test_light_from_the_right_is_seen_at_the_right_and_power_is_kept():
+def test_light_from_right_is_seen_at_right_and_power_is_kept():
     n, pitch, cycles = 128, 5e-5, 9
     # Light from a point at the right propagates to the left.
     wave = torch.exp(-2j * math.pi * cycles / n * torch.arange(n, dtype=torch.float64)).expand(n, n)
@@ -240,7 +240,7 @@ def test_gradients_reach_the_picture_and_the_field():
 
 
 @pytest.mark.parametrize("shape", [(1, 65), (65, 1)])
-def test_the_rim_of_the_pupil_is_one_sample_wide_in_fields_of_one_row(shape):
+def test_rim_of_pupil_is_one_sample_wide_in_fields_of_one_row(shape):
     seen = retinal_field(torch.ones(shape, dtype=torch.complex128), 1e-4, GREEN, pupil_diameter=4.0)
     place = np.abs(np.arange(65) - 32) * 1e-4
     expected = (np.clip((2e-3 - place) / 1e-4 + 0.5, 0, 1) ** 2).sum()
@@ -258,7 +258,7 @@ def test_a_turned_eye_may_be_seen_on_the_samples_of_the_field():
     assert float(found[0].field.abs().square().sum()) == pytest.approx(float(found[1].field.abs().square().sum()))
 
 
-def test_gradients_reach_the_pupil_the_gaze_and_the_accommodation():
+def test_gradients_reach_pupil_gaze_and_accommodation():
     random = torch.Generator().manual_seed(0)
     field = torch.randn(24, 24, dtype=torch.complex128, generator=random)
     weight = torch.rand(24, 24, dtype=torch.float64, generator=random)

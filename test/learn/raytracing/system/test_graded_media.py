@@ -205,7 +205,7 @@ def test_files_ways_of_rays_and_what_is_refused():
         surface(gradient=0.1)
 
 
-def test_rays_that_turn_around_are_lost_without_a_trace_in_gradients():
+def test_rays_that_turn_around_are_lost_without_gradients():
     """A medium that reverses a steep ray: its status is an error, the others have finite gradients."""
     front = surface(thickness=5.0, material=1.6, gradient=AxialGradient([-0.2]))
     lens = optical_system([front, surface(thickness=1.0)], 1.0)
@@ -219,7 +219,7 @@ def test_rays_that_turn_around_are_lost_without_a_trace_in_gradients():
     assert bool(torch.isfinite(front.own_gradient.coefficients.grad).all())
 
 
-def test_a_solve_for_the_focal_length_includes_graded_media_on_both_sides():
+def test_focal_length_solve_includes_graded_media_on_both_sides():
     for place in (0, 1):
         lens = rod_of()
         design = lens_design(
@@ -232,7 +232,7 @@ def test_a_solve_for_the_focal_length_includes_graded_media_on_both_sides():
         lens_design(rod_of(), "spot", Variable("thickness", 1), solves=[Solve("marginal_height", 0, 0.1)])
 
 
-def test_images_within_graded_media_are_refused_and_those_behind_their_ends_are_right():
+def test_images_in_graded_media_are_refused_those_behind_right():
     def lens_of(*more):
         graded = surface(20.0, thickness=7.0, material=1.5, gradient=RadialGradient([-0.03]))
         return optical_system([surface(9.0, thickness=1.0, material=1.6), graded, *more], 2e-3, fields=[0.0, 1.0])
@@ -259,7 +259,7 @@ def test_images_within_graded_media_are_refused_and_those_behind_their_ends_are_
     ("folded", "kind"),
     [(surface(material="mirror", thickness=-3.0), "mirror"), (coordinate_break(), "coordinate break")],
 )
-def test_paraxial_matrices_refuse_media_that_go_on_behind_mirrors_and_breaks(folded, kind):
+def test_paraxial_matrices_refuse_graded_media_behind_mirrors(folded, kind):
     front = surface(9.0, thickness=3.0, material=1.6, gradient=RadialGradient([-0.09]))
     lens = optical_system([front, folded, surface(thickness=-2.0)], 1.0, fields=[0.0, 1.0])
     for function in (first_order, distortion):
@@ -277,7 +277,7 @@ def richardson(coarse, fine):
 
 @pytest.mark.parametrize("distance", [math.inf, pytest.param(150.0, marks=pytest.mark.slow)])
 @pytest.mark.slow
-def test_third_order_sums_of_graded_media_are_the_limit_of_real_rays(distance):
+def test_third_order_sums_of_graded_media_are_limit_of_real_rays(distance):
     """All transverse aberrations and colours, for an axial and a radial gradient between curved surfaces."""
     waves = [0.588e-3, 0.587e-3, 0.5875e-3]
 
@@ -341,7 +341,7 @@ def test_third_order_sums_of_graded_media_are_the_limit_of_real_rays(distance):
         assert sums[name] == pytest.approx(value, rel=1e-4 if name not in ("AX", "LAT") else 1e-3), name
 
 
-def test_third_order_sums_of_graded_media_are_differentiable_and_name_what_they_cannot_do():
+def test_third_order_sums_of_graded_media_are_differentiable():
     rod = [surface(30.0, material=1.6, gradient=RadialGradient([-1e-3, 1e-6]), thickness=4.0), surface(thickness=40.0)]
     lens = optical_system(rod, 4.0, fields=[3.0])
     numbers = lens.prescription()

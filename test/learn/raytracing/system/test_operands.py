@@ -126,7 +126,7 @@ def test_distances_from_the_hull_of_a_catalogue():
         assert max(found, 0.0) == pytest.approx(distance, rel=1e-4, abs=1e-5)
 
 
-def test_axial_colour_of_thin_lenses_is_the_sum_of_powers_over_abbe_numbers():
+def test_axial_colour_of_thin_lenses_is_sum_of_powers_over_abbe():
     """f²·Σ φ/V between the F and C lines, for two lenses in contact."""
     crown, flint = model_glass(1.6, 60.0), model_glass(1.65, 34.0)
     rows = [(60.0, 1e-9, crown), (-60.0, 1e-9, "air"), (-90.0, 1e-9, flint), (400.0, 100.0, "air")]
@@ -154,7 +154,7 @@ def test_slopes_of_a_sphere_and_of_an_asphere():
     torch.testing.assert_close(found, torch.tensor(expected, dtype=F64), rtol=1e-12, atol=0)
 
 
-def test_edges_of_surfaces_that_are_planes_beyond_their_own_beams():
+def test_edges_of_surfaces_planes_beyond_their_own_beams():
     """Two spheres of different semi-diameters: the smaller one keeps the height of its rim."""
     lens = optical_system(
         [

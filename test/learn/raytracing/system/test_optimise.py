@@ -31,7 +31,7 @@ from odak.raytracing.surfaces import Conic, Toroid
 F64 = torch.float64
 
 
-def test_levenberg_and_marquardt_find_the_conic_of_a_perfect_lens():
+def test_levenberg_and_marquardt_find_conic_of_perfect_lens():
     n = 1.5
     lens = optical_system(
         [surface(thickness=10.0, material=n), surface(-45.0, conic=0.0, thickness=100.0, stop=True)], aperture=40.0
@@ -71,7 +71,7 @@ def test_what_of_a_surface_can_be_varied():
         surface(thickness=given * 2)
 
 
-def test_levenberg_and_marquardt_with_fewer_residuals_than_parameters():
+def test_levenberg_marquardt_of_fewer_residuals_than_parameters():
     p = torch.tensor([1.0, 2.0, -1.0], dtype=F64, requires_grad=True)
     result = levenberg_marquardt(lambda: (p.sum() - 5).reshape(1), [p])
     assert float(p.sum().detach()) == pytest.approx(5, abs=1e-9) and result.loss < 1e-16
@@ -96,7 +96,7 @@ def test_any_torch_optimizer_improves_a_lens():
     assert sizes[-1] < 0.8 * sizes[0]
 
 
-def test_tolerances_are_reproducible_and_each_is_a_system_of_its_own():
+def test_tolerances_are_reproducible_systems_of_their_own():
     system = load_system("cooke_triplet")
     off = [
         Perturbation("radius", [0, 1], 2e-3, relative=True),
@@ -201,7 +201,7 @@ def test_a_toroid_rolls_about_its_axis():
     torch.testing.assert_close(found[0, 0], image_heights(lenses[1])[0:], rtol=1e-9, atol=1e-12)
 
 
-def test_irregularities_and_abbe_numbers_are_off_by_what_was_asked_for():
+def test_irregularities_and_abbe_numbers_are_off_as_asked():
     lens = load_system("cooke_triplet")
     off = [Perturbation("irregularity", 2, 1e-3), Perturbation("abbe", 2, 0.1, True)]
     numbers = perturbed(lens, lens.prescription(), off, 400, 0)

@@ -38,7 +38,7 @@ def test_focal_length_is_the_lensmakers(thickness):
 @pytest.mark.parametrize(
     ("name", "focal_length", "f_number"), [("cooke_triplet", 50.0, 4.0), ("double_gauss", 100.0, 2.0)]
 )
-def test_published_lenses_have_their_published_focal_length_and_f_number(name, focal_length, f_number):
+def test_published_lenses_have_their_focal_length_and_f_number(name, focal_length, f_number):
     found = first_order(load_system(name))
     assert float(found.focal_length) == pytest.approx(focal_length, rel=5e-4)
     assert float(found.f_number) == pytest.approx(f_number, rel=5e-4)
@@ -183,7 +183,7 @@ def test_third_order_sums_are_the_limit_of_real_rays(conic, distance):
     assert float(y[1] + y[2]) / 2 - float(y[0]) == pytest.approx(sums["TCO"], rel=0.02)
 
 
-def test_third_order_sums_are_differentiable_and_name_what_they_cannot_do():
+def test_third_order_sums_are_differentiable_and_name_limits():
     lens = load_system("cooke_triplet")
     numbers = lens.prescription()
 

@@ -395,7 +395,7 @@ def test_the_field_of_a_helical_ray_turns_by_rytovs_law():
     assert torch.allclose(found.rotation.reshape(3, 3), turn.mT @ expected @ turn, rtol=0, atol=1e-9)
 
 
-def test_graded_media_without_a_gradient_are_glass_behind_breaks_and_mirrors_too():
+def test_graded_media_without_gradient_are_glass_everywhere():
     """A medium of constant index, and losses of its material over the way."""
 
     def system_of(**options):

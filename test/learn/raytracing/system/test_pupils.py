@@ -67,7 +67,7 @@ def test_a_ball_images_every_direction_alike_onto_a_ball():
     torch.testing.assert_close(aslant, expected, atol=1e-12, rtol=0)
 
 
-def test_a_ball_has_no_field_curvature_against_the_sphere_and_its_own_against_a_plane():
+def test_field_curvature_of_a_ball_on_the_sphere_and_on_a_plane():
     tangential, sagittal = field_curvature(ball(surface(-FOCAL)))
     torch.testing.assert_close(tangential, torch.zeros(1, 2, dtype=F64), atol=1e-9, rtol=0)
     torch.testing.assert_close(sagittal, torch.zeros(1, 2, dtype=F64), atol=1e-9, rtol=0)
@@ -79,7 +79,7 @@ def test_a_ball_has_no_field_curvature_against_the_sphere_and_its_own_against_a_
     assert float(flat[0, 1]) == pytest.approx(FOCAL * math.cos(math.radians(25)) - FOCAL, rel=1e-9)
 
 
-def test_the_wavefront_to_a_point_of_a_curved_image_is_that_of_the_axis():
+def test_wavefront_to_point_of_curved_image_is_that_of_axis():
     """Turned about the centre, the same wave: the stop, an ellipse from there, is filled by the same round bundle."""
     system = ball(surface(-FOCAL), fields=[(0.0, 0.0)], aperture=8.0)
     pupil = torch.tensor([[0.0, 0.5], [0.9, 0.0], [-0.3, -0.6]], dtype=F64)
@@ -262,7 +262,7 @@ def test_a_pupil_exactly_at_infinity():
         launch(system)
 
 
-def test_the_wavefront_of_an_exit_pupil_at_infinity_is_the_limit_of_far_ones():
+def test_wavefront_of_exit_pupil_at_infinity_is_the_far_limit():
     system = optical_system(
         [
             surface(thickness=100.0, stop=True),

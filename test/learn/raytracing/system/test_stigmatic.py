@@ -277,7 +277,7 @@ def test_first_order_rays_keep_their_invariant():
     assert image == pytest.approx(0, abs=1e-12)
 
 
-def test_the_aberration_of_the_pupil_is_that_of_the_footprint_at_the_stop():
+def test_aberration_of_pupil_is_that_of_footprint_at_stop():
     lens = load_system("double_gauss_f28")
     pupil, error = pupil_aberration(lens, count=5)
     found = footprint(lens, lens.stop, "y", 5, vignetting=False).y[lens.reference]

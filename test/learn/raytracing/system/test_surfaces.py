@@ -344,7 +344,7 @@ def test_the_path_of_an_ideal_lens_from_its_focal_point():
 
 
 @pytest.mark.parametrize("second", [None, -30.0, 70.0])
-def test_ideal_lenses_are_stigmatic_at_the_conjugates_of_the_system(second):
+def test_ideal_lenses_are_stigmatic_at_conjugates_of_system(second):
     """Between an object and its image all paths are equal, behind another lens and a mirror too."""
     rows = [surface(phase=IdealLens(50.0), thickness=30.0)]
     rows += [] if second is None else [surface(phase=IdealLens(second), thickness=10.0)]

@@ -245,7 +245,7 @@ def test_turning_the_rays_about_the_axis_turns_the_image():
     torch.testing.assert_close(b.path, a.path, atol=1e-12, rtol=0)
 
 
-def test_a_tilted_or_shifted_system_is_the_system_seen_from_rays_moved_the_other_way():
+def test_tilted_system_is_the_system_seen_from_rays_moved_back():
     tilt, shift = (0.8, -0.5), (0.3, -0.2)
     straight = optical_system([surface(30.0, material=1.5)], aperture=5.0)
     moved = optical_system([surface(30.0, material=1.5, tilt=tilt, shift=shift)], aperture=5.0)

@@ -39,7 +39,7 @@ def flat_wavefront(pupil, path):
     return Wavefront(path, zero[..., 0], pupil, torch.stack([zero, zero], -1), zero.to(torch.int8))
 
 
-def test_a_wavefront_of_the_shape_of_a_q_asphere_has_its_coefficients():
+def test_wavefront_of_shape_of_q_asphere_has_its_coefficients():
     """The asphere evaluates Forbes' recurrence of 2010."""
     given = [0.3, -0.2, 0.1, 0.05, -0.04]
     pupil = pupil_samples("rings", 8)
@@ -51,7 +51,7 @@ def test_a_wavefront_of_the_shape_of_a_q_asphere_has_its_coefficients():
     assert float(found.residual.max()) < 1e-12
 
 
-def test_squares_of_q_coefficients_sum_to_the_mean_square_gradient():
+def test_squares_of_q_coefficients_sum_to_mean_square_gradient():
     """Of a polynomial in x and y, its gradient by autograd, on another grid, uniform in the arc sine of the radius."""
     powers = [(i, j) for i in range(8) for j in range(8 - i)]
     given = torch.randn(len(powers), generator=torch.Generator().manual_seed(7), dtype=F64)

@@ -117,7 +117,7 @@ def test_light_of_a_perfect_lens_propagates_to_airys_disc():
 
 @pytest.mark.parametrize("field", [pytest.param(0, marks=pytest.mark.slow), 1])
 @pytest.mark.slow
-def test_light_of_an_aberrated_lens_propagates_to_its_fourier_image(field):
+def test_light_of_aberrated_lens_propagates_to_its_fourier_image(field):
     system = singlet(1.5, fields=[(0.0, 0.0), (0.0, 2.0)])
     found = propagated_point_spread_function(system, 512, 3.21e-3, field=field)
     spread = point_spread_function(system, samples=128, size=1024)
@@ -297,7 +297,7 @@ def test_lost_rays_leave_derivatives_finite(look):
     assert found == pytest.approx(((above - below) / (2 * step)).item(), rel=1e-3)
 
 
-def test_blocked_light_leaves_derivatives_of_the_exit_field_finite():
+def test_blocked_light_leaves_derivatives_of_exit_field_finite():
     pieces = [surface(10.0, semi_diameter=1.0, thickness=30.0, material=1.5, stop=True)]
     lens = optical_system(pieces, aperture=4.0, wavelengths=50e-3)
     curvature = lens.vary(curvature=[0])[0]

@@ -371,7 +371,7 @@ def test_radii_may_be_parameters():
     assert [name for name, _ in system.named_parameters()] == ["surfaces.0.curvature_value"]
 
 
-def test_the_aperture_of_a_stop_is_not_its_limit_and_names_stay_on_a_line(tmp_path):
+def test_stop_aperture_is_not_its_limit_names_stay_on_a_line(tmp_path):
     lens = optical_system(
         [surface(50.0, thickness=3.0, material="N-BK7", stop=True, semi_diameter=9.0), surface(-60.0, thickness=50.0)],
         10.0,

@@ -136,7 +136,7 @@ def test_heights_of_surfaces_are_those_of_their_definitions(tmp_path, kind):
     assert not [line for line in report.ignored if "PARM" in line or "XDAT" in line]
 
 
-def test_irregular_surfaces_stand_as_between_two_coordinate_breaks(tmp_path):
+def test_irregular_surfaces_are_as_between_coordinate_breaks(tmp_path):
     """One decentred by (0.2, -0.1) and tilted by (3, 2) degrees; without a deviation it is the sphere itself."""
     rows = ["CURV 0.01", *numbers("PARM", [0.2, -0.1, 3.0, 2.0])]
     found, _ = read(tmp_path, **a_surface("IRREGULA", *rows))
@@ -275,7 +275,7 @@ def test_apertures_of_near_objects(tmp_path):
         read(tmp_path, aperture="OBNA 0.1 0")
 
 
-def test_a_stop_of_unknown_size_is_filled_to_the_narrowest_surface(tmp_path):
+def test_stop_of_unknown_size_is_filled_to_narrowest_surface(tmp_path):
     text = DEFAULTS["surface"].replace("  STOP\n", "") + "\n  DIAM 6.0 1 0 0 1"
 
     def with_stop(written):

@@ -95,7 +95,7 @@ def test_a_zoom_is_adjusted_by_its_gradients():
     assert zoom.settings == (("thickness", 0, tuple(gaps.tolist())),)
 
 
-def test_focus_positions_differ_in_object_fields_glasses_and_apertures():
+def test_focus_positions_differ_in_object_fields_and_glasses():
     lens = load_system("singlet")
     settings = [
         ("object_distance", None, [math.inf, 300.0]),

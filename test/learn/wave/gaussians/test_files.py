@@ -53,7 +53,7 @@ def test_broken_files_are_named(tmp_path):
         save_splats(tmp_path / "c.ply", splats()._replace(harmonics=torch.zeros(5, 5, 3)))
 
 
-def test_harmonics_are_orthonormal_and_rotate_with_the_published_signs():
+def test_harmonics_are_orthonormal_and_rotate_as_published():
     # Gauss-Legendre quadrature, exact for products of degree 6.
     height, weight = np.polynomial.legendre.leggauss(8)
     angle = np.arange(16) * 2 * np.pi / 16
