@@ -167,14 +167,6 @@ def test_map_with_shared_arguments():
                 work.map(*arguments)
 
 
-def test_tasks_are_checked():
-    work = serial(divide, [])
-    with pytest.raises(TypeError, match="args must be a list or tuple of positional arguments, got int"):
-        work.submit(3)
-    with pytest.raises(ValueError, match="on_failure must be one of 'raise', 'return'"):
-        work.run(on_failure="ignore")
-
-
 def test_without_dask_tasks_run_here(monkeypatch):
     monkeypatch.setattr(backends, "has_dask", lambda: False)
     monkeypatch.setattr("odak.manager.server.has_dask", lambda: False)

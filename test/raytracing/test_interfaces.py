@@ -240,23 +240,6 @@ def test_normals_of_cylinders_stand_on_their_axes():
     np.testing.assert_allclose(normal, [[[1, 7, 3], [1, 0, 0]], [[1, -4, 3], [0, 0, -1]]], atol=1e-12)
 
 
-def test_what_is_no_index_and_no_circle_is_refused():
-    ray = np.stack([0 * Z, Z])
-    for index in (np.nan, np.inf, complex(1.5, np.inf)):
-        with pytest.raises(ValueError, match="n2 must"):
-            rt.fresnel_coefficients(ray, ray, 1.0, index)
-    for index in (np.nan, np.inf):
-        with pytest.raises(ValueError, match="n2 must"):
-            learn.fresnel_coefficients(of(learn, ray), of(learn, ray), 1.0, index)
-    for face in (rt, learn):
-        with pytest.raises(TypeError, match="n1 must"):
-            face.fresnel_coefficients(of(face, ray), of(face, ray), 1j, 1.5)
-        circle = face.define_circle(of(face, [0, 0, 5]), 2.0, [0.0, 0.0, 0.0])
-        for broken in (circle[:2], [*circle, 1.0], "abc", 3.0):
-            with pytest.raises((TypeError, ValueError), match="circle"):
-                face.intersect_w_circle(of(face, ray), broken)
-
-
 def test_metals_are_the_same_on_both_faces(random):
     rays, normals = random.normal(size=(2, 4, 2, 3))
     n1, n2 = np.linspace(1.0, 1.3, 4), 0.2 + 3.4j + np.arange(4)

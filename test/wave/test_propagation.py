@@ -396,14 +396,6 @@ def test_a_warning_says_which_criterion_fails(method, shape, distance, reason):
         odak.wave.propagate_beam(np.ones(shape, np.complex64), None, distance, DX, WAVELENGTH, method)
 
 
-def test_texts_are_not_taken_letter_by_letter(random):
-    field = random.normal(size=(8, 8)) + 0j
-    for name, value in (("zero_padding", "yes"), ("samples", "1111"), ("k", "text"), ("k", [])):
-        arguments = {"k": None, "distance": 1e-3, "dx": 8e-6, "wavelength": 532e-9} | {name: value}
-        with pytest.raises((TypeError, ValueError), match=f"^{name} must"):
-            odak.wave.propagate_beam(field, propagation_type="Angular Spectrum", **arguments)
-
-
 @pytest.mark.filterwarnings("error")
 def test_auto_takes_a_method_that_serves_every_distance():
     beam = gaussian_beam((64, 64), DX, 60e-6, 0.0, WAVELENGTH)

@@ -206,18 +206,6 @@ def test_gradients_of_the_choice(random):
     )
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (([0, 4], 1e-6, 5e-7, 1.0), r"shape\[0\] must be at least 1"),
-        (([4], 1e-6, 5e-7, 1.0), "shape must be two integers"),
-    ],
-)
-def test_bad_geometry_is_named(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        odak.wave.sampling_report(*arguments)
-
-
 @pytest.mark.parametrize(("count_in", "count_out"), [(8, 8), (9, 14), (14, 9), (1, 5)])
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("axis", [-1, -2])

@@ -16,11 +16,6 @@ def test_wave_numbers():
     assert odak.wave.rayleigh_resolution(2.0, 50.0) == pytest.approx(1.22 * 0.0005 * 25)
 
 
-def test_a_wavelength_is_no_truth_value():
-    with pytest.raises(TypeError, match="wavelength"):
-        odak.wave.wavenumber(True)
-
-
 @given(amplitude=st.floats(1e-3, 1e3), phase=st.floats(-3.1, 3.1))
 def test_amplitude_and_phase_round_trip(amplitude, phase):
     field = odak.wave.generate_complex_field(np.full((2, 3), amplitude), np.full((2, 3), phase))

@@ -80,12 +80,6 @@ def test_two_dimensions_are_one_linear_layer():
     assert len(network.model) == 1 and network.model[0].weight.shape == (2, 5)
 
 
-@pytest.mark.parametrize("dimensions", [[2], [], 3, "23", [2, 0, 1], [2, -1], [2, 3.0], [2, True], None])
-def test_dimensions_are_at_least_two_positive_integers(dimensions):
-    with pytest.raises(ValueError, match="dimensions must be a list of at least two positive integers"):
-        models.multi_layer_perceptron(dimensions)
-
-
 @pytest.mark.parametrize("dimensions", [[2, 1], [2, 4, 1]])
 def test_an_unknown_type_is_named_with_the_nearest_one(dimensions):
     with pytest.raises(ValueError, match=r"model_type must be one of .*Did you mean 'Gaussian'\?"):

@@ -133,10 +133,3 @@ def test_refused():
         BlurLoss(mode="cubic")(noise(1, 3, 8, 8), noise(1, 3, 8, 8))
     with pytest.raises(ValueError, match=r"image must be a tensor of .*, got \(8, 8\) of torch.float64"):
         RadiallyVaryingBlur().blur(noise(8, 8))
-
-
-@pytest.mark.parametrize("gaze", ["0.5", ["a", "b"], [0.5], object()])
-def test_gaze_that_is_no_point(gaze):
-    """A text was taken letter by letter, each of which is a text: without end."""
-    with pytest.raises((ValueError, TypeError), match="gaze must be"):
-        BlurLoss()(noise(1, 1, 8, 8), noise(1, 1, 8, 8), gaze)

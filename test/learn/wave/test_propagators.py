@@ -468,11 +468,3 @@ def test_planes_may_be_moved(phases):
     volume.init_distances([1e-3, 2e-3, 4e-3])
     assert volume.number_of_depth_layers == 3 and volume.distances.tolist() == pytest.approx([1e-3, 2e-3, 4e-3])
     assert physics.relative_error(volume(field, 1, 2), unwrapped(field, 4e-3, COLOURS[1])) < 2e-3
-
-
-def test_options_of_displays_are_named():
-    for pad in ("no", True, [True], [True, False, True]):
-        with pytest.raises(ValueError, match="pad must be two booleans"):
-            holographic_display(COLOURS, PITCH, [24, 32], pad=pad)
-    with pytest.raises(TypeError, match="hologram_phases must be a real tensor"):
-        holographic_display(COLOURS, PITCH, [24, 32]).reconstruct(torch.ones(1, 24, 32) + 1j, torch.ones(1, 3))

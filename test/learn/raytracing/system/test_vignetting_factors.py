@@ -204,8 +204,3 @@ def test_factors_with_an_angle_are_named(tmp_path):
 def test_what_is_wrong_is_named(options, message):
     with pytest.raises(ValueError, match=message):
         lens(**options)
-
-
-def test_factors_as_text_are_refused():
-    with pytest.raises(TypeError, match="vignetting_factors must be a sequence of four numbers for each field"):
-        lens(vignetting_factors="0")
