@@ -82,13 +82,15 @@ def is_array(value) -> bool:
     # The plain kinds first: torch.compile warns of what array_api_compat looks up in caches.
     if type(value) in _PLAIN:
         return False
-    return is_torch(value) or array_api_compat.is_array_api_obj(value)
+    tensor = getattr(sys.modules.get("torch"), "Tensor", ())
+    return isinstance(value, tensor) or array_api_compat.is_array_api_obj(value)
 
 
 def namespace(*values) -> ModuleType:
     """Return the array namespace of the arrays among `values`, NumPy's when there is none."""
     tensor = getattr(sys.modules.get("torch"), "Tensor", ())
-    arrays = [value for value in values if isinstance(value, tensor) or is_array(value)]
+    one = len(values) == 1 and isinstance(values[0], tensor)
+    arrays = values if one else [value for value in values if isinstance(value, tensor) or is_array(value)]
     for value in arrays:
         if not isinstance(value, tensor):
             break

@@ -43,6 +43,8 @@ _COARSE, _FINE = 1e5, 1e-2
 _FRESNEL_ZONES = 1e5
 # Lengths in an array that are compared, one for each field of a batch.
 _MOST_LENGTHS = 64
+# Kinds of numbers whose checks need no question about libraries.
+_NUMBERS = (float, int)
 F = TypeVar("F", bound=Callable)
 
 
@@ -64,6 +66,8 @@ def real(name: str, value, *, positive: bool = False, nonzero: bool = False):
 
     Tensors on a GPU or inside a torch.func transform are checked for their type alone: reading them would sync or fail.
     """
+    if type(value) in _NUMBERS and math.isfinite(value) and (value > 0 if positive else value != 0 or not nonzero):
+        return value
     listed = isinstance(value, (list, tuple)) and all(isinstance(v, Real) for v in value)
     if isinstance(value, bool) or not (isinstance(value, Real) or listed or is_array(value)):
         raise TypeError(f"{name} must be a real number or an array of them, got {type(value).__name__}")
@@ -134,6 +138,8 @@ def constants(**values) -> tuple:
 
 def numbers(value) -> list[float]:
     """Return a number, a sequence or an array of numbers as a flat list of floats."""
+    if type(value) in _NUMBERS:
+        return [float(value)]
     if is_array(value):
         value = value.detach() if is_torch(value) else value
         return [float(v) for v in namespace(value).reshape(value, (-1,))]

@@ -10,7 +10,7 @@ import sys
 import textwrap
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import metadata
 from typing import Any, NamedTuple
 
@@ -173,9 +173,10 @@ def versions() -> dict[str, str]:
     """Return the versions of Python, odak and the libraries that it uses."""
     from odak import __version__
 
-    installed = {found.name for found in metadata.distributions()}
-    named = ("numpy", "scipy", "torch", "pillow", "plotly")
-    packages = {name: metadata.version(name) for name in named if name in installed}
+    packages = {}
+    for name in ("numpy", "scipy", "torch", "pillow", "plotly"):
+        with suppress(metadata.PackageNotFoundError):
+            packages[name] = metadata.version(name)
     return {"odak": __version__, "python": platform.python_version(), **packages, "torch": torch.__version__}
 
 

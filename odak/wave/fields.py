@@ -214,10 +214,12 @@ def generate_complex_field(amplitude: float | Array, phase: float | Array) -> Ar
 
 def _as_floats(name, value, like):
     """Return an array in floats of its own precision, a number or a list in those of the array `like`."""
-    if type(_validate.given(name, value)) in (int, float, complex) and _array.is_array(like):
-        dtype = _array.complex_dtype if isinstance(value, complex) else _array.real_dtype
-        return _array.cast(value, like, dtype(like))
-    array = _validate.array(name, _validate.given(name, value))
+    array = _validate.given(name, value)
+    if type(array) in (int, float, complex):
+        if _array.is_array(like):
+            dtype = _array.complex_dtype if isinstance(value, complex) else _array.real_dtype
+            return _array.cast(value, like, dtype(like))
+        array = _validate.array(name, array)
     dtype = _array.complex_dtype if "complex" in str(array.dtype) else _array.real_dtype
     if _array.is_array(value) or not _array.is_array(like):
         return _array.namespace(array).astype(array, dtype(array), copy=False)
