@@ -708,7 +708,8 @@ def refractive_index(
     extrapolate : bool
         Take wavelengths outside the material's range of validity.
     temperature : float or array, optional
-        In degrees Celsius; by default that of the published index. "air" as `medium` is then air of this temperature.
+        In degrees Celsius; by default the temperature of the published index. "air" as `medium` is then air of this
+        temperature.
     pressure : float or array, optional
         Of the air, in pascal; 101325 by default.
 
@@ -726,7 +727,7 @@ def refractive_index(
     Notes
     -----
     At another temperature the index in vacuum changes by (n² − 1)/(2n)·[D₀ΔT + D₁ΔT² + D₂ΔT³ + (E₀ΔT + E₁ΔT²)/(λ² −
-    λ_TK²)] (Schott, Technical Information 19); air is that of :func:`air_index`. A material without these constants
+    λ_TK²)] (Schott, Technical Information 19); air follows :func:`air_index`. A material without these constants
     keeps its index in vacuum.
 
     Examples

@@ -428,7 +428,7 @@ class plano_convex_lens:
         self.plane_surface = define_circle(self.plane_center, self.diameter / 2, self.rotation)
 
     def index(self) -> float:
-        """Return the index of the glass over that of the medium, at the lens' wavelength."""
+        """Return the index of the glass relative to the medium, at the lens' wavelength."""
         glass, around = (
             refractive_index(name, self.wavelength, unit="mm", medium="vacuum")
             for name in (self.settings["material"], self.medium)
@@ -467,7 +467,7 @@ class plano_convex_lens:
         rays : array, optional
             ``[2, 3]`` or ``[m, 2, 3]``, starting outside the lens, on either side of it.
         n : float, optional
-            Index of the glass over that of the medium; by default :meth:`index`.
+            Index of the glass relative to the medium; by default :meth:`index`.
 
         Returns
         -------

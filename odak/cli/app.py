@@ -498,7 +498,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Arguments after the program's name; those of the process by default.
+        Arguments after the program's name; by default the arguments of the process.
 
     Returns
     -------

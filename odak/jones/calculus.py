@@ -20,13 +20,13 @@ def electricfield(
     Parameters
     ----------
     px : number or array
-        Amplitude along x, real or complex, ``[..., k]``; a number counts as ``[1]``.
+        Amplitude along x, real or complex, ``[..., k]``; a number is taken as ``[1]``.
     py : number or array
-        Amplitude along y, of a shape that broadcasts with that of `px`.
+        Amplitude along y, of a shape that broadcasts with `px`.
     xp : module, optional
         Array library of the result where no array is given; NumPy by default.
     device : optional
-        Device of the result; by default that of the arrays given.
+        Device of the result; by default the device of the arrays given.
     dtype : optional
         complex64 or complex128; by default in the widest precision of the arrays given, else in the library's default.
 
@@ -159,7 +159,7 @@ def polarizer(
     xp : module, optional
         Array library of the result where no array is given; NumPy by default.
     device : optional
-        Device of the result; by default that of the arrays given.
+        Device of the result; by default the device of the arrays given.
     dtype : optional
         complex64 or complex128; by default in the widest precision of the arrays given, else in the library's default.
 
@@ -203,7 +203,7 @@ def diattenuator(
     xp : module, optional
         Array library of the result where no array is given; NumPy by default.
     device : optional
-        Device of the result; by default that of the arrays given.
+        Device of the result; by default the device of the arrays given.
     dtype : optional
         complex64 or complex128; by default in the widest precision of the arrays given, else in the library's default.
 
@@ -248,7 +248,7 @@ def retarder(
     xp : module, optional
         Array library of the result where no array is given; NumPy by default.
     device : optional
-        Device of the result; by default that of the arrays given.
+        Device of the result; by default the device of the arrays given.
     dtype : optional
         complex64 or complex128; by default in the widest precision of the arrays given, else in the library's default.
 
@@ -286,7 +286,7 @@ def quarter_wave_plate(
     xp : module, optional
         Array library of the result where no array is given; NumPy by default.
     device : optional
-        Device of the result; by default that of the arrays given.
+        Device of the result; by default the device of the arrays given.
     dtype : optional
         complex64 or complex128; by default in the widest precision of the arrays given, else in the library's default.
 
@@ -320,7 +320,7 @@ def half_wave_plate(
     xp : module, optional
         Array library of the result where no array is given; NumPy by default.
     device : optional
-        Device of the result; by default that of the arrays given.
+        Device of the result; by default the device of the arrays given.
     dtype : optional
         complex64 or complex128; by default in the widest precision of the arrays given, else in the library's default.
 
@@ -351,7 +351,7 @@ def rotator(angle: complex | Array, *, xp: ModuleType | None = None, device: Any
     xp : module, optional
         Array library of the result where no array is given; NumPy by default.
     device : optional
-        Device of the result; by default that of the arrays given.
+        Device of the result; by default the device of the arrays given.
     dtype : optional
         complex64 or complex128; by default in the widest precision of the arrays given, else in the library's default.
 
@@ -384,7 +384,7 @@ def circular_polarizer(
     xp : module, optional
         Array library of the result where no array is given; NumPy by default.
     device : optional
-        Device of the result; by default that of the arrays given.
+        Device of the result; by default the device of the arrays given.
     dtype : optional
         complex64 or complex128; by default in the widest precision of the arrays given, else in the library's default.
 
@@ -431,7 +431,7 @@ def mirror(
     xp : module, optional
         Array library of the result where no array is given; NumPy by default.
     device : optional
-        Device of the result; by default that of the arrays given.
+        Device of the result; by default the device of the arrays given.
     dtype : optional
         complex64 or complex128; by default in the widest precision of the arrays given, else in the library's default.
 
@@ -442,7 +442,7 @@ def mirror(
 
     Notes
     -----
-    Coefficients of 1 are those of an ideal mirror but for a common phase. At oblique incidence, with x along s,
+    Coefficients of 1 describe an ideal mirror up to a common phase. At oblique incidence, with x along s,
     rx = r_s and ry = −r_p where r_p follows the convention that it equals −r_s at normal incidence.
 
     The reflected field propagates along a new +z. Its frame is the old one rotated about x by 180°: y changes sign, and

@@ -88,7 +88,7 @@ def thin_film_stack(
     after Fresnel and e = exp(2iβ) the round trip through a film of phase thickness β = 2π·n·d·cosθ/λ, starts at the
     substrate. It equals the product of the films' characteristic matrices (M. Born and E. Wolf, Principles of Optics
     (1999), section 1.6), but no number of it grows with the thickness of an absorbing film. The sign of r for
-    p-polarised waves is that of Born and Wolf: r_p = −r_s at normal incidence.
+    p-polarised waves follows Born and Wolf: r_p = −r_s at normal incidence.
 
     Examples
     --------

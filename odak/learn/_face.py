@@ -25,7 +25,7 @@ _SECTION = re.compile(rf"\n\n({'|'.join(_TITLES)})\n-{{3,}}\n")
 _TYPES = {"device": torch.device | str | None, "dtype": torch.dtype | None}
 _ENTRIES = {
     "device": "torch.device or str, optional\n"
-    "Device of the result; by default that of the tensors given, else torch's default.",
+    "Device of the result; by default the device of the tensors given, else torch's default.",
     "dtype": "torch.dtype, optional",
 }
 _IN_TYPES = (
@@ -74,29 +74,29 @@ def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None, 
 
     It calls the core's function with torch as the array library (where the core has an argument `xp`, which it hides)
     and with the device checked (where there is an argument `device`). It belongs to the module that calls this
-    function. Its signature and docstring are those of the core, in terms of tensors.
+    function. Its signature and docstring are taken from the core, in terms of tensors.
 
     Parameters
     ----------
     core : callable
         Function of the core, written for any array library.
     tensors : iterable of str
-        Arguments whose numbers, lists and NumPy arrays become tensors before the call: on one device, that of the first
-        tensor among them, and in one precision, the widest of the floating tensors among them, else torch's default;
+        Arguments whose numbers, lists and NumPy arrays become tensors before the call: on the device of the first
+        tensor among them and in the widest precision of the floating tensors among them, else torch's default;
         None stays None.
         Leave out what the core takes as numbers with all their digits, such as a pixel pitch.
     defaults : mapping, optional
-        Defaults that differ from those of the core, by argument.
+        Defaults that differ from the core's, by argument.
     through : callable, optional
         Called as ``through(core, **arguments)`` instead of the core, to change what goes in or comes out.
     describe : mapping or str, optional
-        Texts that replace those of the core: a docstring of the sections that differ, under Parameters those that do;
+        Texts that replace the core's: a docstring of the sections that differ, under Parameters those that do;
         or a mapping: by argument its type and, from the second line on, its description; by title ("Returns", "Notes",
         "Examples") a section, left out where the text is empty; by "" the summary. Examples that are not replaced are
-        those of the core with its imports and ``np.`` replaced, so that the core's examples use only what NumPy and
+        taken from the core with its imports and ``np.`` replaced, so that the core's examples use only what NumPy and
         torch have in common.
     name : str, optional
-        The function's name, where it is not that of the core's.
+        The function's name, where it differs from the core's.
 
     Returns
     -------

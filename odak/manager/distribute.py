@@ -73,7 +73,7 @@ class agent:
         Address of this machine that the scheduler listens on with `server` and "local"; see
         :func:`odak.manager.start_server`. Anything beyond this machine needs `security`.
     security : distributed.Security, path or True, optional
-        TLS certificates; a path is that of a folder from :func:`odak.manager.make_certificates`.
+        TLS certificates; a path names a folder from :func:`odak.manager.make_certificates`.
     trusted_network : bool
         Accept unencrypted TCP to other machines. Anybody who can connect to the scheduler or to a worker can then run
         code there and, by the results that are unpickled, here.
@@ -294,7 +294,7 @@ class agent:
     ) -> list[Any]:
         """Call a function with each of some items and return the results in their order.
 
-        Submitted tasks stay as they are; :attr:`results` and :attr:`records` are then those of this call.
+        Submitted tasks stay as they are; :attr:`results` and :attr:`records` then belong to this call.
 
         Parameters
         ----------

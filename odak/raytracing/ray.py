@@ -354,10 +354,10 @@ def rays_from_field(
 
     Notes
     -----
-    The gradient is that of geometric optics (Born and Wolf, Principles of Optics, 1999, section 3.1.1: the eikonal); it
-    is the direction of propagation where there is one wave at each place, and the phase changes by less than π from one
-    sample to the next. Differences of neighbours carry the gradient, to second order in `dx`, at the border of the
-    illuminated samples as well.
+    The gradient is interpreted as in geometric optics (Born and Wolf, Principles of Optics, 1999, section 3.1.1: the
+    eikonal); it is the direction of propagation where there is one wave at each place, and the phase changes by less
+    than π from one sample to the next. Differences of neighbours carry the gradient, to second order in `dx`, at the
+    border of the illuminated samples as well.
 
     Examples
     --------

@@ -114,7 +114,7 @@ class Shape(Parametric):
         x : array
             Horizontal position on the surface, in the unit of the surface.
         y : array
-            Vertical position, of a shape that broadcasts with that of x.
+            Vertical position, of a shape that broadcasts with `x`.
         """
         return True
 
@@ -142,7 +142,7 @@ class Plane(Shape):
         x : array
             Horizontal position on the surface, in the unit of the surface.
         y : array
-            Vertical position, of a shape that broadcasts with that of x.
+            Vertical position, of a shape that broadcasts with `x`.
         """
         zero = 0 * (x + y)
         return Sag(zero, zero, zero, zero == 0)
@@ -267,9 +267,9 @@ class Toroid(Shape):
     Parameters
     ----------
     curvature_x : float or array
-        Curvature at the vertex along x, that of the rotation; 0 for a cylinder.
+        Curvature at the vertex along x, given by the rotation; 0 for a cylinder.
     curvature_y : float or array
-        Curvature at the vertex along y, that of the profile.
+        Curvature at the vertex along y, given by the profile.
     conic : float or array
         Conic constant of the profile.
     coefficients : sequence or array

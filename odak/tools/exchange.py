@@ -36,10 +36,10 @@ def to_xarray(
     pitch : float or sequence of float
         Distance between samples in metres, or a pair for rows and columns.
     wavelength : float or sequence of float, optional
-        In metres; several are those of the last axis before the rows.
+        In metres; several belong to the last axis before the rows.
     distance : float or sequence of float, optional
-        Of the plane from the source in metres; several are those of the axis before that of the wavelengths, or before
-        the rows if there is one wavelength.
+        Of the plane from the source in metres; several belong to the axis before the wavelengths, or before the rows if
+        there is one wavelength.
     name : str
         Name of the array.
 
@@ -182,7 +182,7 @@ def load_ome_tiff(filename: str | os.PathLike[str]) -> tuple[np.ndarray, dict[st
     numpy.ndarray
         ``[rows, columns]`` with the axes that have more than one sample before: frames, planes, colours.
     dict
-        "pitch": that of rows and of columns, "spacing": that of planes, and "wavelength": one for each colour, all in
+        "pitch" along rows and columns, "spacing" of planes, and "wavelength": one for each colour, all in
         metres; None where the file does not state them.
 
     Raises

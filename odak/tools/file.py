@@ -752,8 +752,8 @@ def load_image(
     torch_style : bool
         Put the channels first.
     color_managed : bool
-        Convert colours by the ICC profile of the file to those of sRGB (relative colorimetric), which photographs of a
-        phone in Display P3 need. By default levels are those of the file. A picture without a profile is taken for
+        Convert colours by the ICC profile of the file to sRGB (relative colorimetric), which photographs of a phone
+        in Display P3 need. By default the levels of the file are returned. A picture without a profile is taken for
         sRGB; of one with 16 bits per channel the profile is not applied, and a warning says so.
 
     Returns

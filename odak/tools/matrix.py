@@ -41,7 +41,7 @@ def zero_pad(field: ArrayT, size: Sequence[int] | None = None, method: str = "ce
     field : array
         ``[..., H, W]``.
     size : sequence of int, optional
-        Rows and columns of the result (the last two entries count); by default twice those of the field.
+        Rows and columns of the result (the last two entries count); by default twice the shape of the field.
     method : {"center", "left", "left aligned"}
         Put the field in the centre, or in the corner where rows and columns begin.
 
@@ -89,7 +89,7 @@ def crop_center(field: ArrayT, size: Sequence[int] | None = None) -> ArrayT:
     field : array
         ``[..., H, W]``.
     size : sequence of int, optional
-        Rows and columns of the result (the last two entries count); by default half of those of the field.
+        Rows and columns of the result (the last two entries count); by default half the shape of the field.
 
     Returns
     -------
@@ -398,7 +398,7 @@ def smooth_pad(
     field : array
         Real or complex ``[..., H, W]``.
     size : sequence of int, optional
-        Rows and columns of the result; by default twice those of the field.
+        Rows and columns of the result; by default twice the shape of the field.
     method : {"center", "left", "left aligned"}
         Put the field in the centre (sample ``n // 2`` stays the centre), or in the corner where rows and columns begin.
     smooth_factor : sequence of float, optional
@@ -572,7 +572,7 @@ def nufft2(
     fy : numpy.ndarray
         Radians per mode along the index of the columns, of the size of `fx`.
     size : sequence of int, optional
-        Shape of the result; by default that of the field.
+        Shape of the result; by default the shape of the field.
     sign : {1, -1}
         Sign of the exponent.
     eps : float

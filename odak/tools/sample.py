@@ -109,7 +109,7 @@ def sphere_sample(
     xp : module, optional
         Array library of the points where no array is given; NumPy by default.
     device : optional
-        Device of the points; by default that of the first array given.
+        Device of the points; by default the device of the first array given.
     dtype : optional
         Real dtype of the points; by default the widest of the floating arrays given, else the library's default.
 
@@ -160,7 +160,7 @@ def sphere_sample_uniform(
     xp : module, optional
         Array library of the points where no array is given; NumPy by default.
     device : optional
-        Device of the points; by default that of the first array given.
+        Device of the points; by default the device of the first array given.
     dtype : optional
         Real dtype of the points; by default the widest of the floating arrays given, else the library's default.
 
@@ -215,7 +215,7 @@ def box_volume_sample(
     xp : module, optional
         Array library of the points where no array is given; NumPy by default.
     device : optional
-        Device of the points; by default that of the first array given.
+        Device of the points; by default the device of the first array given.
     dtype : optional
         Real dtype of the points; by default the widest of the floating arrays given, else the library's default.
 
@@ -267,7 +267,7 @@ def circular_sample(
     xp : module, optional
         Array library of the points where no array is given; NumPy by default.
     device : optional
-        Device of the points; by default that of the first array given.
+        Device of the points; by default the device of the first array given.
     dtype : optional
         Real dtype of the points; by default the widest of the floating arrays given, else the library's default.
 
@@ -323,7 +323,7 @@ def circular_uniform_random_sample(
     xp : module, optional
         Array library of the points where no array is given; NumPy by default.
     device : optional
-        Device of the points; by default that of the first array given.
+        Device of the points; by default the device of the first array given.
     dtype : optional
         Real dtype of the points; by default the widest of the floating arrays given, else the library's default.
 
@@ -374,7 +374,7 @@ def circular_uniform_sample(
     xp : module, optional
         Array library of the points where no array is given; NumPy by default.
     device : optional
-        Device of the points; by default that of the first array given.
+        Device of the points; by default the device of the first array given.
     dtype : optional
         Real dtype of the points; by default the widest of the floating arrays given, else the library's default.
 
@@ -438,7 +438,7 @@ def grid_sample(
     xp : module, optional
         Array library of the points where no array is given; NumPy by default.
     device : optional
-        Device of the points; by default that of the first array given.
+        Device of the points; by default the device of the first array given.
     dtype : optional
         Real dtype of the points; by default the widest of the floating arrays given, else the library's default.
 

@@ -53,7 +53,7 @@ def gaussian_beam(
     offset : sequence of float
         Position of the axis (rows, columns) in metres.
     xp : optional
-        Array namespace; by default that of the arrays given, else NumPy.
+        Array namespace; by default the library of the arrays given, else NumPy.
     device : optional
         Device of the result.
 
@@ -122,7 +122,7 @@ def hermite_gaussian_beam(
     offset : sequence of float
         Position of the axis (rows, columns) in metres.
     xp : optional
-        Array namespace; by default that of the arrays given, else NumPy.
+        Array namespace; by default the library of the arrays given, else NumPy.
     device : optional
         Device of the result.
 
@@ -242,7 +242,7 @@ def laguerre_gaussian_beam(
     offset : sequence of float
         Position of the axis (rows, columns) in metres.
     xp : optional
-        Array namespace; by default that of the arrays given, else NumPy.
+        Array namespace; by default the library of the arrays given, else NumPy.
     device : optional
         Device of the result.
 
@@ -318,7 +318,7 @@ def bessel_beam(
     offset : sequence of float
         Position of the axis (rows, columns) in metres.
     xp : optional
-        Array namespace; by default that of the arrays given, else NumPy.
+        Array namespace; by default the library of the arrays given, else NumPy.
     device : optional
         Device of the result.
 
@@ -394,7 +394,7 @@ def airy_beam(
     offset : sequence of float
         Position (rows, columns) of the origin in metres.
     xp : optional
-        Array namespace; by default that of the arrays given, else NumPy.
+        Array namespace; by default the library of the arrays given, else NumPy.
     device : optional
         Device of the result.
 
@@ -482,7 +482,7 @@ def flat_top_beam(
     offset : sequence of float
         Position of the axis (rows, columns) in metres.
     xp : optional
-        Array namespace; by default that of the arrays given, else NumPy.
+        Array namespace; by default the library of the arrays given, else NumPy.
     device : optional
         Device of the result.
 

@@ -63,7 +63,7 @@ def propagate_abcd(
         Pixel pitch of the result. By default |A|·dx where the field is imaged or nearly so, |B/A| < N·dx²/λ, and
         λ·|B|/(N·dx) elsewhere, which spans all that the pitch of the field can send; several wavelengths then need it.
     output_shape : sequence of int, optional
-        Rows and columns of the result; by default those of the field.
+        Rows and columns of the result; by default the shape of the field.
     path_length : float
         Optical path along the axis in metres, whose phase exp(ikL) is applied.
     offset : sequence of float
@@ -160,7 +160,7 @@ def lens_fourier_transform(
     output_dx : float or sequence of float, optional
         Pixel pitch of the result in metres; by default λ·focal_length/(N·dx) along an axis of N samples.
     output_shape : sequence of int, optional
-        Rows and columns of the result; by default those of the field.
+        Rows and columns of the result; by default the shape of the field.
 
     Returns
     -------
@@ -554,7 +554,7 @@ class CircularAperture:
 
     Examples
     --------
-    The open area of a field of ones is that of the disc:
+    The open area of a field of ones is the area of the disc:
 
     >>> import numpy as np
     >>> from odak.wave import CircularAperture
@@ -605,7 +605,7 @@ class RectangularAperture:
 
     Examples
     --------
-    The open area of a field of ones is that of the rectangle:
+    The open area of a field of ones is the area of the rectangle:
 
     >>> import numpy as np
     >>> from odak.wave import RectangularAperture
@@ -912,7 +912,7 @@ class optical_bench:
     """Sequence of optical elements as one object, differentiable in each of its numbers.
 
     A lens that is steeper than the samples of the field can follow goes into the ray matrix of the space behind it
-    (:func:`propagate_abcd`, paraxial), whose result is that of a finer grid. Where a lens is sampled, the space
+    (:func:`propagate_abcd`, paraxial), whose result equals that on a finer grid. Where a lens is sampled, the space
     propagates by its own method.
 
     Parameters

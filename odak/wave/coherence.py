@@ -48,9 +48,9 @@ def propagate_partially_coherent(
     dx : float, pair of float or array
         Pixel pitch of the field in metres, one number or a pair (rows, columns).
     window_shape : sequence of int, optional
-        Rows and columns of the window; by default those of the field.
+        Rows and columns of the window; by default the shape of the field.
     window_dx : float, pair of float or array, optional
-        Pixel pitch of the window in metres; by default that of the field.
+        Pixel pitch of the window in metres; by default the pitch of the field.
     offset : sequence of two floats or arrays, default: (0.0, 0.0)
         Position (y, x) of the window's sample ``n // 2`` in metres from the optical axis.
     guard : float
@@ -221,7 +221,7 @@ def gaussian_spectrum(
 
     Notes
     -----
-    The line is Gaussian in wave number σ = 1/λ with a full width Δσ = width/λ², and the nodes are those of
+    The line is Gaussian in wave number σ = 1/λ with a full width Δσ = width/λ², and the nodes belong to
     Gauss–Hermite quadrature. The visibility at a path difference l is then exp(−(π·Δσ·l)²/(4·ln 2)) (Goodman,
     Statistical Optics, 1985, eq. 5.1-27): one coherence length, sqrt(2·ln 2/π)/Δσ, leaves 0.21.
 

@@ -508,7 +508,7 @@ def circular_aperture(
     inner_radius : float or array
         Radius in metres of a central obscuration; 0 for none.
     xp : optional
-        Array namespace; by default that of the radius, else NumPy.
+        Array namespace; by default the library of the radius, else NumPy.
     device : optional
         Device of the result.
 
@@ -557,7 +557,7 @@ def rectangular_aperture(
     offset : sequence of float
         Position of the centre (rows, columns) in metres.
     xp : optional
-        Array namespace; by default that of the size, else NumPy.
+        Array namespace; by default the library of the size, else NumPy.
     device : optional
         Device of the result.
 
@@ -661,7 +661,7 @@ def axicon_phase(
     offset : sequence of float
         Position of the axis (rows, columns) in metres.
     xp : optional
-        Array namespace; by default that of the arrays given, else NumPy.
+        Array namespace; by default the library of the arrays given, else NumPy.
     device : optional
         Device of the result.
 
@@ -774,7 +774,7 @@ def cylindrical_lens_phase(
     offset : sequence of float
         Position (rows, columns) in metres of a point of the axis line.
     xp : optional
-        Array namespace; by default that of the arrays given, else NumPy.
+        Array namespace; by default the library of the arrays given, else NumPy.
     device : optional
         Device of the result.
 
@@ -843,7 +843,7 @@ def aspheric_lens_phase(
     offset : sequence of float
         Position of the axis (rows, columns) in metres.
     xp : optional
-        Array namespace; by default that of the arrays given, else NumPy.
+        Array namespace; by default the library of the arrays given, else NumPy.
     device : optional
         Device of the result.
 
@@ -914,7 +914,7 @@ def metalens_phase(
     offset : sequence of float
         Position of the axis (rows, columns) in metres.
     xp : optional
-        Array namespace; by default that of the arrays given, else NumPy.
+        Array namespace; by default the library of the arrays given, else NumPy.
     device : optional
         Device of the result.
 
@@ -1179,7 +1179,7 @@ def zernike_phase(
     offset : sequence of float
         Position of the disc's centre (rows, columns) from sample n // 2, in the unit of `dx`.
     xp : module, optional
-        Array namespace; by default that of the coefficients, else NumPy.
+        Array namespace; by default the library of the coefficients, else NumPy.
     device : optional
         Device of the result.
 

@@ -36,7 +36,7 @@ def pupil_function(
     Parameters
     ----------
     shape : sequence of int
-        Rows and columns of the image; with padding, those of the padded image.
+        Rows and columns of the image; with padding, of the padded image.
     dx : float or sequence of float
         Pixel pitch of the image in metres, one number or a pair (rows, columns).
     wavelength : float
@@ -47,11 +47,11 @@ def pupil_function(
     aberrations : mapping, optional
         Zernike coefficients ``{(n, m): c}`` of the wavefront, c in radians RMS over the pupil, numbers or arrays.
     obscuration : float or array
-        Radius of a central obscuration over that of the pupil.
+        Radius of a central obscuration relative to the pupil.
     xp : module, optional
         Array library of the result where no array is given; NumPy by default.
     device : optional
-        Device of the result; by default that of the arrays given.
+        Device of the result; by default the device of the arrays given.
     dtype : optional
         Real dtype that gives the precision; by default the widest of the arrays given, else the library's default.
 

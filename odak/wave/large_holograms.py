@@ -63,7 +63,7 @@ def hologram_in_chunks(
         Folder of the state, made if it does not exist. It holds one float32 array of the target's size with
         "Gerchberg-Saxton", three with "gradient descent", and twice as much while an iteration is stored.
     iterations : int
-        Number of iterations, those of earlier calls included.
+        Number of iterations, earlier calls included.
     distance : float
         Distance from the hologram to the image in metres.
     dx : float or pair of float
@@ -77,7 +77,7 @@ def hologram_in_chunks(
     learning_rate : float
         Step of gradient descent in radians.
     initial_phase : array, optional
-        Phase ``[rows, columns]`` in radians to start from; by default that of a weak lens, which moves the light by up
+        Phase ``[rows, columns]`` in radians to start from; by default a weak lens, which moves the light by up
         to an eighth of the sampling frequency at the edges.
     progress : bool
         Show a progress bar with the loss.

@@ -345,8 +345,8 @@ def scattered_field(
     Notes
     -----
     G. Osnabrugge, S. Leedumrongwatthanakun and I. M. Vellekoop, J. Comput. Phys. 322, 113 (2016). The scalar wave
-    equation ∇²ψ + k²n²ψ = 0 is that of the electric field along the axis of objects that do not change along it, and
-    an approximation for others.
+    equation ∇²ψ + k²n²ψ = 0 holds for the electric field along the axis of objects that do not change along it, and
+    approximately for others.
 
     Examples
     --------

@@ -63,8 +63,8 @@ def gerchberg_saxton(
     seed : int or generator, optional
         Makes the random start reproducible; a generator is NumPy's, or torch's for a tensor.
     pixel_fill : float, optional
-        Share of the area of a square pixel that emits, at most 1. The image is then that of the light up to
-        1/(2·dx) of pixels of that size, for methods with a transfer function; by default pixels are points.
+        Share of the area of a square pixel that emits, at most 1. The image is then formed by the light of pixels of
+        that size up to 1/(2·dx), for methods with a transfer function; by default pixels are points.
     accelerated : bool
         Start each iteration ahead of the hologram found, along its last change (Nesterov's extrapolation). It takes no
         further propagation, and reaches in 20 to 30 iterations what takes 60 without. False by default.
@@ -250,8 +250,8 @@ def gerchberg_saxton_3d(
     seed : int or generator, optional
         Makes the random start reproducible.
     pixel_fill : float, optional
-        Share of the area of a square pixel that emits, at most 1. The images are then those of the light up to
-        1/(2·dx) of pixels of that size, for methods with a transfer function; by default pixels are points.
+        Share of the area of a square pixel that emits, at most 1. The images are then formed by the light of pixels
+        of that size up to 1/(2·dx), for methods with a transfer function; by default pixels are points.
 
     Returns
     -------
@@ -327,7 +327,7 @@ def spot_hologram(
     ----------
     points : array
         Spots ``[..., N, 3]`` as (x, y, z) in metres: x along columns, y along rows, from the optical axis; z from the
-        hologram, or, with `focal`, from the focal plane of the lens. Its precision is that of the result.
+        hologram, or, with `focal`, from the focal plane of the lens. The result has the same precision.
     resolution : sequence of int
         Rows m and columns n of the hologram.
     wavelength : float
@@ -342,7 +342,7 @@ def spot_hologram(
         Share of light wanted in each spot, ``[..., N]``, up to a common factor; equal by default.
     phases : array, optional
         Phases in radians that the fields of the spots should have, ``[..., N]``; free by default, which leaves more
-        light in the spots. Phases of regular arrays take more iterations than those of scattered spots: about 0.1 rad
+        light in the spots. Regular arrays with given phases take more iterations than scattered spots: about 0.1 rad
         is missed after 30, 0.01 after 100.
     illumination : array, optional
         Amplitude of the light on the hologram ``[..., m, n]``; one by default.
@@ -373,7 +373,7 @@ def spot_hologram(
 
     Notes
     -----
-    Di Leonardo, Ianni and Ruocco, Opt. Express 15, 1913 (2007), eqs. 1 and 15–19. Paraxial: phases are those of
+    Di Leonardo, Ianni and Ruocco, Opt. Express 15, 1913 (2007), eqs. 1 and 15–19. Paraxial: phases follow
     Fresnel's approximation. Twin orders and the pixels' envelope are not part of it.
 
     Examples

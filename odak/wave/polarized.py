@@ -323,9 +323,9 @@ def thin_film_transfer(
         Return the transfer function of reflection instead of transmission. The reflected field is given in the
         coordinates x, y of the incident one.
     xp : optional
-        Array namespace, by default that of the arrays given, else NumPy.
+        Array namespace, by default the library of the arrays given, else NumPy.
     device : optional
-        Device of the result where no array is given; otherwise it is that of the arrays.
+        Device of the result where no array is given; otherwise the device of the arrays.
 
     Returns
     -------
@@ -507,7 +507,7 @@ def focus_polarized(
         Its pitch in metres, one number or (rows, columns).
     distance : float or array
         Distance of the window behind the focus in metres. An array ``[...]`` gives the window at each of its distances,
-        as leading axes that broadcast against those of the field.
+        as leading axes that broadcast against the leading axes of the field.
     index : float or array
         Refractive index of the medium behind the lens; one number.
     offset : sequence of float

@@ -1088,7 +1088,7 @@ def get_propagation_kernel(
     samples : sequence of int, default: (1, 1, 1, 1)
         Aperture samples of the impulse-response methods, see :func:`odak.wave.propagate_beam`.
     xp : module, optional
-        Array namespace of the result; by default that of the lengths, else NumPy.
+        Array namespace of the result; by default the library of the lengths, else NumPy.
     device : optional
         Device of the result.
     dtype : optional

@@ -47,7 +47,7 @@ def reference_wave(
     xp : module, optional
         Array library of the result where no array is given; NumPy by default.
     device : optional
-        Device of the result; by default that of the arrays given.
+        Device of the result; by default the device of the arrays given.
     dtype : optional
         Real dtype that gives the precision; by default the widest of the arrays given, else the library's default.
 
@@ -147,9 +147,9 @@ def off_axis_field(
 ) -> Array:
     """Return the field that was recorded with a tilted reference wave, from one hologram.
 
-    The hologram |u + r|² times r/|r|² holds the field u at low frequencies and the other terms about those of r and
-    twice as far, from where a round low-pass filter keeps them. A field of band B is found without an error where the
-    frequency of the reference is at least 3·B and the sum of both at most 1/(2·dx).
+    The hologram |u + r|² times r/|r|² holds the field u at low frequencies and the other terms about the frequencies
+    of r and twice as far, from where a round low-pass filter keeps them. A field of band B is found without an error
+    where the frequency of the reference is at least 3·B and the sum of both at most 1/(2·dx).
 
     Parameters
     ----------

@@ -125,7 +125,7 @@ def sampling_report(
     distance : float
         Propagation distance in metres; negative values propagate back.
     zero_padding : bool
-        True when the propagation pads the field to twice its size; the criteria are then those of the padded grid.
+        True when the propagation pads the field to twice its size; the criteria then apply to the padded grid.
     tolerance : float
         Requested relative error of the propagated field.
     field : array, optional
@@ -146,7 +146,7 @@ def sampling_report(
 
     Notes
     -----
-    The error is that of the norm over the field's window, ‖u − u₀‖/‖u₀‖. The exact field u₀ is that of the band-limited
+    The error is ‖u − u₀‖/‖u₀‖, with norms over the field's window. The exact field u₀ comes from the band-limited
     interpolation of the samples, dark outside the window, which propagates without wrap-around.
 
     Examples

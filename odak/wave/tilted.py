@@ -73,16 +73,16 @@ def propagate_to_tilted_plane(
         of larger x nearer. An array ``[3, 3]`` is a rotation matrix, whose columns are the plane's unit vectors along
         its columns, its rows and its normal.
     window_shape : sequence of int, optional
-        Rows and columns of the window; by default those of the field.
+        Rows and columns of the window; by default the shape of the field.
     window_dx : float, pair of float or array, optional
-        Pixel pitch along the rows and columns of the tilted plane; by default that of the field.
+        Pixel pitch along the rows and columns of the tilted plane; by default the pitch of the field.
     offset : sequence of two floats or arrays
         Place (y, x) of the window's sample ``n // 2`` in the tilted plane, in metres from the rotation's centre.
     guard : float
         Margin for diffraction around the rays, see :func:`odak.wave.propagate_to_window`.
     source_angles : sequence of three floats or arrays, or array
-        Rotation of the field's plane about the origin, in the same form as `angles`; `distance` and `angles` remain
-        those of the optical axis, along z.
+        Rotation of the field's plane about the origin, in the same form as `angles`; `distance` and `angles` still
+        refer to the optical axis, along z.
 
     Returns
     -------

@@ -54,8 +54,8 @@ def eye_image(
     pupil_diameter : float or array
         Diameter of the pupil in metres; ``[K]`` for K eyes.
     focus : float or array, optional
-        Distance in metres on which the eye is focused, infinity included; by default that of the field. ``[K]`` for K
-        eyes.
+        Distance in metres on which the eye is focused, infinity included; by default the distance of the field. ``[K]``
+        for K eyes.
     rotation : sequence of float or array
         Angles in degrees (rows, columns) by which the eye is rotated about its centre of rotation, 10.5 mm behind the
         pupil. The pupil moves to the side and back, and appears narrower.

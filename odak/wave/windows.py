@@ -308,9 +308,9 @@ def propagate_to_window(
         Pixel pitch of the field in metres: one number, a tuple or list (rows, columns), or an array with one pitch for
         each field of the leading axes.
     window_shape : sequence of int, optional
-        Rows and columns of the window; by default those of the field.
+        Rows and columns of the window; by default the shape of the field.
     window_dx : float, pair of float or array, optional
-        Pixel pitch of the window in metres, in the same forms; by default that of the field.
+        Pixel pitch of the window in metres, in the same forms; by default the pitch of the field.
     offset : sequence of two floats or arrays
         Place (y, x) of the window's sample ``n // 2`` in metres from the optical axis: y along rows, x along columns.
     guard : float

@@ -138,7 +138,7 @@ class spec_track(nn.Module):
         checkpoint: str | os.PathLike[str] | None = None,
         progress: bool = True,
     ) -> TrainingHistory:
-        """Train the network by Adam; its final weights are those of the lowest validation loss.
+        """Train the network by Adam; its final weights have the lowest validation loss.
 
         Each epoch with a new lowest validation loss writes ``best_model_epoch_N.pt`` to the folder, N from 1. At the
         end the histories, lists of numbers, are written to ``log/train_log.pt`` and ``log/validation_log.pt``.

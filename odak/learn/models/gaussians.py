@@ -346,7 +346,7 @@ class gaussian_2d(nn.Module):
         x : torch.Tensor
             Abscissae ``[..., 1]``, or ``[...]`` with a last axis of another length, such as a grid ``[H, W]``.
         y : torch.Tensor
-            Ordinates, of a shape that broadcasts against that of `x`.
+            Ordinates, of a shape that broadcasts against `x`.
         residual : float
             Without effect; accepted for compatibility.
 
@@ -372,7 +372,7 @@ class gaussian_2d(nn.Module):
         x : torch.Tensor
             Abscissae ``[..., 1]``, or ``[...]`` with a last axis of another length, such as a grid ``[H, W]``.
         y : torch.Tensor
-            Ordinates, of a shape that broadcasts against that of `x`.
+            Ordinates, of a shape that broadcasts against `x`.
 
         Returns
         -------
@@ -430,7 +430,7 @@ class gaussians_2d(nn.Module):
         x : torch.Tensor
             Abscissae ``[..., 1]``, or ``[...]`` with a last axis of another length, such as a grid ``[H, W]``.
         y : torch.Tensor
-            Ordinates, of a shape that broadcasts against that of `x`.
+            Ordinates, of a shape that broadcasts against `x`.
         test : bool
             Compute without gradients.
 

@@ -119,12 +119,12 @@ class hologram_network(nn.Module):
         target : torch.Tensor
             Intensity ``[..., rows, columns]`` of at least 0; its brightness has no effect.
         wavelength : float or sequence of float
-            Wavelength in metres; several are those of the colours of a target ``[..., colours, rows, columns]``.
+            Wavelength in metres; several belong to the colours of a target ``[..., colours, rows, columns]``.
         dx : float
             Pixel pitch in metres.
         distance : float or sequence of float
             Distance from hologram to image in metres; negative if the image lies before the hologram. With `depth`,
-            those of the planes, all of one sign.
+            the distances of the planes, all of one sign.
         depth : torch.Tensor, optional
             Depth of each pixel ``[rows, columns]``, or one map for each picture of a batch, ``[..., rows, columns]``,
             the same for all colours. 0 is the first plane of `distance` and 1 the last; a pixel belongs to the nearest
@@ -168,7 +168,7 @@ class hologram_network(nn.Module):
             Pixel pitch in metres.
         distance : float or sequence of float
             Distance from hologram to image in metres; negative if the image lies before the hologram. With `depth`,
-            those of the planes, all of one sign.
+            the distances of the planes, all of one sign.
         depth : torch.Tensor, optional
             Depth of each pixel ``[rows, columns]`` or ``[..., rows, columns]``, 0 the first plane of `distance` and 1
             the last. By default all pixels lie at one distance.

@@ -248,7 +248,7 @@ class positional_encoder(nn.Module):
         -------
         torch.Tensor
             ``[..., n + 2nL]``: x, then the cosines, then the sines; within a block all octaves of the first
-            coordinate, then those of the second.
+            coordinate, then of the second.
         """
         x = floating("x", x)
         if x.ndim == 0:

@@ -460,8 +460,8 @@ def load_weights(
     filename : str or os.PathLike
         File of :func:`save_weights`, or of ``torch.save(module.state_dict(), …)``.
     device : torch.device or str, optional
-        Device that the file is read to; by default that of the module, so that a file written on a GPU can be read
-        without one.
+        Device that the file is read to; by default the device of the module, so that a file written on a GPU can be
+        read without one.
     extensions : iterable of str
         Accepted extensions.
 
@@ -471,7 +471,7 @@ def load_weights(
         If there is no such file.
     ValueError
         If the path is not acceptable; if the file is broken, would run code, or holds no state dict; or if its keys or
-        shapes are not those of the module: the message names those missing, unexpected and of another shape.
+        shapes differ from the module's: the message names those missing, unexpected and of another shape.
 
     Examples
     --------

@@ -108,7 +108,7 @@ def change_primaries(
     target: str | Sequence[Any] = "BT.2020",
     cones: str = "Bradford",
 ) -> torch.Tensor:
-    """Return linear RGB of one set of primaries as linear RGB of another; the white of one becomes that of the other.
+    """Return linear RGB of one set of primaries as linear RGB of another; white is mapped to white.
 
     Parameters
     ----------
@@ -1024,7 +1024,7 @@ def delta_e(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     first : torch.Tensor
         L*a*b* ``[..., 3, H, W]``.
     second : torch.Tensor
-        L*a*b* ``[..., 3, H, W]``; its leading axes broadcast against those of `first`.
+        L*a*b* ``[..., 3, H, W]``; its leading axes broadcast against `first`.
 
     Returns
     -------
@@ -1060,7 +1060,7 @@ def delta_e_itp(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     first : torch.Tensor
         ICtCp ``[..., 3, H, W]``, as :func:`rgb_to_ictcp` gives it.
     second : torch.Tensor
-        ICtCp ``[..., 3, H, W]``; its leading axes broadcast against those of `first`.
+        ICtCp ``[..., 3, H, W]``; its leading axes broadcast against `first`.
 
     Returns
     -------
@@ -1098,7 +1098,7 @@ def ciede2000(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     first : torch.Tensor
         L*a*b* ``[..., 3, H, W]``.
     second : torch.Tensor
-        L*a*b* ``[..., 3, H, W]``; its leading axes broadcast against those of `first`.
+        L*a*b* ``[..., 3, H, W]``; its leading axes broadcast against `first`.
 
     Returns
     -------
@@ -1526,8 +1526,8 @@ def xyz_to_oklab(image: torch.Tensor) -> torch.Tensor:
     Notes
     -----
     Ottosson, *A perceptual color space for image processing* (2020). The slope of a cube root is infinite at black;
-    the gradient, not the value, takes cone responses below that of the grey 1/255 of sRGB, 3.0e-4, as this one, with a
-    slope of 74 (L*a*b*, of lightness 1, has 9 at most).
+    the gradient, not the value, takes cone responses below the response to the grey 1/255 of sRGB, 3.0e-4, as this one,
+    with a slope of 74 (L*a*b*, of lightness 1, has 9 at most).
 
     Examples
     --------
@@ -1644,8 +1644,8 @@ def rgb_to_ictcp(luminance: torch.Tensor) -> torch.Tensor:
     Parameters
     ----------
     luminance : torch.Tensor
-        Linear RGB with the primaries of BT.2020 in cd/m² ``[..., 3, H, W]``; cone responses beyond 0 … 10 000 count as
-        0 and 10 000.
+        Linear RGB with the primaries of BT.2020 in cd/m² ``[..., 3, H, W]``; cone responses are clipped to
+        0 … 10 000.
 
     Returns
     -------
@@ -1716,7 +1716,7 @@ def map_to_gamut(image: torch.Tensor) -> torch.Tensor:
     -------
     torch.Tensor
         Linear RGB ``[..., 3, H, W]`` of 0 … 1; colours inside stay as they are. In the gradient the share of chroma
-        that is kept counts as a constant.
+        that is kept is a constant.
 
     Raises
     ------

@@ -174,7 +174,8 @@ class CSFLoss(nn.Module):
     that 100. Luminance alone counts; add another loss for colour.
 
     The eye faces the middle of a flat picture, perpendicular, with the same sensitivity everywhere (no fall-off towards
-    the periphery). Pictures are taken as periodic. A uniform difference counts as the lowest frequency of the picture.
+    the periphery). Pictures are taken as periodic. A uniform difference is taken as the lowest frequency of the
+    picture.
 
     Parameters
     ----------
@@ -603,7 +604,7 @@ class VisibilityLoss(nn.Module):
     filtered by the kernels of S-CIELAB (Zhang and Wandell 1997), scaled alike, over a just noticeable difference of
     2.3. Masking: a difference of c thresholds on a mask of m thresholds counts as c/(1 + m²)^(s/2), the slope s = 0.6
     that of Legge and Foley (1980).
-    Octaves are those of :class:`FrequencySteerablePyramid`, whose energies add up; pictures count as periodic.
+    Octaves are computed by :class:`FrequencySteerablePyramid`, whose energies add up; pictures are taken as periodic.
     For luminance alone, without gaze and exact in frequency: :class:`CSFLoss`.
 
     Examples

@@ -119,7 +119,7 @@ def eigendistortions(
     picture : torch.Tensor
         Real floats ``[..., H, W]``.
     count : int
-        Number of distortions, less than that of the pixels.
+        Number of distortions, less than the number of pixels.
     least : bool
         The least visible ones, which converge more slowly, instead of the most visible ones.
     tolerance : float
@@ -219,8 +219,8 @@ def maximum_differentiation(
     Parameters
     ----------
     held : callable
-        Measure of the difference of two pictures that stays as it is: a tensor without axes, such as that of a loss,
-        differentiable in the first picture.
+        Measure of the difference of two pictures that stays as it is: a tensor without axes, such as the value of a
+        loss, differentiable in the first picture.
     driven : callable
         Measure of the same kind that is made large or small.
     picture : torch.Tensor

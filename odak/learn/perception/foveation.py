@@ -170,8 +170,8 @@ def make_pooling_size_map_pixels(
     Returns
     -------
     torch.Tensor
-        ``[H, W]``: side of the square whose area is that of the ellipse which the pooling cone cuts out of the screen;
-        0 at the gaze, never above the picture's diagonal.
+        ``[H, W]``: side of the square whose area equals the area of the ellipse that the pooling cone cuts out of the
+        screen; 0 at the gaze, never above the picture's diagonal.
 
     Raises
     ------

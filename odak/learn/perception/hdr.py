@@ -50,7 +50,7 @@ def pq_encode(luminance: torch.Tensor) -> torch.Tensor:
     Parameters
     ----------
     luminance : torch.Tensor
-        In cd/m²; below 0 counts as 0, above 10 000 as 10 000.
+        In cd/m², clipped to 0 … 10 000.
 
     Returns
     -------
@@ -249,7 +249,7 @@ def luminance_to_hlg(
     Parameters
     ----------
     luminance : torch.Tensor
-        Of each channel in cd/m², ``[..., 3, H, W]`` with the primaries of BT.2020; below 0 counts as 0.
+        Of each channel in cd/m², ``[..., 3, H, W]`` with the primaries of BT.2020; negative values are set to 0.
     peak_luminance : float or torch.Tensor
         Luminance of white on the display, in cd/m².
     black_luminance : float
@@ -286,7 +286,7 @@ def pu21_encode(luminance: torch.Tensor, variant: str = "banding_glare") -> torc
     Parameters
     ----------
     luminance : torch.Tensor
-        In cd/m²; below 0.005 counts as 0.005, above 10 000 as 10 000.
+        In cd/m², clipped to 0.005 … 10 000.
     variant : {"banding_glare", "banding", "peaks", "peaks_glare"}
         Threshold data behind the curve.
 

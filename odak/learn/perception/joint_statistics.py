@@ -260,7 +260,7 @@ def synthesize_texture(
     iterations: int = TEXTURE_ITERATIONS,
     progress: Callable[[], object] | None = None,
 ) -> torch.Tensor:
-    """Return a picture of any size whose texture is that of a sample.
+    """Return a picture of any size with the texture of a sample.
 
     Parameters
     ----------

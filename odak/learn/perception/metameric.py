@@ -272,7 +272,7 @@ class MetamericLoss(_StatisticsLoss):
         Pictures are equirectangular; the gaze is then (yaw, pitch) in radians.
     trust_target : bool
         Take a target at the same address for unchanged, unless torch counted a change to it, instead of comparing its
-        values with those of the last call. On a GPU values are never compared, and the target's statistics are computed
+        values with the previous ones. On a GPU values are never compared, and the target's statistics are computed
         at every call unless this is set.
     nominal_width : bool
         Pool over regions whose standard deviation is that of a square of the pooling size. False keeps the wider ones:
@@ -549,7 +549,7 @@ class MetamericLossUniform(_StatisticsLoss):
         Orientations of the bands.
     trust_target : bool
         Take a target at the same address for unchanged, unless torch counted a change to it, instead of comparing its
-        values with those of the last call. On a GPU values are never compared, and the target's statistics are computed
+        values with the previous ones. On a GPU values are never compared, and the target's statistics are computed
         at every call unless this is set.
     nominal_width : bool
         Pool over regions whose standard deviation is that of a square of the pooling size. False keeps the wider ones:
@@ -824,7 +824,7 @@ class MetamerMSELoss(_EachGaze):
         Pictures are equirectangular; the gaze is then (yaw, pitch) in radians.
     trust_target : bool
         Take a target at the same address for unchanged, unless torch counted a change to it, instead of comparing its
-        values with those of the last call. On a GPU values are never compared, and the target's metamer is computed
+        values with the previous ones. On a GPU values are never compared, and the target's metamer is computed
         at every call unless this is set.
     iterations : int
         Evaluations of the metameric loss by which a metamer is made; 0 for matched noise.
@@ -850,9 +850,9 @@ class MetamerMSELoss(_EachGaze):
     Notes
     -----
     Equal pictures do not give 0: the target is one of its own metamers, but not the one that was drawn. So that values
-    stay those of earlier versions, that one is made by the orientations of the loss and by displacements that vary
-    faster, and keeps oblique lines less than one of :meth:`gen_metamer`. It is kept as long as a target of the same
-    values comes with the same gaze and parameters.
+    stay those of earlier versions, that metamer is made with the orientations of the loss and with displacements that
+    vary faster, and keeps oblique lines less well than :meth:`gen_metamer` does. It is kept as long as a target of the
+    same values comes with the same gaze and parameters.
 
     Examples
     --------
@@ -1010,7 +1010,7 @@ class MetamerMSELoss(_EachGaze):
         Returns
         -------
         torch.Tensor
-            Without axes, differentiable in the image. The metamer counts as a constant.
+            Without axes, differentiable in the image. The metamer is treated as a constant.
 
         Raises
         ------

@@ -373,7 +373,7 @@ class SpatialSteerablePyramid(nn.Module):
         return groups, low
 
     def quadrature(self, low: torch.Tensor) -> torch.Tensor:
-        """Return bands a quarter of a cycle behind those of a level: the imaginary parts of complex bands.
+        """Return bands a quarter of a cycle behind the bands of a level: the imaginary parts of complex bands.
 
         Parameters
         ----------
@@ -567,8 +567,8 @@ class FrequencySteerablePyramid(nn.Module):
     -----
     Portilla and Simoncelli, Int. J. Comput. Vis. 40, 49 (2000), eqs. 1 to 4, with the masks as formulas of the
     frequency rather than tables. Transforms are orthonormal, so that the energies of high-pass residual, bands and
-    last low-pass add up to the picture's, and each level's mean is about twice the last one's. Pictures count as
-    periodic. Masks are kept for the last picture size, precision and device.
+    last low-pass add up to the picture's, and each level's mean is about twice the last one's. Pictures are taken
+    as periodic. Masks are kept for the last picture size, precision and device.
 
     Examples
     --------

@@ -250,7 +250,7 @@ def flip(predictions: torch.Tensor, targets: torch.Tensor, pixels_per_degree: fl
     targets : torch.Tensor
         Pictures of the same shape that they are compared with.
     pixels_per_degree : float
-        Pixels in one degree of visual angle; by default those of a display 0.7 m wide with 3840 pixels, seen from
+        Pixels in one degree of visual angle; by default for a display 0.7 m wide with 3840 pixels, seen from
         0.7 m.
 
     Returns

@@ -414,7 +414,7 @@ class detector:
     resolution : sequence of int
         Number of pixels n0, n1 along them.
     device : torch.device, optional
-        By default that of `center`, else the CPU.
+        By default the device of `center`, else the CPU.
 
     Attributes
     ----------

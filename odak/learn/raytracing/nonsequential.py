@@ -656,7 +656,7 @@ def light_source(
     --------
     >>> from odak.learn.raytracing import light_source
     >>> light = light_source("lambertian", 4096, size=2.0)
-    >>> round(float(light.rays[:, 1, 2].mean()), 3)  # 2/3, since the density is that of the cosine
+    >>> round(float(light.rays[:, 1, 2].mean()), 3)  # 2/3, since the density follows the cosine
     0.667
     """
     kind = _validate.one_of("kind", kind, SOURCES)
@@ -875,10 +875,10 @@ class Scene:
 
     Notes
     -----
-    The media at an intersection are those of the element that is met, on the side from which the ray comes, so that
-    adjoining elements must agree on the medium between them. Light is taken for unpolarised at each interface, unless
-    it is that of :meth:`Light.polarized`: then interfaces act on its two polarisations, scattering leaves none (each
-    ray is scattered with a linear polarisation that is drawn), and gratings turn the field with the ray.
+    The media at an intersection are taken from the element that is met, on the side from which the ray comes, so
+    that adjoining elements must agree on the medium between them. Light is taken for unpolarised at each interface,
+    unless it is that of :meth:`Light.polarized`: then interfaces act on its two polarisations, scattering leaves none
+    (each ray is scattered with a linear polarisation that is drawn), and gratings turn the field with the ray.
 
     Examples
     --------
@@ -941,7 +941,7 @@ class Scene:
         -------
         SceneLight
             Differentiable in rays, power, wavelength, places, shapes, media and shares, for the choice of path that was
-            drawn: gradients do not see that light could have met another element. Those of shares are unbiased.
+            drawn: gradients do not see that light could have met another element. Gradients of shares are unbiased.
 
         Raises
         ------

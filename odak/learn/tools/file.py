@@ -85,7 +85,7 @@ def load_image(
     torch_style : bool
         Put the channels first.
     color_managed : bool
-        Convert colours by the file's ICC profile to those of sRGB, as :func:`odak.tools.load_image` does.
+        Convert colours by the file's ICC profile to sRGB, as :func:`odak.tools.load_image` does.
 
     Returns
     -------

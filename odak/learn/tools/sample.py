@@ -65,7 +65,7 @@ def grid_sample(
     angles : sequence of float or torch.Tensor
         Degrees of its rotation out of the plane z = 0 about x, y and z, in this order.
     device : torch.device or str, optional
-        Device of the result; by default that of the tensors given, else torch's default.
+        Device of the result; by default the device of the tensors given, else torch's default.
     dtype : torch.dtype, optional
         Real dtype of the result; by default the widest of the floating tensors given, else torch's default.
 

@@ -84,7 +84,7 @@ def across_ranks(
     """Call a function with parts of a batch in several processes, and give each of them all that it returns.
 
     Every process of a `torch.distributed` group calls this with the same arguments, computes its own part, and receives
-    those of the others. Without such a group the function is simply called.
+    the parts of the others. Without such a group the function is simply called.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def across_ranks(
     group : torch.distributed.ProcessGroup, optional
         Processes that take part; all of them by default.
     device : torch.device, optional
-        Device of this process; that of the batch by default.
+        Device of this process; by default the device of the batch.
     **options
         Passed to each call; tensors in the batch, the arguments and the options are copied to the device.
 

@@ -46,7 +46,7 @@ def eyebox_hologram(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return a phase-only hologram that shows an eye its image at each of several places of the pupil.
 
-    The loss is that of the images that :func:`odak.learn.wave.eye_image` gives, at one brightness for all of them. A
+    The loss compares the images that :func:`odak.learn.wave.eye_image` gives, at one brightness for all of them. A
     hologram that is optimised for its own plane alone shows its image to an eye only where its light happens to go;
     here each place of the pupil gets light, and may get another image (parallax) or another focus.
 
@@ -66,7 +66,7 @@ def eyebox_hologram(
     pupil_diameter : float or torch.Tensor
         Diameter of the pupil in metres, one or ``[K]``.
     focus : float or torch.Tensor, optional
-        Distance in metres on which the eye is focused, one or ``[K]``; by default that of the modulator.
+        Distance in metres on which the eye is focused, one or ``[K]``; by default the distance of the modulator.
     iterations : int
         Number of iterations.
     loss_function : callable, optional

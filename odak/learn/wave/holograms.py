@@ -227,7 +227,7 @@ def stochastic_gradient_descent(
         Focal length in metres of that lens.
     camera : callable, optional
         ``camera(phase)`` shows a phase on the real display and returns the intensity it captures, in the target's
-        shape. The loss is then that of the captured image, and its gradient that of the model (camera in the loop).
+        shape. The loss is then computed from the captured image, its gradient by the model (camera in the loop).
         The best state is returned, with a ConvergenceWarning if the loss has risen since.
     progress : bool
         Show a progress bar.
@@ -471,8 +471,8 @@ def gerchberg_saxton(
     callback : callable, optional
         ``callback(iteration, hologram_phase)`` after each iteration; returning True stops.
     pixel_fill : float, optional
-        Share of the area of a square pixel that emits, at most 1. The image is then that of the light up to
-        1/(2·dx) of pixels of that size, for methods with a transfer function; by default pixels are points.
+        Share of the area of a square pixel that emits, at most 1. The image is then formed by the light of pixels of
+        that size up to 1/(2·dx), for methods with a transfer function; by default pixels are points.
     accelerated : bool
         Start each iteration ahead of the hologram found, along its last change (Nesterov's extrapolation). It takes no
         further propagation, and reaches in 20 to 30 iterations what takes 60 without. False by default.

@@ -514,8 +514,8 @@ class multiplane_loss(FocalTargets):
     pixel_pitch : float or sequence of float, optional
         Pixel pitch of the picture in metres, one number or a pair (rows, columns), with `distances`.
     numerical_aperture : float, optional
-        Sine of the half angle of the cone in which light arrives, as an iris or a pupil limits it; by default that of
-        the modulator, λ/(2·pixel_pitch).
+        Sine of the half angle of the cone in which light arrives, as an iris or a pupil limits it; by default limited
+        by the modulator, λ/(2·pixel_pitch).
 
     Attributes
     ----------
@@ -603,7 +603,7 @@ class multiplane_loss(FocalTargets):
         noise_ratio : float
             Standard deviation of the noise as a share of the target's range.
         generator : torch.Generator, optional
-            Generator of the noise if the loss was given none; that of torch by default.
+            Generator of the noise if the loss was given none; by default torch's own.
 
         Returns
         -------
@@ -685,8 +685,8 @@ class perceptual_multiplane_loss(FocalTargets):
     pixel_pitch : float or sequence of float, optional
         Pixel pitch of the picture in metres, one number or a pair (rows, columns), with `distances`.
     numerical_aperture : float, optional
-        Sine of the half angle of the cone in which light arrives, as an iris or a pupil limits it; by default that of
-        the modulator, λ/(2·pixel_pitch).
+        Sine of the half angle of the cone in which light arrives, as an iris or a pupil limits it; by default limited
+        by the modulator, λ/(2·pixel_pitch).
 
     Raises
     ------

@@ -152,7 +152,7 @@ class propagator(display_volume):
     distances : torch.Tensor or sequence of float, optional
         Distances of the planes in metres, instead of the even division of the volume. Differentiable.
     aperture_samples : sequence of int
-        Points across source and target apertures of the impulse-response methods. Averages over the source are those of
+        Points across source and target apertures of the impulse-response methods. Averages over the source describe
         square pixels without gaps, up to the edge of the band. Averages over the target are of the field, not of the
         intensity that a camera sees: an AccuracyWarning says how much of the light they lose.
     method : str

@@ -377,7 +377,7 @@ class temporal_modulator(torch.nn.Module):
 
     Notes
     -----
-    The law of first order is that of a linearised nematic cell (Yang and Wu, Fundamentals of Liquid Crystal Devices,
+    The law of first order describes a linearised nematic cell (Yang and Wu, Fundamentals of Liquid Crystal Devices,
     2014, section 5.4). Rise and fall of real cells differ; take the slower one.
 
     Examples
@@ -430,7 +430,7 @@ class temporal_modulator(torch.nn.Module):
         Returns
         -------
         torch.Tensor
-            complex64 or complex128, ``[frames·time_samples, ..., m·s, n·s]``, those of the first frame first.
+            complex64 or complex128, ``[frames·time_samples, ..., m·s, n·s]``, ordered by frames.
         """
         return self.slm._light(self.displayed_phase(phase), scale)
 

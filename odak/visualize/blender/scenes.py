@@ -713,7 +713,7 @@ class scene(Lines, Shapes, Lenses, Views):
     Notes
     -----
     Nothing here needs Blender but :meth:`render`, :meth:`render_depth` and :meth:`save` with a ".blend" file; see
-    :func:`odak.visualize.blender.find_blender`. Axes are those of odak: z the optical axis, y upwards.
+    :func:`odak.visualize.blender.find_blender`. Axes are as everywhere in odak: z the optical axis, y upwards.
 
     Examples
     --------
@@ -865,7 +865,7 @@ class scene(Lines, Shapes, Lenses, Views):
         -------
         numpy.ndarray
             float32 ``[rows, columns]`` in the scene's unit, along the camera's axis; infinite where nothing is.
-            Glass counts as a surface.
+            Glass is a surface like any other.
         """
         self._check_not_empty()
         job = self._job("depth", resolution, 1, device, 0)

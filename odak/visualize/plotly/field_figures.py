@@ -431,8 +431,9 @@ class detectorshow(_Images):
 
     Notes
     -----
-    Amplitude, intensity and spectrum have a perceptually uniform colour scale, ``settings["color scale"]``. That of the
-    phase, ``settings["phase color scale"]``, is cyclic from −180° to 180°, so that equal phases have equal colours.
+    Amplitude, intensity and spectrum have a perceptually uniform colour scale, ``settings["color scale"]``. The scale
+    of the phase, ``settings["phase color scale"]``, is cyclic from −180° to 180°, so that equal phases have equal
+    colours.
 
     Examples
     --------

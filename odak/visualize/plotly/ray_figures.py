@@ -458,7 +458,7 @@ class rayshow(SceneFigure):
         color : str or sequence
             One colour, or t colours, or t values, which are drawn in the colour scale.
         opacity : float, optional
-            Opacity, from 0 to 1; that of the settings by default.
+            Opacity, from 0 to 1; by default taken from the settings.
         show_legend : bool
             Show an entry in the legend.
         label : str, optional

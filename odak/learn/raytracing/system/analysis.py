@@ -112,7 +112,7 @@ def spot_diagram(
     -------
     Spots
         Differentiable. Where no ray of a field arrives, its size is NaN. Distances are across the axis: on a tilted or
-        strongly curved image surface they are those of its view along the axis.
+        strongly curved image surface they are projected along the axis.
 
     Examples
     --------
@@ -751,8 +751,8 @@ def distortion(system: Any, prescription: Prescription | None = None, **options:
     Returns
     -------
     torch.Tensor
-        ``[..., W, F]``, along the paraxial image point's direction; 0 for a field on the axis. The paraxial height is
-        that of the reference wavelength, in the image plane.
+        ``[..., W, F]``, along the paraxial image point's direction; 0 for a field on the axis. The paraxial height
+        is computed at the reference wavelength, in the image plane.
 
     Notes
     -----
@@ -866,9 +866,10 @@ class Wavefront(NamedTuple):
     Attributes
     ----------
     path : torch.Tensor
-        Optical path to the reference sphere less that of the chief ray, in wavelengths, ``[..., W, F, P]``; NaN where
-        a ray is lost. Positive where the wave lags: where the path from the object to the reference sphere is longer
-        than that of the chief ray. Where a program states the path of the chief ray less that of a ray, signs differ.
+        Optical path to the reference sphere less the path of the chief ray, in wavelengths, ``[..., W, F, P]``; NaN
+        where a ray is lost. Positive where the wave lags: where the path from the object to the reference sphere is
+        longer than that of the chief ray. Where a program states the path of the chief ray less that of a ray, signs
+        differ.
     rms : torch.Tensor
         Its standard deviation over the area of the pupil where the rays have weights, over the rays where they have
         none, ``[..., W, F]``.
@@ -941,8 +942,8 @@ def wavefront(
     The sphere of each wavelength and field is centred where the chief ray of that wavelength intersects the image
     surface, and passes through the paraxial exit pupil's centre, which may be at infinity. Welford, Aberrations of
     Optical Systems (1986), section 7.2. Rays of "gauss" have the weights of a Gaussian quadrature, so that means over
-    the pupil do not depend on their number; where an aperture cuts the pupil, those of :func:`pupil_quadrature` follow
-    its rim.
+    the pupil do not depend on their number; where an aperture cuts the pupil, the nodes of :func:`pupil_quadrature`
+    follow its rim.
 
     Examples
     --------

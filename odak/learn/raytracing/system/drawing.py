@@ -99,7 +99,7 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
     ----------
     system : optical_system
         The system, in global coordinates: z to the right, y up. Shifts, tilts and coordinate breaks are drawn, numbers
-        are those of the surfaces.
+        count the surfaces.
     aim : str
         "paraxial" or "real", how :func:`launch` aims.
     count : int
@@ -808,7 +808,7 @@ def image_figure(system: Any, points: int = 11, aim: str = "paraxial") -> Figure
     Returns
     -------
     matplotlib.figure.Figure
-        The ideal grid is grey, the real one blue. The illuminance is that of a uniform Lambertian object relative to
+        The ideal grid is grey, the real one blue. The illuminance by a uniform Lambertian object is relative to
         the axis; dashed, the fraction of the rays through the pupil that apertures let pass. The last panel is left out
         with a single wavelength.
 

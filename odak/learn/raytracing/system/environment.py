@@ -55,14 +55,14 @@ def in_environment(
     Warns
     -----
     odak.AccuracyWarning
-        If the expansion or dn/dT of a glass is not known: it counts as 0.
+        If the expansion or dn/dT of a glass is not known: it is set to 0.
 
     Notes
     -----
-    Radii and thicknesses of a glass grow by its coefficient of expansion, those of a surface between two glasses by the
-    mean of both. The distance of two lenses grows by that of the mount at their rims, where both have a semi-diameter,
-    otherwise on the axis. Indices are relative to the air around: :func:`odak.catalog.refractive_index`. Wavelengths
-    are those in vacuum. An object at a finite distance stays where it is.
+    Radii and thicknesses of a glass grow by its coefficient of expansion, a surface between two glasses by the mean of
+    both. The distance of two lenses grows by the coefficient of the mount at their rims, where both have a
+    semi-diameter, otherwise on the axis. Indices are relative to the air around: :func:`odak.catalog.refractive_index`.
+    Wavelengths are those in vacuum. An object at a finite distance stays where it is.
 
     Examples
     --------

@@ -86,7 +86,7 @@ def navarro_eye(
     Notes
     -----
     Navarro, Santamaría and Bescós, J. Opt. Soc. Am. A 2, 1273 (1985), doi 10.1364/JOSAA.2.001273; the depth of the
-    vitreous, 16.3203 mm, and the retina are those of Escudero-Sanz and Navarro, J. Opt. Soc. Am. A 16, 1881 (1999), doi
+    vitreous, 16.3203 mm, and the retina are from Escudero-Sanz and Navarro, J. Opt. Soc. Am. A 16, 1881 (1999), doi
     10.1364/JOSAA.16.001881. Dispersion after Herzberger, as there. Power 60.4 dioptres. The lens has one index; the
     parameter A is not exactly the vergence that is in focus: :func:`eye_refraction` gives that.
 
@@ -189,7 +189,7 @@ def liou_brennan_eye(
     Notes
     -----
     Liou and Brennan, J. Opt. Soc. Am. A 14, 1684 (1997), doi 10.1364/JOSAA.14.001684: power 60.35 dioptres,
-    length 23.95 mm. The lens is two media of graded index with a plane between them; rays in it are those of the ray
+    length 23.95 mm. The lens is two media of graded index with a plane between them; rays in it solve the ray
     equation.
 
     Examples
@@ -630,7 +630,7 @@ def retinal_field(
     rotation: Sequence[float] | torch.Tensor = (0.0, 0.0),
     center: str = "gaze",
 ) -> RetinalField:
-    """Return the field on the retina of a coherent field in the entrance pupil, such as that of a hologram.
+    """Return the field on the retina of a coherent field in the entrance pupil, such as the light of a hologram.
 
     Parameters
     ----------

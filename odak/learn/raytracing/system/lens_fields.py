@@ -36,7 +36,7 @@ class TracedSystem:
     """A lens system as an element of an optical bench: a field of many points goes through it at once.
 
     Use it to see a hologram or a display through real lenses, such as an eyepiece: aberrations over the field,
-    distortion and losses are those of traced rays, diffraction is that of waves. The field enters in the object plane
+    distortion and losses come from traced rays, diffraction from wave optics. The field enters in the object plane
     of the system, at its `object_distance`, and leaves in its image plane, which belongs where rays from one point are
     spread out: into the pupil of an eye, not into an image.
 
@@ -47,7 +47,7 @@ class TracedSystem:
     output_dx : float or sequence of float, optional
         Pixel pitch of the result in metres; λ·|B|/(N·dx) by default, see :func:`odak.wave.propagate_abcd`.
     output_shape : sequence of int, optional
-        Rows and columns of the result; those of the field by default.
+        Rows and columns of the result; by default the shape of the field.
     grid : sequence of int
         Points of the object plane along rows and columns, odd numbers of at least 3, for which rays are traced; in
         between, paths are interpolated by polynomials.
@@ -75,7 +75,7 @@ class TracedSystem:
     The field behind is ∬u(x)·|det ∂²V/∂x∂q|^½·exp(2πi·V(x, q)/λ) dx/(iλ), V(x, q) being the optical path of the ray
     from x to q, Hamilton's point characteristic (Born and Wolf, Principles of Optics, 1999, section 4.1), and the
     determinant the amplitude of a tube of rays (Van Vleck, Proc. Natl. Acad. Sci. 14, 178 (1928)), which keeps the
-    power. In free space this is the integral of Rayleigh and Sommerfeld, in first-order optics that of Collins.
+    power. In free space this is the integral of Rayleigh and Sommerfeld, in first-order optics Collins' integral.
     V is a polynomial through the paths of rays between the Chebyshev points of both planes. What it has of x alone and
     of q alone are phases in these planes, −x·q/B is a Fourier transform, and the rest a short sum of products of
     functions of x and of q, with a transform for each.

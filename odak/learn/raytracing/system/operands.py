@@ -46,7 +46,7 @@ class Operand(NamedTuple):
     kind : str or callable
         A name of :data:`OPERANDS`, an attribute of :class:`FirstOrder` ("focal_length", "f_number",
         "back_focal_distance", …), or a function ``(system, prescription)`` that returns a tensor ``[...]`` or
-        ``[..., n]``, the first axes those of the batch of systems.
+        ``[..., n]``, whose first axes are the batch of systems.
     target : float, optional
         What it should be. 0 if there are no bounds either.
     weight : float

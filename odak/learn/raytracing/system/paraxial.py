@@ -112,7 +112,7 @@ def first_order(system: Any, wavelength: float | None = None, prescription: Pres
         In the system's unit; its reference wavelength by default.
     prescription : Prescription, optional
         Numbers in place of the system's own, a batch of systems perhaps; with indices for one wavelength, or for
-        those of the system.
+        the wavelengths of the system.
 
     Returns
     -------
@@ -494,8 +494,8 @@ def seidel_sums(system: Any, field: Any = None, prescription: Prescription | Non
     -----
     The coefficients follow from the paraxial marginal and chief rays (Welford, Aberrations of Optical Systems (1986),
     chapter 8 and section 10.2). Of aspheres the terms r² and r⁴ contribute, with the stop shift of section 8.5.
-    Lateral colour "LAT" and distortion are heights in the image plane. Coordinate breaks are ignored: the sums are
-    those of the unfolded system.
+    Lateral colour "LAT" and distortion are heights in the image plane. Coordinate breaks are ignored: the
+    sums describe the unfolded system.
 
     The contribution of a graded medium (P. J. Sands, J. Opt. Soc. Am. 60, 1436 (1970)) is included in that of the
     surface in front of it. It is the integral of the fourth-order part of the optical Hamiltonian along both rays, less

@@ -326,7 +326,7 @@ class Ghosts(NamedTuple):
 
     @property
     def ratio(self) -> torch.Tensor:
-        """Power of all ghosts over that of the image, both in the whole image plane, ``[fields]``."""
+        """Power of all ghosts relative to the power of the image, both in the whole image plane, ``[fields]``."""
         return sum((ghost.power for ghost in self.paths), torch.zeros_like(self.direct)) / self.direct
 
     def irradiance(self, size: Any, pixels: Any = (64, 64), field: int = 0) -> torch.Tensor:

@@ -255,7 +255,8 @@ def launch(
     count : int
         Count of :func:`pupil_samples`.
     fields : sequence of pairs or torch.Tensor, optional
-        Field points (x, y), or ``[F, 2]``, in place of the system's. Vignetting factors are those of the system's own.
+        Field points (x, y), or ``[F, 2]``, in place of the system's. Vignetting factors apply to the system's own
+        field points only.
     prescription : Prescription, optional
         Numbers in place of the system's own, a batch of systems perhaps.
     aim : str
@@ -267,7 +268,7 @@ def launch(
     Returns
     -------
     Rays
-        ``[..., 1, F, P]``, the first axes those of the batch of systems. For an object at infinity they start in the
+        ``[..., 1, F, P]``, whose first axes are the batch of systems. For an object at infinity they start in the
         plane of the first vertex. Pupil points are heights in the entrance pupil, for a near object slopes of rays: the
         same up to a factor, but defined for a pupil at infinity too. Rays for which `aim` "real" finds no way to their
         point of the stop have infinite direction cosines; their status behind the system is NOT_AIMED.

@@ -226,7 +226,7 @@ class surface(torch.nn.Module):
     shape : odak.raytracing.Shape, optional
         Any other shape, in place of the four above: a Toroid, a ZernikeFreeform, a class of one's own.
     thickness : float or torch.Tensor
-        Distance to the next vertex, that of the last surface to the image plane. Negative after a mirror.
+        Distance to the next vertex, or from the last surface to the image plane. Negative after a mirror.
     material : str, float, torch.Tensor or Material
         Medium behind it: a name of :func:`odak.catalog.material_names`, "air" (index 1), "mirror", or an index that
         holds for all wavelengths.
@@ -414,7 +414,7 @@ class surface(torch.nn.Module):
         ----------
         name : str
             "curvature", "radius", "conic", "coefficients", "thickness", "index" (of a material given as a number),
-            "shift" or "tilt"; or a parameter of the shape, the phase or the gradient ("coefficients" is that of the
+            "shift" or "tilt"; or a parameter of the shape, the phase or the gradient ("coefficients" belongs to the
             first of them that has any); "thicknesses" of the coating.
         """
         for held in (self.own_shape, self.own_phase, self.own_gradient, self.own_coating):
@@ -967,7 +967,7 @@ class optical_system(torch.nn.Module):
         Take the entrance pupil to be at infinity, so that chief rays of a near object are parallel to the axis; the
         aperture must be given as "NA" or "stop". False by default.
     afocal : bool
-        Take the image to be at infinity, as that of a telescope: an ideal lens with a focal length of 1 m is appended
+        Take the image to be at infinity, as in a telescope: an ideal lens with a focal length of 1 m is appended
         in the image plane, and its focal plane is the image. Points of it are tangents of angles times 1 m: analyses
         and figures then state micrometres that are microradians, and cycles per millimetre that are those per
         milliradian. The aperture must be given as "EPD", "stop" or, for a near object, "NA". False by default.
@@ -994,14 +994,14 @@ class optical_system(torch.nn.Module):
 
     Notes
     -----
-    Without a stop among the surfaces, the first one is it. Indices are those of the catalogue,
+    If no surface is marked as the stop, the first one is the stop. Indices come from the catalogue and are
     relative to air. Where the stop lies in the rear focal plane of what is in front of it, a near object is seen
     telecentrically: the entrance pupil is at infinity, and the aperture must be given as "NA" or "stop".
 
-    Vignetting factors are those of OpticStudio (its help, Conventions and Definitions): a decentre and a compression of
-    the pupil by which rays of a field fill what apertures leave of it. They hold wherever rays are launched from one of
-    the system's own field points, and move the chief ray, which goes through the centre of the vignetted pupil. Other
-    field points have the whole pupil.
+    Vignetting factors are defined as in OpticStudio (its help, Conventions and Definitions): a decentre and a
+    compression of the pupil by which rays of a field fill what apertures leave of it. They hold wherever rays are
+    launched from one of the system's own field points, and move the chief ray, which goes through the centre of the
+    vignetted pupil. Other field points have the whole pupil.
 
     Examples
     --------
@@ -1181,14 +1181,14 @@ class optical_system(torch.nn.Module):
         return tuple(found)
 
     def frames(self, prescription: Prescription | None = None, own: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the frames of the surfaces and of the image in that of the first vertex: global coordinates.
+        """Return the frames of the surfaces and of the image in the frame of the first vertex: global coordinates.
 
         Parameters
         ----------
         prescription : Prescription, optional
             Numbers in place of the system's own, of one system.
         own : bool
-            Include the shift and tilt of each surface; else the frames are those of the axis at its vertex, in which
+            Include the shift and tilt of each surface; otherwise return the frames of the axis at its vertex, in which
             :func:`trace` returns its points.
 
         Returns

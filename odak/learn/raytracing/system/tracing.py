@@ -35,7 +35,7 @@ class Rays(NamedTuple):
 
     Examples
     --------
-    Direction cosines are those of unit vectors:
+    Direction cosines are the components of unit vectors:
 
     >>> from odak.learn.raytracing.system import Rays, launch, load_system
     >>> lens = load_system("cooke_triplet")

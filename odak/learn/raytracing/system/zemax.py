@@ -225,7 +225,7 @@ def read_zmx(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optic
     the object. The report names each of these. Image heights as fields become object angles or heights: paraxially, or
     by tracing chief rays through the centre of the stop (of the paraxial pupil where the file does not aim rays); a
     height that none of them reaches becomes the farthest field from which they arrive, which the report says.
-    Vignetting factors (VDX, VDY, VCX, VCY) and weights of fields and wavelengths become those of
+    Vignetting factors (VDX, VDY, VCX, VCY) and weights of fields and wavelengths are passed to
     :class:`optical_system`; factors of a field with an angle (VAN) are not used, and named.
 
     Examples

@@ -116,7 +116,7 @@ class configurations(torch.nn.Module):
         return getattr(self, key)
 
     def view(self, place: int) -> optical_system:
-        """Return one configuration as a system whose numbers are those of this module, with their gradients.
+        """Return one configuration as a system that shares the numbers of this module, with their gradients.
 
         Parameters
         ----------
@@ -190,7 +190,7 @@ class configurations(torch.nn.Module):
 
         Notes
         -----
-        Fields, apertures and distances of the object are those of the system that the numbers are passed with; where
+        Fields, apertures and distances of the object belong to the system that the numbers are passed with; where
         they differ, or a glass takes the place of air, use :meth:`each`.
         """
         parts = [self._view(i, False).prescription(wavelengths) for i in range(self.count)]

@@ -312,7 +312,7 @@ class Scene:
         camera : PerspectiveCamera
             The camera.
         img_size : tuple of int
-            Width and height of the picture; by default those of `pad_size`.
+            Width and height of the picture; by default taken from `pad_size`.
         bg_colour : tuple of float
             Without effect; kept for callers that pass it.
         tile_size : tuple of int

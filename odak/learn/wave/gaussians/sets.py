@@ -722,7 +722,7 @@ class complex_2d_gaussians(nn.Module):
             If there is no such file.
         ValueError
             If the path is not acceptable; if the file is broken or would run code; or if it holds another number of
-            Gaussians or those of a picture of another size. The Gaussians then stay as they were.
+            Gaussians or belongs to a picture of another size. The Gaussians then stay as they were.
         """
         held = dict(self.named_parameters())
         found = load(load_path, held, self.means_2d.device, "load_path")
@@ -750,7 +750,7 @@ class Scene2D:
         The Gaussians.
     args_prop : object
         With the attributes `wavelengths` (metres, one for each colour) and `pad_size` (rows and columns of the field).
-        Fewer wavelengths than colours are those of the first colours; an :class:`~odak.ArgumentWarning` says so.
+        Fewer wavelengths than colours belong to the first colours; an :class:`~odak.ArgumentWarning` says so.
 
     Attributes
     ----------

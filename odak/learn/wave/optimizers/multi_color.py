@@ -68,7 +68,7 @@ class multi_color_hologram_optimizer:
     channel_power_filename : str
         File of a tensor ``[F, C]`` of powers to start from, clipped to 0 … 1.
     device : torch.device, optional
-        Where to compute; that of the propagator by default.
+        Where to compute; the device of the propagator by default.
     loss_function : callable, optional
         ``loss_function(image, target, plane_id=, noise_ratio=, inject_noise=)`` for each plane and colour ``[ms, ns]``;
         keywords it does not know are left out. The squared error by default. If it has a parameter `generator`, it is
@@ -78,14 +78,14 @@ class multi_color_hologram_optimizer:
         The light loss draws the sum of all source amplitudes to F times that.
     optimize_peak_amplitude : bool
         Leave the targets' scale free: in each iteration it is the one at which the images are closest to them, and
-        the loss is that of the images divided by it.
+        the loss compares the images divided by it.
     img_loss_thres : float
         Not used; kept for older calls.
     reduction : {"sum", "mean"}
         How the losses of pixels and planes are put together.
     camera : callable, optional
         ``camera(phases)`` shows phases ``[F, m, n]`` on the real display and returns the intensities it captures,
-        ``[D, C, ms, ns]``. The loss is then that of the captured images (camera in the loop).
+        ``[D, C, ms, ns]``. The loss is then computed from the captured images (camera in the loop).
     initial_phase : torch.Tensor, optional
         Phases in radians to start from, ``[F, m, n]``; random over several cycles of 2π by default.
     progress : bool, default: True
@@ -238,7 +238,7 @@ class multi_color_hologram_optimizer:
         return values.to(self.device).requires_grad_()
 
     def init_channel_power(self) -> None:
-        """Set the channel powers ``[F, C]``: those of the file, one source per frame, or ones to learn from."""
+        """Set the channel powers ``[F, C]``: from the file, one source per frame, or ones to learn from."""
         shape = (self.number_of_frames, len(self.wavelengths))
         learned = self.method.endswith("multi-color")
         # Frame f is lit by source f mod C alone where the powers are not learned.
@@ -427,7 +427,7 @@ class multi_color_hologram_optimizer:
         Returns
         -------
         torch.Tensor
-            The loss; that of a given function is summed over colours.
+            The loss; a given function is summed over colours.
         """
         (noise_ratio,) = _validate.constants(noise_ratio=noise_ratio)
         inject_noise, generator = (
@@ -619,7 +619,7 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
     channel_power_filename : str, optional
         File of a tensor ``[F, C]`` of powers to start from, clipped to 0 … 1.
     device : torch.device, optional
-        Where to compute; that of the propagator by default.
+        Where to compute; the device of the propagator by default.
     loss_function : callable, optional
         Loss of each plane and colour, see :class:`multi_color_hologram_optimizer`; the squared error by default.
     peak_amplitude : float, default: 1.0

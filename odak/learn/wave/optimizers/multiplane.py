@@ -266,7 +266,7 @@ class multiplane_hologram_optimizer:
         shifted_phase : torch.Tensor
             Phase in radians, ``[m, n]`` or ``[frames, m, n]``.
         phase_offset : torch.Tensor
-            Phase offset in radians, of a shape that broadcasts with that of the phase.
+            Phase offset in radians, of a shape that broadcasts with the phase.
         """
         shifted_phase, phase_offset = checked_pattern(shifted_phase, phase_offset, "shifted_phase")
         return checkerboard(zero_mean(shifted_phase), phase_offset)
