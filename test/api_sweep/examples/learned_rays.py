@@ -7,6 +7,7 @@ from api_sweep.build import Build, tensor
 
 from odak.learn.raytracing import Conic, define_circle, define_cylinder, light_source, sphere_function
 from odak.learn.raytracing.system import (
+    Coating,
     Perturbation,
     Variable,
     configurations,
@@ -227,6 +228,13 @@ BY_CALL = {
     f"{HERE}.system.point_spread_function": {"samples": 16},
     f"{HERE}.system.polarized_point_spread_function": {"samples": 16, "size": 32, "polarization": [1.0, 0.5]},
     f"{HERE}.system.Coating": {"media": (1.38,), "thicknesses": [1e-4], "substrate": None},
+    f"{HERE}.system.needle_design": {
+        "start": Build(lambda _: Coating((2.1,), [1e-4])),
+        "media": [1.38, 2.1],
+        "between": ("air", 1.52),
+        "wavelengths": [5e-4, 6e-4],
+        "films": 2,
+    },
     f"{HERE}.system.point_spread_map": {"shape": [9, 9], "pitch": 0.05, "grid": [2, 2], "kernel": 5, "count": 2}
     | {"response": [[1.0, 2.0]]},
     f"{HERE}.system.simulate_image": {"picture": tensor(1, 9, 9), "spread": Build(lambda _: _spread())},

@@ -25,6 +25,8 @@ from .automatic import AutomaticResult as AutomaticResult
 from .automatic import Stage as Stage
 from .automatic import automatic_design as automatic_design
 from .automatic import standard_design as standard_design
+from .coatings import CoatingDesign as CoatingDesign
+from .coatings import needle_design as needle_design
 from .codev import read_seq as read_seq
 from .codev import write_seq as write_seq
 from .design import DesignResult as DesignResult
