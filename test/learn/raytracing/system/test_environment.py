@@ -7,6 +7,7 @@ from odak import AccuracyWarning
 from odak.catalog import material, refractive_index
 from odak.catalog.materials import thermal_of
 from odak.learn.raytracing.system import (
+    axial_color,
     coordinate_break,
     first_order,
     in_environment,
@@ -45,6 +46,41 @@ def test_mount_of_coefficient_of_lens_keeps_image_in_place():
         expected = behind * (thermal_coefficient("N-BK7", 40.0) - mount) * 40
         assert defocus == pytest.approx(expected, abs=2e-5)
         assert (abs(defocus) > 0.05) == moves
+
+
+def doublet(first, second):
+    """Return a thin achromat of f = 100 whose focus is on its image plane, and what its focus is to do per kelvin.
+
+    T. H. Jamieson, Opt. Eng. 20, 156 (1981): powers φ of a sum 1/f and a sum of φ/V of 0 expand by f·Σφγ.
+    """
+    lines = (486.1327e-9, 587.5618e-9, 656.2725e-9)
+    indices = [[float(refractive_index(g, line, medium="air")) for line in lines] for g in (first, second)]
+    numbers = [(middle - 1) / (blue - red) for blue, middle, red in indices]
+    powers = [numbers[0] / (numbers[0] - numbers[1]) / 100, numbers[1] / (numbers[1] - numbers[0]) / 100]
+    bends = [power / (n[1] - 1) / 2 for power, n in zip(powers, indices, strict=True)]
+
+    def lens(behind):
+        rows = [(bends[0], 1e-6, first), (-bends[0], 1e-6, "air"), (bends[1], 1e-6, second), (-bends[1], behind, "air")]
+        return optical_system([surface(curvature=c, thickness=t, material=m) for c, t, m in rows], 10.0)
+
+    grows = 0.0
+    for power, glass, (_, middle, _) in zip(powers, (first, second), indices, strict=True):
+        low, high = (float(refractive_index(glass, lines[1], medium="air", temperature=t)) for t in (10.0, 30.0))
+        grows += 100 * power * (thermal_of(material(glass))[1] - (high - low) / 20 / (middle - 1))
+    return lens(float(first_order(lens(100.0)).image_distance)), grows
+
+
+@pytest.mark.parametrize(("pair", "athermal"), [(("FK5HTi", "SF11"), True), (("N-BK7", "SF2"), False)])
+def test_an_achromat_of_two_glasses_is_athermal_in_aluminium(pair, athermal):
+    lens, grows = doublet(*pair)
+    for temperature in (10.0, 30.0):
+        warm = in_environment(lens, temperature, mount=23.6e-6)
+        defocus = float(first_order(warm).image_distance - warm.surfaces[-1].thickness)
+        expected = (temperature - 20) * 100 * (grows - 23.6e-6)
+        assert defocus == pytest.approx(expected, rel=5e-3, abs=1e-4)
+        assert (abs(defocus) < 2e-4) == athermal
+    blue, red = axial_color(lens, [486.1327e-6, 656.2725e-6]).tolist()
+    assert blue == pytest.approx(red, abs=1e-3)
 
 
 def test_a_telescope_of_one_material_only_grows():
