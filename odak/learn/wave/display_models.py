@@ -1,5 +1,6 @@
 """Differentiable model of a modulator, the light path and a camera, fitted to captures, and holograms through it."""
 
+import itertools
 import math
 import os
 import warnings
@@ -49,10 +50,16 @@ PRIORS = {
 # Samples of the intensity along a pixel of the modulator, at least, and parts of a pixel along each side in which
 # fringing fields vary its phase.
 FINER = 3
-# Captures that the matrix of a step comes from, and that of the uncertainties.
-CURVED, CERTAIN = 2, 4
+# Pixels whose captures give the matrix of the first steps, at least, and captures that give the last and the
+# uncertainties.
+CURVED, CERTAIN = 8000, 2
+# Shares of a pixel without gaps, and light of the gaps, that are tried.
+FILLS, GAPS = (0.97, 0.94, 0.9, 0.85, 0.8), ((0.0, 0.0), (1.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5))
 # Samples of the intensity for the cycle of its highest frequency.
 OVER = 3.0
+# Pixels of the camera by which its image may move while a model is fitted, and samples beside the image that those of
+# its rim depend on.
+MARGIN, REACH = 16, 16
 # Diffraction orders along each axis that are computed, at most.
 ORDERS = 3
 
@@ -156,9 +163,6 @@ class display_model(torch.nn.Module):
     _slope: torch.Tensor
     _radius: torch.Tensor
     _unblocked: torch.Tensor
-    _prefilter: torch.Tensor
-    _fine_y: torch.Tensor
-    _fine_x: torch.Tensor
     _pixels: torch.Tensor
     _homography: torch.Tensor
 
@@ -549,12 +553,14 @@ class display_model(torch.nn.Module):
         self._sizes = self._counts = sizes
         self._fine = [-(-FINER // s) * size for size in sizes]
         if self.samples_per_pixel is None:
-            self._fine = self._counts = []
+            self._fine, self._counts = [], []
             blur = math.sqrt(self.wavelength * self.nominal_distance)
             for n, pitch, size, (_, end) in zip(self.shape, self._pitches, sizes, bands, strict=True):
                 angle = (n * pitch + blur) / self.nominal_distance
                 samples = max(end, min(OVER * angle * pitch / self.wavelength, max(FINER, 1.5 * end)))
                 self._fine.append(_fast(math.ceil(size * samples)))
+                # No light of higher frequencies reaches the camera.
+                self._counts.append(min(self._fine[-1], 2 * math.ceil(size * end / 2) + 2))
         lengths = [pitch * size / s for pitch, size in zip(self._pitches, sizes, strict=True)]
         fy, fx = (
             torch.fft.fftfreq(count, length / count, dtype=torch.float64)
@@ -574,7 +580,7 @@ class display_model(torch.nn.Module):
         self.register_buffer("_radius", (squared.sqrt() / unit).to(self._dtype), persistent=False)
         self._soft = 1 / (unit * max(lengths))
         self._steps = [length / fine for length, fine in zip(lengths, self._fine, strict=True)]
-        self._sensor(self._fine, self._steps, registration)
+        self._sensor(registration)
 
     def _focal_grid(self, registration: Registration, reach: float) -> None:
         """Choose the grid of the focal plane of a lens, whose samples are frequencies, and the parts of pixels."""
@@ -605,30 +611,21 @@ class display_model(torch.nn.Module):
         passes = self.wavelength * abs(reach) * radius >= lens.block
         self.register_buffer("_unblocked", passes.to(self._dtype), persistent=False)
         self._soft = 1 / (unit * max(n * p for n, p in zip(self.shape, self._pitches, strict=True)))
-        self._sensor(self._fine, self._focal_steps(reach), registration)
+        self._sensor(registration)
 
     def _focal_steps(self, reach: float) -> list[float]:
         """Return the distance of samples in the focal plane of a lens along rows and columns, in metres."""
         return [self.wavelength * reach / (n * p) for n, p in zip(self._sizes, self._pitches, strict=True)]
 
-    def _sensor(self, fine: list[int], steps: list[float], registration: Registration) -> None:
-        """Prepare what the pixels of the camera see of samples of the intensity."""
-        frequencies = (
-            torch.fft.fftfreq(fine[0], 1.0, dtype=torch.float64),
-            torch.fft.rfftfreq(fine[1], 1.0, dtype=torch.float64),
-        )
-        # Cubic B-splines pass through the samples of what this filter makes of them.
-        inverse = [6 / (4 + 2 * torch.cos(2 * math.pi * f)) for f in frequencies]
-        self.register_buffer("_prefilter", (inverse[0][:, None] * inverse[1]).to(self._dtype), persistent=False)
-        for name, f, step, seen_pitch in zip(
-            ("_fine_y", "_fine_x"), frequencies, steps, self._camera_pitches, strict=True
-        ):
-            self.register_buffer(name, (f * (seen_pitch / step)).to(self._dtype), persistent=False)
+    def _sensor(self, registration: Registration) -> None:
+        """Prepare the pixels of the camera."""
         v, u = torch.meshgrid(*(torch.arange(n, dtype=torch.float64) for n in self.camera_shape), indexing="ij")
         self.register_buffer("_pixels", torch.stack([u, v], -1).reshape(-1, 2).to(self._dtype), persistent=False)
         start = torch.as_tensor(registration.homography / registration.homography[2, 2])
         self.register_buffer("_homography", start, persistent=False)
         self._kernels: dict[float, torch.Tensor] = {}
+        # First sample and number of samples of the rows and columns around the camera's image; None for all.
+        self._window: list[tuple[int, int]] | None = None
 
     def _kernel(self, position: float) -> torch.Tensor:
         """Return the transfer function to a position of the stage, formed in double precision.
@@ -689,28 +686,52 @@ class display_model(torch.nn.Module):
         return modulated + pixels_spectrum(gaps, self._sizes, cells=parts, counts=self._counts)
 
     def _finely_there(self, light: torch.Tensor, position: float, fine: list[int] | None = None) -> torch.Tensor:
-        """Return the intensity in the plane of the camera on a grid, the axis at its first sample."""
+        """Return the intensity in the plane of the camera on a grid, the axis at its first sample, or in the window."""
         spectrum = self._spectrum(light, position)
         if self.lens is not None:
             return (spectrum.real**2 + spectrum.imag**2) / math.prod(self.shape)
-        fine = fine or self._fine
-        there = math.prod(fine) / math.prod(self._sizes) * torch.fft.ifft2(_widened(spectrum, fine))
+        window, fine = self._window if fine is None else None, fine or self._fine
+        for axis in (-1, -2):
+            spectrum = torch.fft.ifft(_widened(spectrum, fine[axis], axis), dim=axis)
+            if window is not None:
+                spectrum = _cut(spectrum, *window[axis], axis)
+        there = math.prod(fine) / math.prod(self._sizes) * spectrum
         return there.real**2 + there.imag**2
 
     def _seen(self, light: torch.Tensor, position: float, pixels: torch.Tensor | None) -> torch.Tensor:
         """Return the intensity on pixels of the camera ``[..., pixels]``."""
         intensity = self._finely_there(light, position)
-        fine = list(intensity.shape[-2:])
-        blur = torch.sinc(self.aperture * self._fine_y)[:, None] * torch.sinc(self.aperture * self._fine_x)
-        coefficients = torch.fft.irfft2(torch.fft.rfft2(intensity) * (blur * self._prefilter), s=fine)
+        if self.lens is None:
+            steps = self._steps
+        else:
+            steps = self._focal_steps(self.lens.moved(_validate.constant("position", position)).ray_matrix[1])
+        sizes, filters = list(intensity.shape[-2:]), []
+        for frequencies, n, step, width in zip(
+            (torch.fft.fftfreq, torch.fft.rfftfreq), sizes, steps, self._camera_pitches, strict=True
+        ):
+            f = frequencies(n, dtype=light.real.dtype, device=light.device)
+            # Cubic B-splines pass through the samples of what the second factor makes of them.
+            filters.append(torch.sinc(self.aperture * (width / step) * f) * (6 / (4 + 2 * torch.cos(2 * math.pi * f))))
+        coefficients = torch.fft.irfft2(torch.fft.rfft2(intensity) * torch.outer(*filters), s=sizes)
         homography, distortion = self._mapping()
         places = self._pixels if pixels is None else self._pixels[pixels]
         points = plane_points(places, self.camera_shape, homography, distortion)
-        if self.lens is None:
-            dy, dx = self._steps
-        else:
-            dy, dx = self._focal_steps(self.lens.moved(_validate.constant("position", position)).ray_matrix[1])
-        return _spline_values(coefficients, points[:, 1] / dy, points[:, 0] / dx)
+        (above, _), (before, _) = self._window or [(0, 0), (0, 0)]
+        return _spline_values(coefficients, points[:, 1] / steps[0] - above, points[:, 0] / steps[1] - before)
+
+    def _around_camera(self) -> list[tuple[int, int]] | None:
+        """Return the window of the grid around the image of the camera, where all samples are not needed."""
+        if self.lens is not None:
+            return None
+        rows, columns = self.camera_shape
+        border = np.stack(np.meshgrid(np.linspace(0, columns - 1, 9), np.linspace(0, rows - 1, 9)), axis=-1)
+        points, window = self.registration().plane_points(border).reshape(-1, 2)[:, ::-1], []
+        for places, n, step, width in zip(points.T, self._fine, self._steps, self._camera_pitches, strict=True):
+            spare = math.ceil(MARGIN * width / step) + REACH
+            first = math.floor(places.min() / step) - spare
+            count = _fast(math.ceil(places.max() / step) + spare - first)
+            window.append((first, count) if count < n else (0, n))
+        return window
 
     def _mapping(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the homography from camera pixels to metres and the distortion.
@@ -762,10 +783,11 @@ class DisplayFit:
         Mean of the squared residuals over the variance of their noise: 1 for a model without errors.
     uncertainties : dict
         Standard deviation of each physical parameter by its name, of the parameter's shape and unit, from the inverse
-        of the Gauss–Newton matrix, that of up to four captures on the scale of all; multiplied by the root of
+        of the Gauss–Newton matrix, that of a few captures on the scale of all; multiplied by the root of
         `chi_squared` where that is above 1.
     history : list of float
-        `chi_squared` after each step of the fit of the physical parameters, then of that of the free forms.
+        `chi_squared` after each step of the fit of the physical parameters, of the captures that the step uses, then of
+        that of the free forms.
     noise : tuple of float
         Slope and offset of the variance of a capture in counts.
 
@@ -808,9 +830,10 @@ def fit_display(
     """Fit a model of a display to captures of any patterns.
 
     The physical parameters are found by Levenberg and Marquardt's method, with the priors of each parameter, on pixels
-    of the camera that are drawn at random; then, where the model has them, the maps of free form and the network by
-    Adam on all pixels. Residuals are divided by the standard deviation of their noise. The matrix of the method is that
-    of two captures, corrected by the changes of the gradient, which comes from all.
+    of the camera that are drawn at random: first to some thousands of them, then to those of all captures, with the
+    matrix of a few, which is corrected by the changes of the gradient. Then, where the model has them, the maps of free
+    form and the network are fitted by Adam on all pixels. Residuals are divided by the standard deviation of their
+    noise.
 
     Parameters
     ----------
@@ -819,8 +842,9 @@ def fit_display(
     captures : odak.instruments.Captures
         Patterns and captures, all with one exposure, see :func:`odak.instruments.record_captures`.
     iterations : int
-        Number of steps for the physical parameters, at most; as many again follow with the light of the gaps between
-        square pixels, which is not determined before the other parameters are nearly correct.
+        Number of steps for the physical parameters in each of three stages, at most: without the light of the gaps
+        between square pixels, which is not determined before the other parameters are nearly correct, with it, and
+        with all captures.
     refinements : int
         Number of passes through all captures for free forms and network; needs a model that has them.
     pixels : int
@@ -843,6 +867,12 @@ def fit_display(
     ------
     ValueError, TypeError
         If the captures do not fit the model.
+
+    Warns
+    -----
+    ConvergenceWarning
+        If the image has moved by more than 16 pixels of the camera, beyond which the fit computes no light; or if the
+        loss of the free forms has risen since its best.
 
     Examples
     --------
@@ -876,12 +906,21 @@ def fit_display(
     random = torch.Generator().manual_seed(_validate.integer("seed", seed))
     count = min(_validate.integer("pixels", pixels, minimum=100), math.prod(model.camera_shape))
     chosen = [torch.randperm(math.prod(model.camera_shape), generator=random)[:count] for _ in range(len(captures))]
-    if bool((model.brightness == 0).all()):
-        _match_brightness(model, data, chosen)
     iterations = _validate.integer("iterations", iterations)
-    history, uncertainties = _fit_physical(model, data, chosen, iterations, chunk, random)
-    if refinements:
-        history += _refine(model, data, _validate.integer("refinements", refinements), learning_rate, random)
+    model._window = window = model._around_camera()
+    try:
+        if bool((model.brightness == 0).all()):
+            _match_brightness(model, data, chosen)
+        history, uncertainties = _fit_physical(model, data, chosen, iterations, chunk, random)
+        if refinements:
+            history += _refine(model, data, _validate.integer("refinements", refinements), learning_rate, random)
+    finally:
+        model._window = None
+    if window is not None:
+        places = (np.array(window), np.array(model._around_camera()))
+        moved = np.abs(places[1] - places[0])[:, 0] * model._steps / model._camera_pitches
+        if moved.max() > MARGIN:
+            warn(f"the alignment has changed by {moved.max():.0f} pixels of the camera: fit again", ConvergenceWarning)
     with torch.no_grad():
         squares = [data.residual(model, k).square().sum() for k in range(len(captures))]
     quality = float(sum(squares)) / max(data.count(), 1)
@@ -1082,17 +1121,19 @@ def _match_brightness(model: display_model, data: _Data, chosen: list[torch.Tens
 def _fit_physical(model, data, chosen, iterations, chunk, random) -> tuple[list[float], dict[str, torch.Tensor]]:
     """Fit the physical parameters, and return chi squared after each step and the standard deviations.
 
-    Derivatives of all captures are taken in reverse mode, for all parameters at once. Those of each parameter, which
-    the Gauss-Newton matrix consists of, come from a few captures, whose thousands of pixels determine it to some per
-    cent; what is missing is learned from the change of the gradient (Broyden, Fletcher, Goldfarb and Shanno).
+    Derivatives by each parameter, which the Gauss-Newton matrix consists of, cost as many forward passes as there are
+    parameters. The noise of pixels is independent, so that some thousands of them determine the matrix to some per
+    cent: it comes from a few captures, and so do the squares and their gradient until they are nearly at their minimum.
+    Then all captures give the gradient, in reverse mode.
     """
-    names, number = model.physical, sum(len(part) for part in chosen)
+    names = model.physical
     sizes = [getattr(model, name).numel() for name in names]
     begin = torch.cat([getattr(model, name).detach().flatten() for name in names]).double()
     precision = torch.cat(
         [torch.full((n,), PRIORS[name] ** -2.0) for name, n in zip(names, sizes, strict=True)]
     ).double()
     order = torch.randperm(len(chosen), generator=random).tolist()
+    few, several = order[: -(-CURVED // len(chosen[0]))], order[: max(CERTAIN, -(-CURVED // len(chosen[0])))]
 
     def residuals(parts: Sequence[torch.Tensor], k: int) -> torch.Tensor:
         values = dict(zip(names, parts, strict=True))
@@ -1102,19 +1143,19 @@ def _fit_physical(model, data, chosen, iterations, chunk, random) -> tuple[list[
 
         return data.residual(seen, k, chosen[k])
 
-    def misfit(vector: torch.Tensor) -> tuple[float, torch.Tensor]:
-        """Return the squares of residuals and priors, and half their gradient."""
+    def misfit(vector: torch.Tensor, used: Sequence[int]) -> tuple[float, torch.Tensor]:
+        """Return the squares of residuals of some captures and of priors, and half their gradient."""
         apart = precision * (vector - begin)
         value, gradient = float((apart * (vector - begin)).sum()), apart
-        for k in range(len(chosen)):
+        for k in used:
             narrow = vector.to(model._dtype).requires_grad_()
             squares = residuals(narrow.split(sizes), k).double().square().sum()
             value += float(squares.detach())
             gradient = gradient + torch.autograd.grad(squares, narrow)[0].double() / 2
         return value, gradient
 
-    def curvature(vector: torch.Tensor, few: int, active: Sequence[str]) -> torch.Tensor:
-        """Return the Gauss-Newton matrix of active parameters that some captures have, on the scale of all."""
+    def curvature(vector: torch.Tensor, of: Sequence[int], scale: float, active: Sequence[str]) -> torch.Tensor:
+        """Return the Gauss-Newton matrix of active parameters that some captures have, times a scale."""
         parts = vector.to(model._dtype).split(sizes)
         matrix = torch.zeros(len(vector), len(vector), dtype=torch.float64)
 
@@ -1135,30 +1176,46 @@ def _fit_physical(model, data, chosen, iterations, chunk, random) -> tuple[list[
         with torch.no_grad(), warnings.catch_warnings():
             # Torch's own, in forward mode.
             warnings.filterwarnings("ignore", ".*torch.jit.script", DeprecationWarning)
-            for k in order[:few]:
+            for k in of:
                 slopes = torch.cat([columns(k, which) for which in range(len(parts))])
                 matrix += (slopes @ slopes.mT).double()
-        return matrix * (len(order) / len(order[:few])) + precision.diag()
+        return scale * matrix + precision.diag()
+
+    @torch.no_grad()
+    def with_gaps(vector: torch.Tensor, k: int) -> torch.Tensor:
+        """Return a vector with those of some widths and lights of the gaps that a capture deviates least from."""
+        width, light = (sum(sizes[: names.index(name)]) for name in ("fill", "gap"))
+        least, found, seen_there = math.inf, vector, data.counts[k, chosen[k]] / data.deviations[k, chosen[k]]
+        for fill, gap in [(None, None), *itertools.product(FILLS, GAPS)]:
+            tried = vector.clone()
+            if fill is not None:
+                tried[width], tried[light : light + 2] = fill, torch.tensor(gap)
+            seen = residuals(tried.to(model._dtype).split(sizes), k) + seen_there
+            scale = float((seen @ seen_there) / (seen @ seen))
+            # Brightness is the first parameter.
+            tried[0] += math.log(max(scale, 1e-3))
+            if (square := float((scale * seen - seen_there).square().sum())) < least:
+                least, found = square, tried
+        return found
 
     vector = begin.clone()
-    value, gradient = misfit(vector)
-    history, best, found = [value / number], value, vector
+    history: list[float] = []
+    stages = [(names, 1e-3, few, few)] if len(few) < len(order) else []
     # The light of gaps is not determined before the other parameters are nearly correct.
-    stages = [([name for name in names if name != "gap"], 0.03)] if "gap" in names else []
-    for active, least in [*stages, (names, 1e-4)]:
+    stages = [([name for name in names if name != "gap"], 0.03, few, few), *stages] if "gap" in names else stages
+    for turn, (active, least, used, curved) in enumerate([*stages, (names, 1e-4, order, several)]):
         moved = torch.cat([torch.full((n,), float(name in active)) for name, n in zip(names, sizes, strict=True)])
-        before = len(history)
-        if stages and active is names and iterations:
-            # Nothing depends on the light of gaps without width.
-            vector, fill = vector.clone(), sum(sizes[: names.index("fill")])
-            vector[fill] = 0.95 if float(vector[fill]) > 0.99 else vector[fill]
-            value, gradient = misfit(vector)
-        few, matrix, damping, fresh, failures = CURVED, None, 1e-3, False, 0
-        while len(history) < before + iterations and failures < 8:
+        if "gap" in names and iterations and turn < 2:
+            vector = with_gaps(vector, few[0])
+        value, gradient = misfit(vector, used)
+        number, matrix, damping, fresh, failures, steps = sum(len(chosen[k]) for k in used), None, 1e-3, False, 0, 0
+        history = history or [value / number]
+        while steps < iterations and failures < 8:
             if matrix is None:
-                matrix, fresh = curvature(vector, few, active), True
+                matrix, fresh = curvature(vector, curved, len(used) / len(curved), active), True
+                certain = matrix
             step = torch.linalg.solve(matrix + damping * matrix.diagonal().diag(), moved * gradient)
-            tried, slope = misfit(vector - step)
+            tried, slope = misfit(vector - step, used)
             if tried < value:
                 promised = float(gradient @ step)
                 # A step that promises less than a tenth moves no parameter by its standard deviation.
@@ -1167,28 +1224,24 @@ def _fit_physical(model, data, chosen, iterations, chunk, random) -> tuple[list[
                 if kept := value - tried > 0.8 * promised and float(change @ step) > 0.1 * float(along @ step):
                     matrix = matrix - torch.outer(along, along) / (along @ step)
                     matrix = matrix + torch.outer(change, change) / (change @ step)
+                # Near the minimum the matrix hardly changes.
+                kept = kept or value - tried < 0.03 * value
                 damping = max(damping / 10, 1e-9) if value - tried > 0.7 * promised else damping
                 vector, value, gradient = vector - step, tried, slope
-                matrix, fresh, failures = matrix if kept else None, False, 0
+                matrix, fresh, failures, steps = matrix if kept else None, False, 0, steps + 1
                 history.append(value / number)
                 if done:
                     break
             elif fresh:
                 # Short steps along slopes of this place lower the squares.
                 damping, failures = 10 * damping, failures + 1
-                if failures == 5:
-                    few, matrix = len(order), None
             else:
                 matrix = None
-        if value < best:
-            best, found = value, vector
-        else:
-            history = history[:before]
     with torch.no_grad():
-        for name, part in zip(names, found.to(model._dtype).split(sizes), strict=True):
+        for name, part in zip(names, vector.to(model._dtype).split(sizes), strict=True):
             getattr(model, name).copy_(part)
-    deviations = torch.linalg.inv(curvature(found, CERTAIN, names)).diagonal().clamp_min(0).sqrt().split(sizes)
-    return history, dict(zip(names, deviations, strict=True))
+    matrix = certain if iterations else curvature(vector, several, len(order) / len(several), names)
+    return history, dict(zip(names, torch.linalg.inv(matrix).diagonal().clamp_min(0).sqrt().split(sizes), strict=True))
 
 
 def _refine(model, data, passes, learning_rate, random) -> list[float]:
@@ -1283,17 +1336,24 @@ def _fast(count: int) -> int:
         count += 2
 
 
-def _widened(spectrum: torch.Tensor, shape: Sequence[int]) -> torch.Tensor:
-    """Return a spectrum with zeros at the frequencies that a finer grid of a shape has beyond its own."""
-    for axis, wanted in zip((-2, -1), shape, strict=True):
-        have = spectrum.shape[axis]
-        if have == wanted:
-            continue
-        low, high = spectrum.narrow(axis, 0, have // 2), spectrum.narrow(axis, have // 2, have - have // 2)
-        between = list(spectrum.shape)
-        between[axis] = wanted - have
-        spectrum = torch.cat([low, spectrum.new_zeros(between), high], axis)
-    return spectrum
+def _widened(spectrum: torch.Tensor, wanted: int, axis: int) -> torch.Tensor:
+    """Return a spectrum with zeros at the frequencies that a finer grid has beyond its own along an axis."""
+    have = spectrum.shape[axis]
+    if have == wanted:
+        return spectrum
+    low, high = spectrum.narrow(axis, 0, have // 2), spectrum.narrow(axis, have // 2, have - have // 2)
+    between = list(spectrum.shape)
+    between[axis] = wanted - have
+    return torch.cat([low, spectrum.new_zeros(between), high], axis)
+
+
+def _cut(values: torch.Tensor, first: int, count: int, axis: int) -> torch.Tensor:
+    """Return some periodic samples along an axis."""
+    first %= values.shape[axis]
+    beyond = first + count - values.shape[axis]
+    if beyond <= 0:
+        return values.narrow(axis, first, count)
+    return torch.cat([values.narrow(axis, first, count - beyond), values.narrow(axis, 0, beyond)], axis)
 
 
 def _spline_values(coefficients: torch.Tensor, y: torch.Tensor, x: torch.Tensor) -> torch.Tensor:

@@ -126,18 +126,21 @@ def test_captures_of_an_independent_table_are_predicted():
 
 
 @pytest.mark.slow
-def test_calibration_of_a_table_is_refined_by_a_fit_to_captures():
+@pytest.mark.parametrize(
+    ("shape", "distance", "camera_shape", "exposure", "count"),
+    [((36, 44), 8e-3, (120, 130), 0.45, 8), ((96, 104), 15e-3, (250, 262), 0.43, 4)],
+)
+def test_calibration_of_a_table_is_refined_by_a_fit_to_captures(shape, distance, camera_shape, exposure, count):
     """Known to 1 % in distance, calibrated, then fitted: the truth is the table's own, and its captures are predicted.
 
-    The gaps between the pixels are dark and the beam is off the axis; so few pixels leave the calibration uncertain.
+    The gaps between the pixels are dark and the beam is off the axis; few pixels leave the calibration uncertain.
     """
-    shape, distance = (36, 44), 8e-3
-    y, x = ((np.arange(n) - n // 2) / 22 for n in shape)
+    y, x = ((np.arange(n) - n // 2) / (shape[1] / 2) for n in shape)
     y = y[:, None]
     beam = np.exp(-((x - 0.1) ** 2 + (y + 0.05) ** 2) / 1.5)
     surface = without_defocus(0.5 * np.pi * (x**3 - 0.5 * x * y**2 + 0.8 * x * y + 0.5 * (x**2 - y**2)))
     table = Laboratory(
-        shape, distance=distance, camera_shape=(120, 130), camera_pitch=4e-6, fill=0.9, wavefront=surface,
+        shape, distance=distance, camera_shape=camera_shape, camera_pitch=4e-6, fill=0.9, wavefront=surface,
         amplitude=beam / beam.max(), offset=(3e-5, -2e-5), signs=(-1, 1),
     )  # fmt: skip
     with warnings.catch_warnings():
@@ -145,18 +148,18 @@ def test_calibration_of_a_table_is_refined_by_a_fit_to_captures():
         calibration = instruments.calibrate_table(table.modulator, table.camera, 532e-9, 1.01 * distance)
     before = table.errors(calibration)
     random, levels = np.random.default_rng(0), []
-    for k in range(11):
+    for k in range(count + 3):
         rough = gaussian_filter(random.normal(size=shape), [0.01, 0.6, 1.2][k % 3])
         levels.append(np.mod(np.rint(128 + 80 * rough / rough.std()), 256).astype(np.int64))
-    table.camera.exposure = 0.45
+    table.camera.exposure = exposure
     there = (table.modulator, table.camera, np.array(levels), 532e-9)
     captures = record_captures(*there, captures=8, dark=30 * 4095 / 20000)
     assert 0.6 * 4095 < captures.frames.max() < 4000
     model = display_model.from_calibration(calibration, 4e-6)
-    begun = above_noise(model, captures[8:])
-    fit = fit_display(model, captures[:8])
+    begun = above_noise(model, captures[count:])
+    fit = fit_display(model, captures[:count])
     assert fit.chi_squared < 1.1
-    assert above_noise(model, captures[8:]) < 0.5 < begun - 10
+    assert above_noise(model, captures[count:]) < 0.5 < begun - 10
     with torch.no_grad():
         amplitude = model.source_amplitude().numpy().astype(float)
         found = dataclasses.replace(
@@ -353,8 +356,8 @@ def test_parameters_come_out_where_they_were_hidden(fitted):
     table, _, model, fit = fitted
     truth = table.truth
     error = float(model.propagation_distance().detach()) - truth.distance
-    assert abs(error) < 5e-4 * truth.distance
-    assert 1e-9 < float(fit.uncertainties["distance"]) * model._depth < 5e-6
+    deviation = float(fit.uncertainties["distance"]) * model._depth
+    assert abs(error) < 4 * deviation and 1e-5 < deviation / truth.distance < 3e-4
     wave = model.wavefront().detach().numpy() - truth.wavefront
     assert (wave - wave.mean()).std() < 2 * np.pi / 200 < 0.05 * truth.wavefront.std()
     assert np.abs(model.table().detach().numpy() - truth.phases).max() < 0.04
