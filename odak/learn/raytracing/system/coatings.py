@@ -1,7 +1,7 @@
 """Design of coatings: thin films are inserted where they help most, and all thicknesses refined."""
 
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 
