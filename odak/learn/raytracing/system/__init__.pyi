@@ -95,6 +95,7 @@ from .polarisation import PolarizedRays as PolarizedRays
 from .polarisation import ghosts as ghosts
 from .polarisation import polarized_point_spread_function as polarized_point_spread_function
 from .polarisation import polarized_trace as polarized_trace
+from .prescriptions import Prescription as Prescription
 from .pupils import PupilQuadrature as PupilQuadrature
 from .pupils import launch as launch
 from .pupils import pupil_quadrature as pupil_quadrature
@@ -102,7 +103,6 @@ from .pupils import pupil_samples as pupil_samples
 from .pupils import trace_fields as trace_fields
 from .pupils import vignetting_factors as vignetting_factors
 from .surfaces import Coating as Coating
-from .surfaces import Prescription as Prescription
 from .surfaces import coordinate_break as coordinate_break
 from .surfaces import optical_system as optical_system
 from .surfaces import surface as surface

@@ -16,11 +16,10 @@ from odak.learn.raytracing.system.paraxial import (
     matrix,
     signed_indices,
 )
+from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.pupils import at_stop, field_points, launch, pupil_of, trace_fields, weights_of
 from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
 from odak.learn.raytracing.system.surfaces import (
-    Prescription,
-    checked_prescription,
     checked_system,
     checked_weights,
     is_break,

@@ -12,8 +12,9 @@ from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import floating
 from odak.learn.raytracing.system.analysis import CENTRE, paraxial_points
 from odak.learn.raytracing.system.polarisation import polarized_trace
+from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.pupils import field_points, launch, pupil_factors, trace_fields
-from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system, wavelength_shares
+from odak.learn.raytracing.system.surfaces import checked_system, wavelength_shares
 from odak.learn.raytracing.system.tracing import trace
 from odak.learn.raytracing.system.waves import point_spread_function
 

@@ -16,8 +16,9 @@ from odak.catalog.materials import MICROMETRES
 from odak.learn._tensors import kind_of
 from odak.learn.raytracing.system.paraxial import check_image_space, check_media, matrix, signed_indices
 from odak.learn.raytracing.system.polarisation import jones_vector, polarized_trace
+from odak.learn.raytracing.system.prescriptions import Prescription
 from odak.learn.raytracing.system.pupils import solve_pairs
-from odak.learn.raytracing.system.surfaces import Prescription, checked_system
+from odak.learn.raytracing.system.surfaces import checked_system
 from odak.learn.raytracing.system.tracing import Rays, trace
 from odak.raytracing.intersections import RayStatus
 from odak.wave.bench import between_samples

@@ -21,15 +21,9 @@ from odak.learn.raytracing.system.analysis import (
     wavefront,
 )
 from odak.learn.raytracing.system.paraxial import FirstOrder, first_order
+from odak.learn.raytracing.system.prescriptions import Prescription
 from odak.learn.raytracing.system.pupils import launch, pupil_of
-from odak.learn.raytracing.system.surfaces import (
-    Prescription,
-    field_shares,
-    is_break,
-    layout_of,
-    reference_of,
-    wavelength_shares,
-)
+from odak.learn.raytracing.system.surfaces import field_shares, is_break, layout_of, reference_of, wavelength_shares
 from odak.learn.raytracing.system.tracing import Rays, Traced, in_surface_frame, trace
 from odak.learn.raytracing.system.waves import huygens_point_spread_function, modulation_at
 from odak.raytracing.surfaces import EvenAsphere, Sag

@@ -7,15 +7,8 @@ import torch
 
 from odak import _array, _show, _validate
 from odak._array import is_readable
-from odak.learn.raytracing.system.surfaces import (
-    Coating,
-    Prescription,
-    checked_prescription,
-    checked_system,
-    is_break,
-    optical_system,
-    surface,
-)
+from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
+from odak.learn.raytracing.system.surfaces import Coating, checked_system, is_break, optical_system, surface
 from odak.raytracing.gradients import AxialGradient, RadialGradient, step
 
 SEIDEL_STEPS = 20

@@ -9,9 +9,10 @@ from odak import _show, _validate
 from odak.catalog.materials import Material, absorption_coefficient
 from odak.learn.raytracing.nonsequential import axes_across, binned
 from odak.learn.raytracing.system.paraxial import first_order, ghost_system
+from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.pupils import launch
 from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
-from odak.learn.raytracing.system.surfaces import Coating, Prescription, checked_prescription, checked_system, layout_of
+from odak.learn.raytracing.system.surfaces import Coating, checked_system, layout_of
 from odak.learn.raytracing.system.tracing import Traced, checked_rays, finished, spread_rays
 from odak.learn.raytracing.system.waves import Spread, pupil_image
 from odak.raytracing.geometry import safe_sqrt

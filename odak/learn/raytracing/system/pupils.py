@@ -11,7 +11,8 @@ from odak import _show, _validate
 from odak._array import is_readable
 from odak.learn._tensors import checked_device, checked_dtype
 from odak.learn.raytracing.system.paraxial import entrance_pupil
-from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system
+from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
+from odak.learn.raytracing.system.surfaces import checked_system
 from odak.learn.raytracing.system.tracing import Rays, Traced, in_surface_frame, trace
 
 PATTERNS = ("rings", "grid", "x", "y", "random", "gauss")

@@ -4,11 +4,10 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from dataclasses import fields as fields_of
-from itertools import pairwise, zip_longest
+from itertools import pairwise
 from numbers import Number, Real
 from typing import Any, NamedTuple, SupportsComplex, cast
 
-import numpy as np
 import torch
 
 from odak import _show, _validate
@@ -16,7 +15,8 @@ from odak._array import Array, complex_dtype, is_readable, namespace
 from odak.catalog.materials import MICROMETRES, Material, refractive_index
 from odak.catalog.materials import material as find_material
 from odak.jones.thin_films import stack_response
-from odak.learn.raytracing.system.sequence import STANDARD, Frames, Layout, Numbers, axis_signs, placement
+from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription, padded
+from odak.learn.raytracing.system.sequence import STANDARD, Frames, Layout, axis_signs, placement
 from odak.raytracing.apertures import Aperture, CircularAperture, CombinedAperture
 from odak.raytracing.components import terms
 from odak.raytracing.gradients import Gradient
@@ -617,229 +617,6 @@ def _medium(value):
     return value
 
 
-class Prescription(NamedTuple):
-    """Numbers of a batch of systems, float64; leading axes ``[...]`` are systems, S counts surfaces, W wavelengths.
-
-    Attributes
-    ----------
-    curvature, conic, thickness : torch.Tensor
-        ``[..., S]``.
-    coefficients : torch.Tensor
-        ``[..., S, K]`` of r², r⁴, …
-    index : torch.Tensor
-        ``[..., W, S + 1]``: before the first surface, and behind each.
-    shift, tilt : torch.Tensor or None
-        ``[..., S, 2]``, or ``[..., S, 3]`` for tilts with a rotation about z; None where no surface has any. Tilts in
-        degrees.
-    shapes : tuple or None
-        For each surface its shape if the numbers above do not describe it, its parameters ``[..., …]``, else None.
-    phases : tuple or None
-        For each surface its phase or None.
-    wavelengths : torch.Tensor or None
-        Vacuum wavelengths ``[W]``, which phases need.
-    gradients : tuple or None
-        For each surface the graded index behind it or None.
-
-    Examples
-    --------
-    >>> from odak.learn.raytracing.system import Prescription, load_system
-    >>> lens = load_system("cooke_triplet")
-    >>> tuple(lens.prescription().curvature.shape) == (len(lens.surfaces),)
-    True
-    """
-
-    curvature: torch.Tensor
-    conic: torch.Tensor
-    thickness: torch.Tensor
-    coefficients: torch.Tensor
-    index: torch.Tensor  # type: ignore[assignment]  # hides tuple.index
-    shift: torch.Tensor | None = None
-    tilt: torch.Tensor | None = None
-    shapes: tuple | None = None
-    phases: tuple | None = None
-    wavelengths: torch.Tensor | None = None
-    gradients: tuple | None = None
-
-    def __repr__(self) -> str:
-        return _show.one_line(self)
-
-    def _repr_html_(self) -> str:
-        return _show.page(self, Prescription._view)
-
-    def _view(self) -> _show.View:
-        """Return what notebooks show of it: a row for each surface of the first system of a batch."""
-        count, batch = self.thickness.shape[-1], self.batch.numel()
-
-        def of(name: str) -> list[float]:
-            values = getattr(self, name).detach()
-            return values.expand(*self.batch, count).reshape(-1, count)[0].tolist() if batch else []
-
-        with torch.no_grad():
-            index = self.index.expand(*self.batch, *self.index.shape[-2:]).reshape(-1, *self.index.shape[-2:])[0].cpu()
-        waves = range(len(index)) if self.wavelengths is None else self.wavelengths.tolist()
-        table: list = [("surface", "radius", "conic constant", "thickness", *(f"index at {w:.6g}" for w in waves))]
-        for i, (bend, conic, length) in enumerate(zip(of("curvature"), of("conic"), of("thickness"), strict=True)):
-            kind = type(self.shapes[i]).__name__ if self.shapes is not None and self.shapes[i] is not None else None
-            table.append((str(i), kind or (1 / bend if bend else "∞"), conic, length, *index[:, i + 1].tolist()))
-        of_batch = f", the first of {batch}" if batch != 1 else ""
-        return _show.View(f"Prescription in the unit of its lens: {count} surfaces{of_batch}", (), table)
-
-    @property
-    def batch(self) -> torch.Size:
-        """Leading axes of the batch."""
-        shapes = (
-            self.curvature.shape[:-1],
-            self.conic.shape[:-1],
-            self.thickness.shape[:-1],
-            self.coefficients.shape[:-2],
-            self.index.shape[:-2],
-            *(value.shape[:-2] for value in (self.shift, self.tilt) if value is not None),
-            *(value.shape[: value.ndim - rank] for value, rank in self.others()),
-        )
-        return torch.Size(np.broadcast_shapes(*shapes))
-
-    def others(self, image: Any = None) -> list[tuple[torch.Tensor, int]]:
-        """Return the parameters of shapes, phases and index gradients, each with its own number of axes.
-
-        Parameters
-        ----------
-        image : surface, optional
-            Image surface, whose shape is appended to those of the surfaces.
-        """
-        groups = [list(group or [None] * self.thickness.shape[-1]) for group in self._groups()]
-        if image is not None:
-            groups[0].append(image.shape if image.own_shape is not None else None)
-        like, found = self.thickness, []
-        for parts in zip_longest(*groups):
-            for held in parts:
-                if held is not None:
-                    pairs = zip(held.parameters(), held.ranks_of_parameters(), strict=True)
-                    found += [(torch.as_tensor(v, dtype=torch.float64, device=like.device), r) for v, r in pairs]
-        return found
-
-    def _groups(self) -> tuple:
-        return self.shapes, self.phases, self.gradients
-
-    def shape(self, i: int) -> Shape:
-        """Return the shape of a surface, with parameters ``[..., …]``.
-
-        Parameters
-        ----------
-        i : int
-            Index of the surface.
-        """
-        if self.shapes is not None and self.shapes[i] is not None:
-            return self.shapes[i]
-        return EvenAsphere(self.curvature[..., i], self.conic[..., i], self.coefficients[..., i, :])
-
-    def at(self, place: int) -> "Prescription":
-        """Return the prescription at one of its wavelengths; with a single wavelength, the prescription itself.
-
-        Parameters
-        ----------
-        place : int
-            Index of the wavelength.
-        """
-        if self.index.shape[-2] == 1:
-            return self
-        waves = None if self.wavelengths is None else self.wavelengths[place : place + 1]
-        place = place % self.index.shape[-2]
-        return self._replace(index=self.index[..., place : place + 1, :], wavelengths=waves)
-
-    def select(self, place: int) -> "Prescription":
-        """Return one system of a batch with one leading axis.
-
-        Parameters
-        ----------
-        place : int
-            Index along the leading axis.
-        """
-        count = self.batch[0]
-
-        def one(value, own: int):
-            tail = value.shape[value.ndim - own :]
-            return value.expand(count, *tail)[place] if value.ndim > own else value
-
-        axes = (1, 1, 1, 2, 2, 2, 2)
-        parts = [None if value is None else one(value, own) for value, own in zip(self[:7], axes, strict=True)]
-        held = []
-        for group in self._groups():
-            chosen = [
-                item
-                if item is None
-                else type(item)(*map(one, map(torch.as_tensor, item.parameters()), item.ranks_of_parameters()))
-                for item in group or ()
-            ]
-            held.append(tuple(chosen) if group is not None else None)
-        shapes, phases, gradients = held
-        return Prescription._make([*parts, shapes, phases, self.wavelengths, gradients])
-
-    def requires_grad(self) -> bool:
-        """Return whether a number requires a gradient."""
-        values = [*self[:7], *(value for value, _ in self.others())]
-        return any(value is not None and value.requires_grad for value in values)
-
-    def numbers(self, image: Any = None) -> Numbers:
-        """Return the numbers with one row for each system and wavelength, ``[B, …]``, and the image added.
-
-        Parameters
-        ----------
-        image : surface, optional
-            The image surface; a plane by default.
-        """
-        batch, wavelengths = self.batch, self.index.shape[-2]
-        rows = (*batch, wavelengths)
-
-        def spread(value, own: int):
-            """Return `value` with the axes of the wavelengths and of the batch, combined to one."""
-            tail = value.shape[value.ndim - own :]
-            value = value.reshape(*value.shape[: value.ndim - own], 1, *tail)
-            return value.expand(*rows, *tail).reshape(math.prod(rows), *tail)
-
-        distance = torch.cat([torch.zeros_like(self.thickness[..., :1]), self.thickness], -1)
-        index = self.index.expand(*rows, self.index.shape[-1]).reshape(math.prod(rows), self.index.shape[-1])
-        index = torch.cat([index, index[:, -1:]], -1)
-        waves = torch.ones_like(index[:1, 0]) if self.wavelengths is None else self.wavelengths.to(index)
-        waves = waves.expand(rows).reshape(-1)
-        curvature, conic, coefficients = self._with(image)
-        placed: list[Any] = []
-        for name, count in (("shift", 2), ("tilt", 3)):
-            value = getattr(self, name)
-            if value is None:
-                value = torch.zeros(self.thickness.shape[-1], count, dtype=torch.float64, device=index.device)
-            value = torch.nn.functional.pad(value, (0, count - value.shape[-1]))
-            last = value.new_zeros(count) if image is None else _padded(getattr(image, name).double(), count)
-            last = last.expand(*value.shape[:-2], 1, count)
-            placed.append(spread(torch.cat([value, last.to(value)], -2), 2))
-        others = tuple(spread(value, rank) for value, rank in self.others(image))
-        parts = (spread(curvature, 1), spread(conic, 1), spread(distance, 1), spread(coefficients, 2), index)
-        return Numbers(*parts, waves, placed[0], torch.deg2rad(placed[1]), others)
-
-    def _with(self, image):
-        """Return curvatures, conic constants and coefficients with those of the image behind them."""
-        pad = torch.nn.functional.pad
-        if image is None or image.own_shape is not None:
-            return pad(self.curvature, (0, 1)), pad(self.conic, (0, 1)), pad(self.coefficients, (0, 0, 0, 1))
-        found = []
-        for own, last in ((self.curvature, image.curvature), (self.conic, image.conic)):
-            found.append(torch.cat([own, last.double().expand_as(own[..., :1])], -1))
-        own, last = self.coefficients, image.coefficients.double()
-        count = max(own.shape[-1], len(last))
-        own, last = (pad(value, (0, count - value.shape[-1])) for value in (own, last))
-        return *found, torch.cat([own, last.expand_as(own[..., :1, :])], -2)
-
-
-def _padded(value: torch.Tensor, count: int) -> torch.Tensor:
-    return torch.nn.functional.pad(value, (0, count - value.shape[-1]))
-
-
-def checked_prescription(prescription) -> Prescription | None:
-    """Return a prescription after checking that it is one; None stays None."""
-    if prescription is not None and not isinstance(prescription, Prescription):
-        raise TypeError(f"prescription must be a Prescription, got {type(prescription).__name__}")
-    return prescription
-
-
 def layout_of(surfaces, prescription: Prescription, image=None, vignetting: bool = True) -> Layout:
     """Return the layout of a row of surfaces and the image behind it.
 
@@ -1036,23 +813,7 @@ class optical_system(torch.nn.Module):
         object_material: Any = AIR,
     ):
         super().__init__()
-        surfaces = list(surfaces) if isinstance(surfaces, Iterable) else []
-        if not surfaces or not all(isinstance(item, surface) for item in surfaces):
-            kinds = ", ".join(sorted({type(item).__name__ for item in surfaces})) or "none"
-            raise TypeError(
-                f"surfaces must be a sequence of at least one odak.learn.raytracing.system.surface, got {kinds}"
-            )
-        for i, item in enumerate(surfaces):
-            if isinstance(item.order, int) and not item.order < i:
-                raise ValueError(f"return_to of surfaces[{i}] must be the number of an earlier one, got {item.order}")
-        stops = [i for i, item in enumerate(surfaces) if item.stop]
-        first = next((i for i, item in enumerate(surfaces) if not is_break(item)), None)
-        if first is None:
-            raise ValueError(
-                f"surfaces must contain a surface beside coordinate breaks, got {len(surfaces)} coordinate breaks"
-            )
-        if len(stops) > 1:
-            raise ValueError(f"only one surface may be the stop, got surfaces {stops}")
+        surfaces, stop = _checked_surfaces(surfaces)
         self.unit = _validate.one_of("unit", unit, MICROMETRES)
         self.afocal = _validate.flag("afocal", afocal)
         if self.afocal:
@@ -1076,7 +837,7 @@ class optical_system(torch.nn.Module):
         if self.object_material == MIRROR or isinstance(self.object_material, torch.Tensor):
             raise ValueError(f"object_material must be a name, a Material or an index, got {object_material!r:.80}")
         self.surfaces = Row(surfaces, self.object_material)
-        self.stop = stops[0] if stops else first
+        self.stop = stop
         self.aperture = _validate.constant("aperture", aperture, positive=True)
         self.aperture_type = _validate.one_of("aperture_type", aperture_type, APERTURES)
         default = D_LINE / MICROMETRES[self.unit]
@@ -1088,20 +849,8 @@ class optical_system(torch.nn.Module):
         self.fields = _fields(fields)
         (object_distance,) = _validate.constants(object_distance=object_distance)
         self.object_distance = float(number_or_infinity("object_distance", object_distance))
-        front: Any = 1.0 if self.at_infinity else self._front(self.wavelengths[self.reference])
-        if self.aperture_type == "NA" and self.aperture >= front:
-            medium = "air" if front == 1 else "a medium of this index"
-            raise ValueError(f"aperture must be below {front:g} as a numerical aperture in {medium}, got {aperture}")
-        if not self.object_distance > 0:
-            raise ValueError(f"object_distance must be positive or infinite, got {object_distance}")
-        if self.at_infinity and any(abs(angle) >= 90 for field in self.fields for angle in field):
-            raise ValueError(f"fields must be below 90 degrees from the axis, got {self.fields}")
         self.telecentric = _validate.flag("telecentric", telecentric)
-        if self.telecentric and (self.at_infinity or self.aperture_type not in ("NA", "stop")):
-            raise ValueError(
-                'telecentric needs a near object, and an aperture given as "NA" or "stop"; got an object at '
-                f"{self.object_distance:g} and the aperture_type {self.aperture_type!r}"
-            )
+        self._check_object()
         self.image = _image(image)
         self.vignetting_factors = _factors(vignetting_factors, len(self.fields))
         self.field_weights = checked_weights("field_weights", field_weights, len(self.fields))
@@ -1111,6 +860,24 @@ class optical_system(torch.nn.Module):
 
     def _repr_html_(self) -> str:
         return _show.page(self, "odak.learn.raytracing.system.drawing:system_view")
+
+    def _check_object(self) -> None:
+        """Raise ValueError where the distance of the object contradicts the aperture or the fields."""
+        front: Any = 1.0 if self.at_infinity else self._front(self.wavelengths[self.reference])
+        if self.aperture_type == "NA" and self.aperture >= front:
+            medium = "air" if front == 1 else "a medium of this index"
+            raise ValueError(
+                f"aperture must be below {front:g} as a numerical aperture in {medium}, got {self.aperture}"
+            )
+        if not self.object_distance > 0:
+            raise ValueError(f"object_distance must be positive or infinite, got {self.object_distance}")
+        if self.at_infinity and any(abs(angle) >= 90 for field in self.fields for angle in field):
+            raise ValueError(f"fields must be below 90 degrees from the axis, got {self.fields}")
+        if self.telecentric and (self.at_infinity or self.aperture_type not in ("NA", "stop")):
+            raise ValueError(
+                'telecentric needs a near object, and an aperture given as "NA" or "stop"; got an object at '
+                f"{self.object_distance:g} and the aperture_type {self.aperture_type!r}"
+            )
 
     @property
     def at_infinity(self) -> bool:
@@ -1278,6 +1045,28 @@ class Row(torch.nn.ModuleList):
     def __init__(self, surfaces: Iterable = (), front: Any = AIR):
         super().__init__(surfaces)
         self.front = front
+
+
+def _checked_surfaces(surfaces) -> tuple[list[surface], int]:
+    """Return the surfaces as a list, and the place of the stop: the first surface if none is marked."""
+    surfaces = list(surfaces) if isinstance(surfaces, Iterable) else []
+    if not surfaces or not all(isinstance(item, surface) for item in surfaces):
+        kinds = ", ".join(sorted({type(item).__name__ for item in surfaces})) or "none"
+        raise TypeError(
+            f"surfaces must be a sequence of at least one odak.learn.raytracing.system.surface, got {kinds}"
+        )
+    for i, item in enumerate(surfaces):
+        if isinstance(item.order, int) and not item.order < i:
+            raise ValueError(f"return_to of surfaces[{i}] must be the number of an earlier one, got {item.order}")
+    stops = [i for i, item in enumerate(surfaces) if item.stop]
+    first = next((i for i, item in enumerate(surfaces) if not is_break(item)), None)
+    if first is None:
+        raise ValueError(
+            f"surfaces must contain a surface beside coordinate breaks, got {len(surfaces)} coordinate breaks"
+        )
+    if len(stops) > 1:
+        raise ValueError(f"only one surface may be the stop, got surfaces {stops}")
+    return surfaces, stops[0] if stops else first
 
 
 def _angular_lens(surfaces, micrometres: float) -> surface:
@@ -1480,5 +1269,5 @@ def _over_mean(weights: torch.Tensor) -> torch.Tensor:
 def _optional(values):
     """Return shifts or tilts of all surfaces, None where there are none and none are varied."""
     count = max(len(value) for value in values)
-    stacked = torch.stack([_padded(value.double(), count) for value in values])
+    stacked = torch.stack([padded(value.double(), count) for value in values])
     return stacked if stacked.requires_grad or bool(stacked.any()) else None

@@ -9,14 +9,9 @@ import torch
 
 from odak import _array, _show, _torch_private, _validate
 from odak.learn.raytracing.system.fused import Trace
+from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.sequence import HIT, flat_arguments, placement, plain_trace, points_within
-from odak.learn.raytracing.system.surfaces import (
-    Prescription,
-    checked_prescription,
-    checked_system,
-    coordinate_break,
-    layout_of,
-)
+from odak.learn.raytracing.system.surfaces import checked_system, coordinate_break, layout_of
 from odak.raytracing.batches import in_pieces
 
 # Rays of a block of plain operations: its graph, a few kilobytes per ray, takes some tens of megabytes.

@@ -13,6 +13,7 @@ from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import floating, takes_constants
 from odak.learn.raytracing.system.analysis import path_at_start, spot_diagram, wavefront
 from odak.learn.raytracing.system.paraxial import check_image_space, entrance_pupil, first_order
+from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.pupils import (
     AIMS,
     SPOKES,
@@ -29,13 +30,7 @@ from odak.learn.raytracing.system.pupils import (
     through_places,
     trace_fields,
 )
-from odak.learn.raytracing.system.surfaces import (
-    Prescription,
-    checked_prescription,
-    checked_system,
-    wavelength_shares,
-    wavelengths_of,
-)
+from odak.learn.raytracing.system.surfaces import checked_system, wavelength_shares, wavelengths_of
 from odak.learn.raytracing.system.tracing import trace
 from odak.raytracing.geometry import safe_sqrt
 from odak.raytracing.intersections import RayStatus

@@ -7,13 +7,8 @@ from typing import Any
 import torch
 
 from odak import _show, _validate
-from odak.learn.raytracing.system.surfaces import (
-    Prescription,
-    Row,
-    checked_settings,
-    checked_system,
-    optical_system,
-)
+from odak.learn.raytracing.system.prescriptions import Prescription
+from odak.learn.raytracing.system.surfaces import Row, checked_settings, checked_system, optical_system
 from odak.learn.raytracing.system.system_files import fields_of_image_heights
 
 
