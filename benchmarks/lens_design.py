@@ -42,10 +42,12 @@ TASKS = {
             "track": 80.0,
             "makers": ["schott", "ohara"],
             "axial_color": 0.1,
-            "starts": 32,
-            "polish": 3,
+            "aspheric_terms": 2,
+            "starts": 12,
+            "iterations": 12,
+            "polish": 1,
         },
-        "limits": {"rms": 16e-3, "distortion": 0.02, "minutes": 4.0},
+        "limits": {"rms": 10e-3, "distortion": 0.02, "minutes": 4.0},
     },
     "three aspheres 4.55 mm f/4, 50 degrees": {
         "design": {

@@ -310,14 +310,16 @@ def _from_plates(job: DesignJob, step: Callable[[], Any]):
     glasses = [name for name in materials if name != "stop"]
     lens.name = f"{len(glasses)} elements, {f:g} mm, f/{speed:g}, {2 * field:g}°"
     lens.source = f"designed by odak {versions()['odak']} from flat plates, seed {job.seed}"
-    starts = given.get("starts", default_starts(job.aspheric_terms, given["makers"]))
+    # Behind a stop in front aspheres vary from the beginning.
+    steep = bool(job.aspheric_terms) and materials[0] == "stop"
+    starts = given.get("starts", default_starts(steep, given["makers"]))
     did = [
-        f"began with {starts} random bendings of flat plates of {', '.join(glasses)}",
+        f"began with {starts} designs from random bendings of flat plates of {', '.join(glasses)}",
         f"grew aperture and field in {len(found.stages)} stages, to f/{speed:g} and {field:g} degrees",
         f"held the focal length at {f:g} mm; "
         + (
             "the image distance was a variable"
-            if job.aspheric_terms
+            if steep
             else "the image at the paraxial focus, with a defocus as variable"
         ),
     ]

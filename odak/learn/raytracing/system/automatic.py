@@ -32,11 +32,17 @@ CURRICULUM = (
     (1.0, 1.0, 0.09, 4, 6),
 )
 
+# How often the number of random bendings of spheres is halved before the first stage, and after how many steps.
+SCREENINGS, SCREENING_STEPS = 3, 4
+
 # Least and largest thicknesses of elements and of gaps of the usual design of a given lens, in focal lengths.
 STANDARD_GLASS, STANDARD_AIR = (0.02, 0.2), (0.002, 0.5)
 # Weight of a glass beyond the hull of the catalogues by 0.01 of n_d or 1 of 1000/V_d, in focal lengths; how many
 # designs take real glasses, and how many neighbours of each glass are tried then.
 GLASS_WEIGHT, GLASS_STARTS, GLASS_CANDIDATES = 4e-4, 4, 6
+
+# How much further lengths of designs of spheres are limited than required, in focal lengths.
+MARGIN = 3e-5
 
 # What follows belongs to designs of aspheres. Their progress is a number from 0 to 1.
 # Fractions of the full aperture and field at progress 0, where nearly all random bendings form an image.
@@ -166,7 +172,8 @@ def automatic_design(
     half_field : float
         Largest field angle in degrees.
     aspheric_terms : int
-        Number of coefficients of r⁴, r⁶, … of each surface, which are added to a paraboloid; 0 for spheres.
+        Number of coefficients of r⁴, r⁶, … of each surface, 0 for spheres. They are added to paraboloids where the
+        stop is in front of all elements, to spheres elsewhere.
     wavelengths : sequence of float
         Vacuum wavelengths, in `unit`.
     glass : pair of float, optional
@@ -193,8 +200,8 @@ def automatic_design(
     axial_color : float, optional
         Largest distance between the paraxial images of two wavelengths, in `unit`.
     starts : int, optional
-        Number of random bendings of the plates in the first stage; by default 16 of spheres, 32 with
-        `makers`, 12 of aspheres.
+        Number of designs in the first stage; by default 16, 32 with `makers`, 12 of aspheres behind a stop in front.
+        All but the last begin as the best eighth of random bendings of the plates, after a few steps.
     stages : int
         Number of stages in which aperture and field grow, 1 to 6; with 1 both are full from the beginning. Designs of
         aspheres begin at the same fraction of the curriculum, and divide the rest into shorter stages.
@@ -230,8 +237,11 @@ def automatic_design(
     The method is the curriculum of Yang et al., Nature Communications 15, 6568 (2024),
     doi 10.1038/s41467-024-50835-7: aperture and field grow to their full size. Here each stage is solved by least
     squares instead of gradient descent, for several designs side by side; the best ones go on to the next stage.
+    Before the first stage random bendings are optimised with few steps, and the worse half is dropped three times.
 
-    Aspheres are paraboloids with a polynomial, which are defined at any distance from the axis. Their field grows
+    Aspheres around a stop are designed as spheres up to the full aperture and field, where their coefficients become
+    variables one order after the other. Aspheres behind a stop in front, as in telephone cameras, whose fields spheres
+    would not pass, are paraboloids with a polynomial, defined at any distance from the axis. Their field grows
     first, so that chief rays fill the rear surfaces; then the aperture grows, in steps that are shortened where the
     spots become large. The least squares vary combinations of the coefficients whose slopes are orthonormal over the
     beam, as proposed by Forbes, Optics Express 15, 5218 (2007), doi 10.1364/OE.15.005218; higher orders become
@@ -253,16 +263,18 @@ def automatic_design(
     if angle >= 80:
         raise ValueError(f"half_field must be below 80 degrees, got {half_field}")
     terms = _validate.integer("aspheric_terms", aspheric_terms)
-    starts = _validate.integer("starts", default_starts(terms, makers) if starts is None else starts, minimum=1)
-    iterations = (6 if terms else 15) if iterations is None else iterations
+    if isinstance(elements, str) or not isinstance(elements, Sequence) or not len(elements):
+        raise TypeError(f'elements must be a sequence of materials and "stop", got {elements!r:.80}')
+    # Behind a stop in front, spheres of wide fields lose rays long before aspheres do.
+    steep = bool(terms) and isinstance(elements[0], str) and elements[0] == "stop"
+    starts = _validate.integer("starts", default_starts(steep, makers) if starts is None else starts, minimum=1)
+    iterations = (6 if steep else 15) if iterations is None else iterations
     seed = _validate.integer("seed", seed)
     stages = _validate.integer("stages", stages, minimum=1)
     if stages > len(CURRICULUM):
         raise ValueError(f"stages must be at most {len(CURRICULUM)}, got {stages}")
     iterations = _validate.integer("iterations", iterations, minimum=1)
     polish = _validate.integer("polish", polish)
-    if isinstance(elements, str) or not isinstance(elements, Sequence) or not len(elements):
-        raise TypeError(f'elements must be a sequence of materials and "stop", got {elements!r:.80}')
     wavelengths = _validate.several("wavelengths", wavelengths, positive=True)
     distortion = _validate.constant("distortion", distortion, positive=True)
     if chief_ray_angle is not None:
@@ -279,7 +291,7 @@ def automatic_design(
     air = (0.002 * f, 0.3 * f) if air is None else tuple(_validate.several("air", air, 2))
     edge = air[0] if edge is None else _validate.constant("edge", edge, least=0)
     back = 0.1 * f if back is None else _validate.constant("back", back, least=0)
-    system, curved, spaces = _flat_plates(elements, terms, glass, air, cover, wavelengths, unit, f)
+    system, curved, spaces = _flat_plates(elements, terms, steep, glass, air, cover, wavelengths, unit, f)
     start = copy.deepcopy(system)
     requirements = _Requirements(
         f,
@@ -299,7 +311,7 @@ def automatic_design(
     )
     problem = _Problem(requirements, system, curved, spaces, callback)
     generator = torch.Generator().manual_seed(seed)
-    designed = _designed_aspheres if terms else _designed_spheres
+    designed = _designed_aspheres if steep else _designed_spheres
     design = designed(problem, starts, stages, iterations, polish, generator)
     if not bool(trace_fields(system, "rings", 8, vignetting=False).arrived.all()):
         raise ValueError("rays are lost at the full aperture and field: try another seed")
@@ -445,9 +457,9 @@ def standard_design(
     return lens_design(system, operands, variables, solves=solves, aim=aim)
 
 
-def default_starts(terms: int, makers: Any) -> int:
-    """Return how many random bendings an automatic design begins with."""
-    return 12 if terms else 32 if makers else 16
+def default_starts(steep: bool, makers: Any) -> int:
+    """Return how many designs the first stage of an automatic design optimises; steep ones begin as aspheres."""
+    return 12 if steep else 32 if makers else 16
 
 
 def _checked_makers(makers: Any) -> tuple[str, ...] | None:
@@ -537,7 +549,11 @@ class _Problem:
             self.callback(self.stages[-1])
 
     def limits(
-        self, beam_fractions: Sequence[float], edges: float = 1.0, distortion: float | None = None
+        self,
+        beam_fractions: Sequence[float],
+        edges: float = 1.0,
+        distortion: float | None = None,
+        margin: float = 0.0,
     ) -> list[Operand]:
         """Return the operands that keep the lens within the requirements.
 
@@ -549,13 +565,15 @@ class _Problem:
             Weight of thicknesses.
         distortion : float, optional
             Weight of the distortion; by default that of the requirements.
+        margin : float
+            How much further lengths are limited, since least squares exceed limits a little.
         """
         wanted, f = self.requirements, self.requirements.focal_length
         between = list(range(self.first, self.last))
         options = {"surfaces": between, "shares": beam_fractions}
         found = [
-            Operand("edge_thickness", weight=edges, lower=wanted.edge, options=options),
-            Operand("thickness", weight=edges, lower=wanted.image_distance, options={"surfaces": [self.last]}),
+            Operand("edge_thickness", weight=edges, lower=wanted.edge + margin, options=options),
+            Operand("thickness", weight=edges, lower=wanted.image_distance + margin, options={"surfaces": [self.last]}),
         ]
         if wanted.half_field:
             weight = wanted.distortion_weight if distortion is None else distortion
@@ -568,7 +586,7 @@ class _Problem:
             options = {"surfaces": self.curved[::2], "makers": wanted.makers, "hull": True}
             found.append(Operand("glass", weight=GLASS_WEIGHT * f, upper=0.0, options=options))
         if wanted.track is not None:
-            track = _validate.constant("track", wanted.track)
+            track = _validate.constant("track", wanted.track) - margin
             found.append(Operand("total_track", weight=edges, upper=track, options={"first": self.first}))
         if wanted.chief_ray_angle is not None:
             found.append(Operand("chief_ray_angle", weight=0.002 * f, upper=wanted.chief_ray_angle))
@@ -576,26 +594,37 @@ class _Problem:
 
 
 def _designed_spheres(problem: _Problem, starts: int, stages: int, iterations: int, polish: int, generator):
-    """Return the :class:`lens_design` of the last run of spheres, whose aperture and field grow together."""
+    """Return the :class:`lens_design` of the last run of lenses that begin as spheres.
+
+    Their aperture and field grow together. At full aperture and field aspheric terms are added, one order after the
+    other.
+    """
     system, curved, last = problem.system, problem.curved, problem.last
     f = problem.requirements.focal_length
     # Radii of at least 0.15 focal lengths.
     limit = 1 / (0.15 * f)
     solves = [Solve("focal_length", curved[0], f), Solve("marginal_height", last)]
 
+    # Orders of the aspheric terms that vary.
+    aspheric: list[int] = []
+
     def design_of(weights, rings: int) -> lens_design:
         operands = [
             Operand("spot", options={"fields": weights}),
             # The curvature that is solved for the focal length, in units of 1/f.
             Operand(lambda _, p: f * p.curvature[..., curved[0]], weight=0.1 * f, lower=-limit * f, upper=limit * f),
-            *problem.limits((0.5, 0.75, 1.0)),
+            *problem.limits((0.5, 0.75, 1.0), margin=MARGIN * f),
         ]
+        bounds = () if aspheric else (-limit, limit)
         variables = [
-            Variable("curvature", curved[1:], -limit, limit),
+            Variable("curvature", curved[1:], *bounds),
             *problem.thicknesses,
             Variable("thickness", last, -0.1 * f, 0.1 * f),
             *problem.glasses(),
+            *(Variable("coefficients", curved, terms=[term]) for term in aspheric),
         ]
+        if aspheric:
+            operands.append(_slope_limit(f, curved, BEAM_FRACTIONS[:-1]))
         pupil = _pupil_of_fields(len(system.fields), rings)
         return lens_design(system, operands, variables, solves=solves, pupil=pupil)
 
@@ -608,15 +637,23 @@ def _designed_spheres(problem: _Problem, starts: int, stages: int, iterations: i
             reached = _set_next_stage(problem, design_of, values, reached, (aperture, field), rings, fractions)
             design = design_of(None, rings)
             if values is None:
-                values = _random_starts(design, starts, CURVATURE_SPREAD[0] / f, generator)
+                values = _screened_starts(design, starts, CURVATURE_SPREAD[0] / f, generator)
             values, loss, _ = _optimised(design, values, iterations)
             design.apply(values[loss.argmin()])
             problem.record(*reached)
         values = values[loss.argsort()[: max(1, math.ceil(retained * starts))]]
 
     def run(design, values, count: int = 2 * iterations):
-        return _optimised(design, values, count)[:2]
+        return _optimised(design, values, count, least_diagonal=LEAST_DIAGONAL * f**2 if aspheric else 0.0)[:2]
 
+    for term in range(1, problem.requirements.terms + 1):
+        aspheric.append(term)
+        design = design_of(None, rings)
+        # Coefficients are the last variables, by order.
+        values = torch.nn.functional.pad(values, (0, len(design.values) - values.shape[-1]))
+        values, loss = run(design, values)
+        design.apply(values[loss.argmin()])
+        problem.record(*reached)
     if problem.free_glasses:
         values, loss = run(design, values, 3 * iterations)
         values = problem.take_glasses(design, values[loss.argsort()[:GLASS_STARTS]], iterations, run)
@@ -674,14 +711,7 @@ def _designed_aspheres(problem: _Problem, starts: int, stages: int, iterations: 
                 edges=SOFT_EDGES ** (1 - firmness) * FIRM_EDGES**firmness,
                 distortion=(SOFT_DISTORTION * f) ** (1 - firmness) * wanted.distortion_weight**firmness,
             ),
-            Operand(
-                "slope",
-                None,
-                0.044 * f,
-                -LARGEST_SLOPE,
-                LARGEST_SLOPE,
-                {"surfaces": curved, "shares": BEAM_FRACTIONS},
-            ),
+            _slope_limit(f, curved, BEAM_FRACTIONS),
             Operand("incidence", weight=0.006 * f, upper=LARGEST_SINE, options={"count": 2}),
         ]
         if not final:
@@ -709,7 +739,7 @@ def _designed_aspheres(problem: _Problem, starts: int, stages: int, iterations: 
         if values is None:
             values = _random_starts(design, starts, CURVATURE_SPREAD[1] / f, generator)
         values = torch.nn.functional.pad(values, (0, len(design.values) - values.shape[-1]))
-        return design, _optimised(design, values, count, damping, LEAST_DIAGONAL * f**2)
+        return design, _optimised(design, values, count, damping, LEAST_DIAGONAL * f**2, steep=True)
 
     progress, step = 1 - (stages - 1) / 5, LONGEST_STEP
     design, found = optimised_at(progress, None, 0.1, 3 * iterations)
@@ -770,7 +800,9 @@ def _designed_aspheres(problem: _Problem, starts: int, stages: int, iterations: 
 
     def run(design, values):
         nonlocal damping
-        found = _optimised(design, values, 2 * iterations, damping.clamp(*DAMPING_RANGE), LEAST_DIAGONAL * f**2)
+        found = _optimised(
+            design, values, 2 * iterations, damping.clamp(*DAMPING_RANGE), LEAST_DIAGONAL * f**2, steep=True
+        )
         if found is None:
             raise ValueError("rays are lost at the full aperture and field: try another seed")
         values, merit, damping = found
@@ -779,6 +811,12 @@ def _designed_aspheres(problem: _Problem, starts: int, stages: int, iterations: 
     return _with_equal_spots(
         problem, lambda weights, firmness: design_of(weights, 5, terms, firmness), design, run, None, max(1, polish)
     )
+
+
+def _slope_limit(f: float, curved: list[int], shares: Sequence[float]) -> Operand:
+    """Return the operand that limits the slopes of aspheres at shares of the beam's radius."""
+    options = {"surfaces": curved, "shares": shares}
+    return Operand("slope", None, 0.044 * f, -LARGEST_SLOPE, LARGEST_SLOPE, options)
 
 
 def _relative_power(f: float) -> Callable:
@@ -810,7 +848,7 @@ def _pupil_of_fields(fields: int, rings: int) -> torch.Tensor:
     return torch.stack([radius * side * turn.sin(), radius * turn.cos()], -1).flatten(1, 2)
 
 
-def _flat_plates(elements, terms, glass, air, cover, wavelengths, unit, f):
+def _flat_plates(elements, terms, paraboloids, glass, air, cover, wavelengths, unit, f):
     """Return flat plates and a stop, the surfaces that may be curved, and those in front of variable thicknesses."""
     if isinstance(elements, str) or not any(isinstance(item, str) and item == "stop" for item in elements):
         raise ValueError('elements must be materials and one "stop"')
@@ -819,7 +857,11 @@ def _flat_plates(elements, terms, glass, air, cover, wavelengths, unit, f):
         raise ValueError('elements must contain one "stop", in front of a material')
     thick = (glass[0] * glass[1]) ** 0.5
     gap = min(max(air[0], 0.05 * f), air[1])
-    flat = {"curvature": 0.0, "conic": -1.0 if terms else 0.0, "coefficients": [0.0] * (terms + 1 if terms else 0)}
+    flat = {
+        "curvature": 0.0,
+        "conic": -1.0 if paraboloids else 0.0,
+        "coefficients": [0.0] * (terms + 1 if terms else 0),
+    }
     row: list[surface] = []
     curved: list[int] = []
     for item in elements:
@@ -833,7 +875,7 @@ def _flat_plates(elements, terms, glass, air, cover, wavelengths, unit, f):
     if cover is not None:
         spaces.append(len(row) - 1)
         row += [surface(thickness=float(cover[1]), material=cover[0]), surface(thickness=f)]
-    row[-1].thickness.fill_(f / 4 if terms else f)
+    row[-1].thickness.fill_(f / 4 if paraboloids else f)
     system = optical_system(row, 1.0, wavelengths=list(wavelengths), fields=[0.0], unit=unit)
     return system, curved, spaces
 
@@ -876,19 +918,34 @@ def _random_starts(design: lens_design, count: int, spread: float, generator) ->
     return torch.cat(found)[:count]
 
 
+def _screened_starts(design: lens_design, count: int, spread: float, generator) -> torch.Tensor:
+    """Return the best of many random starts ``[N, V]``, of which half are left after every few steps."""
+    values = _random_starts(design, count * 2**SCREENINGS, spread, generator)
+    while len(values) > count:
+        values, loss, _ = _optimised(design, values, SCREENING_STEPS)
+        values = values[loss.argsort()[: len(values) // 2]]
+    return values
+
+
 def _optimised(
-    design: lens_design, values: torch.Tensor, iterations: int, damping: Any = 1e-2, least_diagonal: float = 0.0
+    design: lens_design,
+    values: torch.Tensor,
+    iterations: int,
+    damping: Any = 1e-2,
+    least_diagonal: float = 0.0,
+    steep: bool = False,
 ):
     """Return optimised values of several starts, their merits and dampings; None if rays are lost in all of them.
 
-    The run is divided into parts, before each of which the radii of the beam are computed anew.
+    The run is divided into parts, before each of which the radii of the beam are computed anew. Steep aspheres are
+    those of which many lose all rays on their way: such starts are dropped.
     """
     aspheres = "coefficients" in design.places
     parts = max(1, iterations // 3) if aspheres else 2
     for _ in range(parts):
         with torch.no_grad():
             design.heights = design.clear_heights(values)
-            if aspheres:
+            if steep:
                 # Designs that no ray passes are dropped.
                 kept = torch.isfinite(design.heights).all(-1)
                 values, design.heights = values[kept], design.heights[kept]
@@ -909,7 +966,7 @@ def _slope_basis(design: lens_design) -> torch.Tensor:
     The functions of a surface are combinations of r², r⁴, … up to increasing powers; the mean over the beam of the
     product of the slopes of two of them is 1 or 0. Variables other than curvatures and coefficients remain as they are.
     """
-    heights: Any = design.heights
+    heights: Any = torch.where(torch.isfinite(design.heights), design.heights, 1.0)  # type: ignore[arg-type]
     count = len(design.values)
     found = torch.eye(count, dtype=torch.float64).expand(len(heights), count, count).clone()
     held: dict[int, list[tuple[int, int]]] = {}

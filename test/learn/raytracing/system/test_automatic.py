@@ -46,12 +46,12 @@ def test_glass_becomes_real_and_stays_good():
     assert report < 3 * free.merit + 1e-6
 
 
-def judged_alone(lens, angles, size, bent):
+def judged_alone(lens, angles, size, bent, edge=1e-9):
     """Assert what the requirements say by rays that the library does not trace."""
     script = Path(__file__).parents[4] / "benchmarks" / "independent_trace.py"
     judged = runpy.run_path(str(script))["judged"]
     found = judged(system_to_dict(lens), lens.prescription().index.detach(), angles)
-    assert found["rms"] < size and found["distortion"] < bent and found["lost"] == 0 and found["edge"] > 0
+    assert found["rms"] < size and found["distortion"] < bent and found["lost"] == 0 and found["edge"] >= edge
 
 
 @pytest.mark.slow
@@ -73,8 +73,17 @@ def test_lens_is_designed_from_flat_plates_and_seed_repeats_it():
     assert torch.equal(lens.prescription().curvature, again.system.prescription().curvature)
 
 
+def test_single_design_begins_as_best_of_several_bendings():
+    """Without the choice this seed ends at 0.16 mm."""
+    elements = ["N-LAK33B", "stop", "SF5", "N-LAK33B"]
+    options = {"starts": 1, "stages": 1, "iterations": 4, "polish": 0, "edge": 0.5, "back": 20.0, "seed": 2}
+    lens = automatic_design(elements, 50.0, 11.2, 12.0, **options).system
+    assert float(rms_spot(lens, "grid", 15).max()) < 0.005
+
+
 @pytest.mark.slow
-def test_glasses_that_vary_from_start_correct_colour_and_spots():
+@pytest.mark.parametrize(("terms", "size"), [(0, 0.0155), (2, 0.01)])
+def test_glasses_that_vary_from_start_correct_colour_and_spots(terms, size):
     """A triplet of 50 mm, f/2.8 and 20 degrees, judged by rays and paraxial sums that are not the library's."""
     options = {"glass": (1.5, 9.0), "air": (0.3, 15.0), "edge": 0.6, "back": 20.0, "track": 80.0, "polish": 1}
     lens = automatic_design(
@@ -84,13 +93,15 @@ def test_glasses_that_vary_from_start_correct_colour_and_spots():
         20.0,
         makers=["schott", "ohara"],
         axial_color=0.1,
-        starts=24,
+        aspheric_terms=terms,
+        starts=12,
         iterations=12,
         **options,
     ).system
     names = [item.material.name for item in lens.surfaces if isinstance(item.material, Material)]
     assert len(names) == 3 and all(material(name).source for name in names)
-    judged_alone(lens, [2.5 * k for k in range(9)], 0.0165, 0.02)
+    judged_alone(lens, [0.625 * k for k in range(33)], size, 0.02, edge=0.6)
+    assert all(1.5 <= float(lens.surfaces[i].thickness) <= 9.0 for i in (0, 3, 5))
     images = []
     for index in lens.prescription().index.tolist():
         height, slope = 1.0, 0.0
