@@ -73,6 +73,7 @@ from .display_models import display_hologram as display_hologram
 from .display_models import display_model as display_model
 from .display_models import fit_display as fit_display
 from .displays import AlternatingProjections as AlternatingProjections
+from .displays import AmplitudePanel as AmplitudePanel
 from .displays import Descent as Descent
 from .displays import Display as Display
 from .displays import DisplayedHologram as DisplayedHologram

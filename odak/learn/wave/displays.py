@@ -15,6 +15,7 @@ from typing import Any, Protocol, overload
 
 import numpy as np
 import torch
+from scipy.fft import next_fast_len
 
 from odak import _array, _show, _torch_private, _validate
 from odak._bars import tqdm
@@ -46,6 +47,8 @@ from odak.wave.transfer_functions import (
 _ORDERS = 3
 # Pixels on either side that a mean over the area of a pixel is computed from; see _taps.
 _REACH = 4
+# Pixels around a modulator, at least, in which the light of its edges is followed behind another panel.
+_MARGIN = 32
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,59 @@ class Iris:
         return self.radius / (wavelength * self.focal_length)
 
 
+@_validate.takes_units("distance")
+@dataclass(frozen=True)
+class AmplitudePanel:
+    """A panel that attenuates the light on its way to a phase modulator, with pixels of the same number and pitch.
+
+    Use it as `lit_through` of a :class:`Modulator` for two panels in series, with which a display forms amplitude and
+    phase. A relay images it onto the modulator or beside it, or the light travels freely between the two, through air.
+
+    Parameters
+    ----------
+    distance : float
+        Distance from the panel, or from its image by the relay, to the modulator in metres.
+    bits : int, optional
+        Bits of a pixel, 2^bits levels spread evenly over the amplitudes 0 … 1; None for amplitudes without levels.
+    fill : float
+        Share of the area of a pixel that transmits.
+    iris : Iris or str, optional
+        Stop of the relay: "order", a square one that passes one diffraction order, |f| ≤ 1/(2·pitch), or a round
+        :class:`Iris`. None without a relay, where nine orders are computed.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import AmplitudePanel, Display, Modulator
+    >>> panel = Modulator((32, 48), 8e-6, lit_through=AmplitudePanel())
+    >>> display = Display(panel, 532e-9, 3e-3)
+    >>> phases, amplitudes = torch.zeros(32, 48), torch.full((32, 48), 0.5)
+    >>> round(float((display(phases, amplitudes=amplitudes) / display(phases)).mean()), 3)
+    0.25
+    """
+
+    distance: float = 0.0
+    bits: int | None = 8
+    fill: float = 0.9
+    iris: Iris | str | None = "order"
+
+    def __post_init__(self):
+        _validate.constant("distance", self.distance)
+        _checked_bits(self.bits)
+        checked_pixel_fill(self.fill)
+        _checked_iris(self.iris)
+
+    def shown(self, amplitudes: torch.Tensor) -> torch.Tensor:
+        """Return the nearest amplitudes that the levels of the panel can show."""
+        if self.bits is None:
+            return amplitudes
+        return self.levels(amplitudes).to(amplitudes) / (2**self.bits - 1)
+
+    def levels(self, amplitudes: torch.Tensor) -> torch.Tensor:
+        """Return the levels whose amplitudes are nearest, int32 of the shape of the amplitudes; 256 without bits."""
+        return torch.round(amplitudes * (255 if self.bits is None else 2**self.bits - 1)).to(torch.int32)
+
+
 @_validate.takes_units("pitch")
 @dataclass(frozen=True)
 class Modulator:
@@ -102,6 +158,8 @@ class Modulator:
         ``response(phase)`` returns the field of a phase pattern, such as
         :class:`odak.learn.wave.spatial_light_modulator`; an ideal one by default. Its own fill factor must be 1. The
         levels are its own where it has a table of their phases, `lut`.
+    lit_through : AmplitudePanel, optional
+        Panel that the light passes first, for two panels in series.
 
     Examples
     --------
@@ -115,12 +173,14 @@ class Modulator:
     bits: int | None = 8
     fill: float = 0.9
     response: Callable[..., Any] | None = None
+    lit_through: AmplitudePanel | None = None
 
     def __post_init__(self):
         object.__setattr__(self, "resolution", _validate.size("resolution", self.resolution))
         checked_pitch("pitch", self.pitch)
-        if self.bits is not None and not 1 <= _validate.integer("bits", self.bits) <= 16:
-            raise ValueError(f"bits must be 1 to 16 or None, got {self.bits}")
+        _checked_bits(self.bits)
+        if not (self.lit_through is None or isinstance(self.lit_through, AmplitudePanel)):
+            raise TypeError(f"lit_through must be an AmplitudePanel or None, got {type(self.lit_through).__name__}")
         checked_pixel_fill(self.fill)
         _validate.function_or_none("response", self.response)
         if float(getattr(self.response, "fill_factor", 1.0)) != 1 or getattr(self.response, "samples_per_pixel", 1) > 1:
@@ -220,9 +280,15 @@ class Display(torch.nn.Module):
         self.distances = _numbers("distances", distances if self.lens is None else self.lens.after)
         _validate.lengths_together(self.wavelengths, modulator.pitch, names=("wavelengths", "pitch", "distances"))
         self.medium = _validate.constant("medium", medium, positive=True)
-        if iris is not None and iris != "order" and not isinstance(iris, Iris):
-            raise ValueError(f"iris must be 'order', an Iris or None, got {iris!r:.80}")
+        _checked_iris(iris)
         self.iris = iris
+        self._first = modulator.lit_through
+        if self._first is not None and (self.lens is not None or self._orders() > 1):
+            got = "a display behind a lens" if self.lens is not None else f"iris={iris!r}"
+            raise ValueError(
+                "modulator must be without lit_through behind a lens, and where more than one order passes the iris of "
+                f"the display, got {got}"
+            )
         colours = len(self.wavelengths)
         self.frames = colours if frames is None else _validate.integer("frames", frames, minimum=1)
         if powers is None:
@@ -309,9 +375,10 @@ class Display(torch.nn.Module):
         pitch = " × ".join(f"{1e6 * p:.4g}" for p in sorted({float(p) for p in pitches(panel.pitch)}))
         levels = "no levels" if panel.bits is None else f"{panel.bits} bits"
         stop = repr(self.iris) if isinstance(self.iris, Iris) else "no iris" if self.iris is None else "one order"
+        before = "" if self._first is None else f"lit through a panel at {1e3 * self._first.distance:.4g} mm, "
         return (
             f"{' × '.join(map(str, panel.resolution))} pixels of {pitch} µm (fill {panel.fill:g}, {levels}), "
-            f"{_listed(self.wavelengths, 1e9)} nm, {self.frames} frame{'s' * (self.frames > 1)}, "
+            f"{before}{_listed(self.wavelengths, 1e9)} nm, {self.frames} frame{'s' * (self.frames > 1)}, "
             f"{self._planes_in_words()}, {stop}"
         )
 
@@ -364,10 +431,22 @@ class Display(torch.nn.Module):
         """Return how many diffraction orders along each axis are computed: behind a lens, the others lie elsewhere."""
         if self.lens is not None:
             return 1
-        if not isinstance(self.iris, Iris):
-            return _ORDERS if self.iris is None else 1
-        widest = max(self.iris.cutoff(w) for w in self.wavelengths) * max(_pitch_pair(self.modulator.pitch))
+        return self._passing(self.iris)
+
+    def _passing(self, iris) -> int:
+        """Return how many diffraction orders along each axis a stop passes."""
+        if not isinstance(iris, Iris):
+            return _ORDERS if iris is None else 1
+        widest = max(iris.cutoff(w) for w in self.wavelengths) * max(_pitch_pair(self.modulator.pitch))
         return min(_ORDERS, max(1, math.ceil(2 * widest - 1e-9)))
+
+    @property
+    def _window(self) -> tuple[int, int]:
+        """Return rows and columns in which light is followed."""
+        rows, columns = self.modulator.resolution
+        if self._first is None:
+            return rows, columns
+        return next_fast_len(rows + 2 * _MARGIN), next_fast_len(columns + 2 * _MARGIN)
 
     def _kernels(self, colour: int, dtype: torch.dtype, planes: Sequence[int] | None = None) -> torch.Tensor:
         """Return the transfer functions to all points of a pixel on some planes, ``[planes·samples², 2m, 2n]``."""
@@ -375,7 +454,7 @@ class Display(torch.nn.Module):
         key = colour, dtype, planes
         if key not in self._kept:
             with torch.no_grad(), _torch_private.keeping():
-                rows, columns = self.modulator.resolution
+                rows, columns = self._window
                 # Column by column, which is the order that the propagation reads them in on a CPU.
                 shape = len(planes) * self.samples**2, 2 * columns, 2 * rows
                 kept = torch.empty(shape, dtype=dtype, device=self.powers.device).mT
@@ -389,16 +468,17 @@ class Display(torch.nn.Module):
     def _of_plane(self, colour, plane, dtype):
         wavelength, panel, orders = self.wavelengths[colour] / self.medium, self.modulator, self._orders()
         cutoff = self.iris.cutoff(self.wavelengths[colour]) if isinstance(self.iris, Iris) else None
-        xp = _array.namespace(torch.empty(0))
+        # Light that has passed two panels has the spectrum of their pixels already.
+        fill, xp = panel.fill if self._first is None else None, _array.namespace(torch.empty(0))
 
         def grid(samples):
-            shape = tuple(2 * n * samples for n in panel.resolution)
+            shape = tuple(2 * n * samples for n in self._window)
             pitch = divided_pitch(panel.pitch, samples)
             return Request(pitch, wavelength, self.distances[plane]).grid(shape, xp, self.powers.device, dtype)
 
         if orders == 1:
             quarters = itertools.product((False, True), repeat=2)
-            yield from (linear_kernel(angular_spectrum, cutoff, panel.fill, halves=h)(grid(1)) for h in quarters)
+            yield from (linear_kernel(angular_spectrum, cutoff, fill, halves=h)(grid(1)) for h in quarters)
         else:
             # The response at all points of the pixels of the image. Each point takes its own lags, every so many of
             # them, and with them the repetitions of the spectrum.
@@ -412,26 +492,72 @@ class Display(torch.nn.Module):
             points = itertools.product(range(count), repeat=2)
             yield from (torch.fft.fft2(response[down::count, across::count]) for down, across in points)
 
-    def fields(self, phases: torch.Tensor) -> torch.Tensor:
+    def _through_both(self, light, amplitudes, colour, kernels):
+        """Return the fields ``[F, kernel, rows, columns]`` of the light of two panels, filtered by kernels.
+
+        The modulator multiplies the light at its place, whose band is that of the orders that pass the first panel. The
+        band that reaches the images takes those frequencies of the modulator that are up to an order beyond, and with
+        one more sample in each pixel than orders pass no others fall upon them.
+        """
+        key, finer = ("between", colour, light.dtype), 1 + self._passing(self._first.iris)  # type: ignore[union-attr]
+        window, pair = self._window, _pitch_pair(self.modulator.pitch)
+        if key not in self._kept:
+            with torch.no_grad(), _torch_private.keeping():
+                self._kept[key] = self._between(colour, finer, light.dtype) * finer**2
+        there = convolve(_comb(self._lit(amplitudes.to(light.dtype), colour), window, finer), self._kept[key])
+        width = math.sqrt(self.modulator.fill)
+        down, across = (
+            torch.sinc(width * p * torch.fft.fftfreq(n * finer, p / finer, dtype=light.real.dtype, device=light.device))
+            for n, p in zip(window, pair, strict=True)
+        )
+        spectrum = torch.fft.fft2(_comb(light, window, finer)) * (down[:, None] * across * finer**2)
+        product = there * torch.fft.ifft2(spectrum)
+        for axis, n in zip((-1, -2), window[::-1], strict=True):
+            whole = torch.fft.fft(product, 2 * n * finer, axis) / finer
+            product = torch.cat([whole.narrow(axis, 0, n), whole.narrow(axis, 2 * n * finer - n, n)], axis)
+        shown = torch.fft.ifft2(product[:, None] * kernels)
+        for axis, n, m in zip((-2, -1), window, self.modulator.resolution, strict=True):
+            shown = shown.narrow(axis, (n - m) // 2, m)
+        return shown
+
+    def _between(self, colour, finer, dtype) -> torch.Tensor:
+        """Return the transfer function from the pixels of the first panel to points at the modulator."""
+        first: Any = self._first
+        orders, pair = self._passing(first.iris), _pitch_pair(self.modulator.pitch)
+        cutoff = first.iris.cutoff(self.wavelengths[colour]) if isinstance(first.iris, Iris) else math.inf
+        width = math.sqrt(first.fill)
+        transfer = _PixelTransfer((width * pair[0], width * pair[1]), (orders / (2 * pair[0]), orders / (2 * pair[1])))
+        request = Request(divided_pitch(self.modulator.pitch, finer), self.wavelengths[colour], first.distance)
+        shape = tuple(2 * n * finer for n in self._window)
+        xp = _array.namespace(torch.empty(0))
+        return linear_kernel(transfer, cutoff)(request.grid(shape, xp, self.powers.device, dtype))
+
+    def fields(self, phases: torch.Tensor, amplitudes: torch.Tensor | None = None) -> torch.Tensor:
         """Return the fields at the middles of the pixels, of unit power of the sources.
 
         Parameters
         ----------
         phases : torch.Tensor
             Phases ``[F, rows, columns]`` in radians, or ``[rows, columns]`` for a single frame.
+        amplitudes : torch.Tensor, optional
+            Of the same shape, those of a panel in front of the modulator, as in :meth:`forward`.
 
         Returns
         -------
         torch.Tensor
             Complex ``[F, D, C, rows, columns]``.
         """
-        light = self._light(phases)
+        light, amplitudes = self._light(phases), self._amplitudes(amplitudes)
         if self.lens is not None:
             return torch.stack([self._focused(self._lit(light, c)[:, None], c) for c in range(self.shape[1])], 2)
         middles = [self._kernels(c, light.dtype)[:: self.samples**2] for c in range(self.shape[1])]
+        if self._first is not None:
+            return torch.stack([self._through_both(light, amplitudes, c, k) for c, k in enumerate(middles)], 2)
         return torch.stack([convolve(self._lit(light, c)[:, None], k) for c, k in enumerate(middles)], 2)
 
-    def forward(self, phases: torch.Tensor, powers: torch.Tensor | None = None) -> torch.Tensor:
+    def forward(
+        self, phases: torch.Tensor, powers: torch.Tensor | None = None, amplitudes: torch.Tensor | None = None
+    ) -> torch.Tensor:
         """Return what is seen: for each plane and colour the mean over time, and over the area of each pixel.
 
         Parameters
@@ -440,18 +566,21 @@ class Display(torch.nn.Module):
             Phases ``[F, rows, columns]`` in radians, or ``[rows, columns]`` for a single frame; differentiable.
         powers : torch.Tensor, optional
             Other powers ``[F, C]`` than those of the display, differentiable, of the sources that are on there.
+        amplitudes : torch.Tensor, optional
+            Amplitudes 0 … 1 of the panel that the modulator is lit through, of the shape of the phases; differentiable.
+            One by default.
 
         Returns
         -------
         torch.Tensor
             Real ``[D, C, rows, columns]``, in units of the light on the modulator.
         """
-        light = self._light(phases)
+        light, amplitudes = self._light(phases), self._amplitudes(amplitudes)
         powers = self.powers if powers is None else self._fitting(powers)
         if self._parts:
             return self._in_parts(light, powers)
         parts = [_Part(colour, None, self._frames_of(colour)) for colour in range(self.shape[1])]
-        return torch.stack([self._image(light, part, powers) for part in parts], 1)
+        return torch.stack([self._image(light, part, powers, amplitudes) for part in parts], 1)
 
     def _shared_among(self, devices: Sequence[torch.device] | Ranks) -> "Display":
         """Return this display with its images computed in parts by several devices, or by the ranks of a group.
@@ -507,6 +636,25 @@ class Display(torch.nn.Module):
             raise ValueError(f"phases must be [frames, rows, columns] = {list(shape)}, got {list(phases.shape)}")
         return self.modulator.light(phases.reshape(shape).to(self.powers.device))
 
+    def _amplitudes(self, amplitudes):
+        """Return the amplitudes of the first of two panels ``[F, rows, columns]``; None where there is one alone."""
+        shape = (self.frames, *self.modulator.resolution)
+        if self._first is None:
+            if amplitudes is not None:
+                raise ValueError("amplitudes must be None for a modulator without lit_through")
+            return None
+        if amplitudes is None:
+            return torch.ones(shape, dtype=self.powers.dtype, device=self.powers.device)
+        amplitudes = floating("amplitudes", amplitudes)
+        if tuple(amplitudes.shape) != shape and not (self.frames == 1 and tuple(amplitudes.shape) == shape[1:]):
+            raise ValueError(
+                f"amplitudes must be [frames, rows, columns] = {list(shape)}, got {list(amplitudes.shape)}"
+            )
+        # Reading them would wait for the device at each step of an optimisation.
+        if not amplitudes.requires_grad and not bool(((amplitudes >= 0) & (amplitudes <= 1)).all()):
+            raise ValueError(f"amplitudes must be 0 … 1, got {float(amplitudes.min())} to {float(amplitudes.max())}")
+        return amplitudes.reshape(shape).to(self.powers.device)
+
     def _fitting(self, powers):
         powers, shape = floating("powers", powers), [self.frames, len(self.wavelengths)]
         if list(powers.shape) != shape:
@@ -519,11 +667,14 @@ class Display(torch.nn.Module):
     def _frames_of(self, colour: int) -> tuple[int, ...]:
         return tuple(f for f in range(self.frames) if self._shares()[f][colour])
 
-    def _image(self, light, part: "_Part", powers):
+    def _image(self, light, part: "_Part", powers, amplitudes=None):
         colour, frames, power = part.colour, part.frames, powers[:, part.colour]
         lit = light if len(frames) == self.frames else torch.stack([light[f] for f in frames])
         light = self._lit(lit, colour)[:, None]
-        if self.lens is None:
+        if self._first is not None:
+            first = amplitudes if len(frames) == self.frames else torch.stack([amplitudes[f] for f in frames])
+            shown = self._through_both(lit, first, colour, self._kernels(colour, lit.dtype, part.planes))
+        elif self.lens is None:
             # One kernel for each plane and point of a pixel takes one transform back, but a single forward one.
             shown = convolve(light, self._kernels(colour, light.dtype, part.planes))
         else:
@@ -587,7 +738,7 @@ class Display(torch.nn.Module):
         return self._kept["shares"]  # type: ignore[return-value]
 
     @torch.no_grad()
-    def judge(self, phases: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def judge(self, phases: torch.Tensor, amplitudes: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the images of patterns by another computation than :meth:`forward`, and those at points.
 
         Each pixel is a comb of samples, propagated by the method that :func:`odak.wave.sampling_report` recommends on a
@@ -598,20 +749,34 @@ class Display(torch.nn.Module):
         ----------
         phases : torch.Tensor
             Phases ``[F, rows, columns]`` in radians.
+        amplitudes : torch.Tensor, optional
+            Of the same shape, those of a panel in front of the modulator, as in :meth:`forward`.
 
         Returns
         -------
         tuple of torch.Tensor
             Means over the areas of pixels, and intensities at their middles, ``[D, C, rows, columns]`` each.
         """
-        light = self._light(phases)
+        light, amplitudes = self._light(phases), self._amplitudes(amplitudes)
         images = torch.stack([torch.zeros(self.shape, device=light.device, dtype=light.real.dtype)] * 2)
         for c, wavelength in enumerate(self.wavelengths):
             power = self.powers[:, c] / self.powers[:, c].sum()
             for d, distance in enumerate(self.distances):
                 for f in torch.nonzero(power)[:, 0].tolist():
                     lit, finer = self._lit(light[f : f + 1], c)[0], self._orders() if self.lens is None else 2
-                    shown = self._propagated(lit, wavelength, distance) if self.lens is None else self._spread(lit, c)
+                    if amplitudes is not None:
+                        finer = 2 + self._passing(self._first.iris)  # type: ignore[union-attr]
+                        first = self._lit(amplitudes[f : f + 1].to(light.dtype), c)[0]
+                        lit = self._both(first, light[f], wavelength, finer)
+                        shown = self._spread_freely(lit, wavelength, distance, finer)
+                    elif self.lens is None:
+                        # Without a round stop the grid has no frequencies but those that pass.
+                        round_stop = isinstance(self.iris, Iris)
+                        passed = self._passed(finer, wavelength, self.iris, lit.device) if round_stop else 1.0
+                        lit = self._sampled(lit, finer, self.modulator.fill, passed)
+                        shown = self._spread_freely(lit, wavelength, distance, finer)
+                    else:
+                        shown = self._spread(lit, c)
                     images[0, d, c] += power[f] * mean_over_areas(shown, self.modulator.resolution, finer)
                     images[1, d, c] += power[f] * _middles(intensity(shown), self.modulator.resolution, finer)
         return images[0], images[1]
@@ -635,26 +800,61 @@ class Display(torch.nn.Module):
         passed = torch.polar(self._envelope(frequencies, colour), turn).to(light.device, light.dtype)
         return torch.fft.fftshift(field) * passed
 
-    def _propagated(self, light, wavelength, distance):
-        """Return a field on a grid of twice its extent, with several samples per pixel where there are more orders."""
-        orders, sizes = self._orders(), self.modulator.resolution
-        comb = light.new_zeros([2 * n * orders for n in sizes])
+    def _sampled(self, light, samples, fill, passed: torch.Tensor | float = 1.0):
+        """Return the field of square pixels on a grid of twice its extent, with several samples in each pixel.
+
+        `passed` is what a stop passes of the frequencies of the grid.
+        """
+        sizes = self.modulator.resolution
+        comb = light.new_zeros([2 * n * samples for n in sizes])
         # The middle of the panel, its pixel n // 2, lies on the middle of the finer grid.
-        first = [n * orders - n // 2 * orders for n in sizes]
-        comb[tuple(slice(a, a + n * orders, orders) for a, n in zip(first, sizes, strict=True))] = light
-        pitch = divided_pitch(self.modulator.pitch, orders)
+        first = [n * samples - n // 2 * samples for n in sizes]
+        comb[tuple(slice(a, a + n * samples, samples) for a, n in zip(first, sizes, strict=True))] = light
         down, across = (
-            torch.fft.fftfreq(n, d, device=light.device) for n, d in zip(comb.shape, _pitch_pair(pitch), strict=True)
+            torch.sinc(math.sqrt(fill) * p * f) * samples
+            for p, f in zip(_pitch_pair(self.modulator.pitch), self._frequencies(samples, light.device), strict=True)
         )
-        width = [math.sqrt(self.modulator.fill) * p for p in _pitch_pair(self.modulator.pitch)]
-        passed = torch.sinc(width[0] * down)[:, None] * torch.sinc(width[1] * across) * orders**2
-        if isinstance(self.iris, Iris):
-            passed = passed * (down[:, None] ** 2 + across**2 <= self.iris.cutoff(wavelength) ** 2)
-        lit = torch.fft.ifft2(torch.fft.fft2(comb) * passed)
-        inside = wavelength / self.medium
-        with_padding = sampling_report(tuple(comb.shape), pitch, inside, distance, zero_padding=True)
+        return torch.fft.ifft2(torch.fft.fft2(comb) * (down[:, None] * across * passed))
+
+    def _frequencies(self, samples, device) -> list[torch.Tensor]:
+        """Return the frequencies along rows and columns of a grid of twice the extent of the panel."""
+        pair = _pitch_pair(divided_pitch(self.modulator.pitch, samples))
+        return [
+            torch.fft.fftfreq(2 * n * samples, p, device=device)
+            for n, p in zip(self.modulator.resolution, pair, strict=True)
+        ]
+
+    def _passed(self, samples, wavelength, iris, device) -> torch.Tensor:
+        """Return what a stop passes of the frequencies of a grid."""
+        down, across = self._frequencies(samples, device)
+        if isinstance(iris, Iris):
+            return down[:, None] ** 2 + across**2 <= iris.cutoff(wavelength) ** 2
+        # Half of the last frequency itself, which is rounded, on either side.
+        half = [0.5 * self._passing(iris) / p for p in _pitch_pair(self.modulator.pitch)]
+        down, across = (
+            0.5 * (f.abs() < (1 - 1e-6) * h) + 0.5 * (f.abs() < (1 + 1e-6) * h)
+            for f, h in zip((down, across), half, strict=True)
+        )
+        return down[:, None] * across
+
+    def _both(self, amplitudes, light, wavelength, samples):
+        """Return the field behind the second of two panels, as far as the iris of the display passes it."""
+        first: Any = self._first
+        passed = self._passed(samples, wavelength, first.iris, light.device)
+        there = self._spread_freely(
+            self._sampled(amplitudes, samples, first.fill, passed), wavelength, first.distance, samples, 1.0
+        )
+        product = torch.fft.fft2(there * self._sampled(light, samples, self.modulator.fill))
+        return torch.fft.ifft2(product * self._passed(samples, wavelength, self.iris, light.device))
+
+    def _spread_freely(self, field, wavelength, distance, samples, medium=None):
+        """Return a field with several samples in each pixel after it has travelled a distance."""
+        if distance == 0:
+            return field
+        pitch, inside = divided_pitch(self.modulator.pitch, samples), wavelength / (medium or self.medium)
+        with_padding = sampling_report(tuple(field.shape), pitch, inside, distance, zero_padding=True)
         return propagate_beam(
-            lit, None, distance, pitch, inside, with_padding.recommended, zero_padding=[True, False, True]
+            field, None, distance, pitch, inside, with_padding.recommended, zero_padding=[True, False, True]
         )
 
 
@@ -699,6 +899,25 @@ def _numbers(name, values, positive=False) -> tuple[float, ...]:
     if not checked:
         raise ValueError(f"{name} must contain at least one number, got none")
     return checked
+
+
+def _checked_bits(bits: int | None) -> None:
+    if bits is not None and not 1 <= _validate.integer("bits", bits) <= 16:
+        raise ValueError(f"bits must be 1 to 16 or None, got {bits}")
+
+
+def _checked_iris(iris: Any) -> None:
+    if iris is not None and iris != "order" and not isinstance(iris, Iris):
+        raise ValueError(f"iris must be 'order', an Iris or None, got {iris!r:.80}")
+
+
+def _comb(light: torch.Tensor, window: Sequence[int], samples: int) -> torch.Tensor:
+    """Return values of pixels ``[..., rows, columns]`` in the middle of a window, each followed by zeros."""
+    rows, columns = light.shape[-2:]
+    comb = light.new_zeros(*light.shape[:-2], *(n * samples for n in window))
+    top, left = ((n - m) // 2 * samples for n, m in zip(window, (rows, columns), strict=True))
+    comb[..., top : top + rows * samples : samples, left : left + columns * samples : samples] = light
+    return comb
 
 
 def _listed(lengths: Sequence[float], scale: float) -> str:
@@ -830,9 +1049,26 @@ class Problem:
     run: Run
     free: bool = True
 
-    def loss_of(self, phases: torch.Tensor, powers: torch.Tensor | None = None) -> torch.Tensor:
-        """Return the loss of phases ``[F, rows, columns]`` and powers ``[F, C]``, those of the display by default."""
-        return self.loss(self.scaled(self.display(phases, powers)), self.target)
+    def loss_of(
+        self, phases: torch.Tensor, powers: torch.Tensor | None = None, amplitudes: torch.Tensor | None = None
+    ) -> torch.Tensor:
+        """Return the loss of patterns.
+
+        Parameters
+        ----------
+        phases : torch.Tensor
+            Phases ``[F, rows, columns]`` in radians.
+        powers : torch.Tensor, optional
+            Powers ``[F, C]`` of the sources; those of the display by default.
+        amplitudes : torch.Tensor, optional
+            Amplitudes ``[F, rows, columns]`` of the panel that the modulator is lit through; one by default.
+
+        Returns
+        -------
+        torch.Tensor
+            The loss.
+        """
+        return self.loss(self.scaled(self.display(phases, powers, amplitudes)), self.target)
 
     def scaled(self, images: torch.Tensor) -> torch.Tensor:
         """Return images at the brightness of each colour that is closest to the target: sources can be dimmed."""
@@ -842,8 +1078,11 @@ class Problem:
 class Solver(Protocol):
     """What finds the phases of a problem: an object of one method."""
 
-    def solve(self, problem: Problem) -> torch.Tensor | tuple[torch.Tensor, torch.Tensor]:
-        """Return the phases ``[frames, rows, columns]`` in radians, and the powers of the sources if these change."""
+    def solve(self, problem: Problem) -> torch.Tensor | tuple[torch.Tensor | None, ...]:
+        """Return the phases ``[frames, rows, columns]`` in radians, or them and what else was found.
+
+        These are the powers of the sources or None and, third, the amplitudes of the panel in front of the modulator.
+        """
         ...
 
 
@@ -881,8 +1120,11 @@ class Descent:
     # No part of the text by which a checkpoint is recognised: the results are the same.
     graph: bool = field(default=False, repr=False)
 
-    def solve(self, problem: Problem) -> torch.Tensor | tuple[torch.Tensor, torch.Tensor]:
-        """Return the phases of a problem, ``[F, rows, columns]``, and the powers ``[F, C]`` where they are found."""
+    def solve(self, problem: Problem) -> torch.Tensor | tuple[torch.Tensor | None, ...]:
+        """Return the phases of a problem, ``[F, rows, columns]``, or with the powers ``[F, C]`` and the amplitudes.
+
+        Powers are None where they are not to be found, and amplitudes are left out without a panel in front.
+        """
         phases, run = problem.start.clone().requires_grad_(), problem.run
         learned, powers = {"phase": phases}, problem.display.powers
         # The slope along a phase falls with the number of pixels, that along the amplitude of a source does not; these
@@ -890,14 +1132,20 @@ class Descent:
         unit = math.sqrt(powers.numel() / phases.numel()) if self.method == "lbfgs" else 1.0
         if self.powers:
             learned["amplitude"] = (powers.sqrt() / unit).to(phases.dtype).requires_grad_()
+        if problem.display.modulator.lit_through is not None:
+            # Amplitudes are squares of sines, between 0 and 1; they begin at 0.75.
+            learned["turn"] = torch.full_like(problem.start, math.pi / 3).requires_grad_()
         loss, drawn_from = seeded_loss(problem.loss, run.seed, phases.device)
         problem = replace(problem, loss=loss)
 
         def found():
             return (unit * learned["amplitude"]).square() if self.powers else None
 
+        def attenuation():
+            return learned["turn"].sin().square() if "turn" in learned else None
+
         def value():
-            return problem.loss_of(phases, found())
+            return problem.loss_of(phases, found(), attenuation())
 
         if self.graph and (drawn_from or problem.display._parts):
             what = "the loss draws random numbers" if drawn_from else "several devices share one picture"
@@ -914,7 +1162,10 @@ class Descent:
             about=lambda: {"solver": repr(self), "display": repr(display), "target": fingerprint(*given)},
             generators=drawn_from,
         )
-        return (phases.detach(), found().detach()) if self.powers else phases.detach()
+        powers = found().detach() if self.powers else None
+        if "turn" in learned:
+            return phases.detach(), powers, attenuation().detach()
+        return phases.detach() if powers is None else (phases.detach(), powers)
 
     def __post_init__(self):
         _validate.one_of("method", self.method, ("lbfgs", "adam"))
@@ -925,6 +1176,8 @@ class Descent:
 
 def _frames_alone(display: Display, solver: str) -> list[tuple[int, int, int]]:
     """Return frame, plane and colour for each frame, for solvers whose frames show one colour on one plane each."""
+    if display.modulator.lit_through is not None:
+        raise ValueError(f"{solver} needs a modulator without lit_through: use the solver 'lbfgs'")
     if display.lens is not None:
         raise ValueError(f"{solver} needs a display without a lens: use the solver 'lbfgs'")
     lit = [[c for c, power in enumerate(row) if power] for row in display.powers.tolist()]
@@ -1102,6 +1355,8 @@ class DisplayedHologram:
         Loss after each iteration.
     psnr_in_focus : torch.Tensor, optional
         Of a target with depth: the same ratio of each colour with each pixel from its own plane, ``[C]``.
+    amplitudes : torch.Tensor, optional
+        Amplitudes of the panel that the modulator is lit through, by its levels, ``[F, rows, columns]``.
 
     Examples
     --------
@@ -1122,6 +1377,7 @@ class DisplayedHologram:
     psnr_at_points: torch.Tensor
     losses: tuple[float, ...] = field(default=(), repr=False)
     psnr_in_focus: torch.Tensor | None = None
+    amplitudes: torch.Tensor | None = None
 
     def levels(self) -> torch.Tensor:
         """Return the levels to send to the panel, int32 ``[F, rows, columns]``."""
@@ -1286,6 +1542,9 @@ def optimise(
         raise TypeError(f"solver must have a method solve(problem), got {type(solver).__name__}")
     if where is not None and isinstance(solver, (AlternatingProjections, DoublePhase, Network)):
         raise ValueError(f"devices must be None for one picture by {type(solver).__name__}, got {devices!r:.80}")
+    first = display.modulator.lit_through
+    if where is not None and first is not None:
+        raise ValueError(f"devices must be None for one picture on two panels, got {devices!r:.80}")
     if isinstance(where, Ranks) and run.checkpoint is not None:
         raise ValueError(f"run must be without a checkpoint where devices={DISTRIBUTED!r}, got {run.checkpoint!r:.80}")
     usual = torch.nn.functional.mse_loss if focal is None else focal
@@ -1301,9 +1560,11 @@ def optimise(
     own = replace(run, callback=record, progress=run.progress and not (isinstance(where, Ranks) and where.rank))
     problem = Problem(display if where is None else display._shared_among(where), target, loss, begun, own)
     solved = solver.solve(problem)
-    phases, powers = solved if isinstance(solved, tuple) else (solved, None)
+    solved = solved if isinstance(solved, tuple) else (solved,)
+    phases, powers, amplitudes = (*solved, None, None)[:3]
+    amplitudes = None if first is None or amplitudes is None else first.shown(amplitudes)
     phases, display = display.modulator.shown(phases), display if powers is None else display.lit_by(powers)
-    areas, points = display.judge(phases)
+    areas, points = display.judge(phases, amplitudes)
     brightness = brightness_of(areas, target)
     images, lights = areas * brightness, brightness[:, 0, 0]
     if powers is not None:
@@ -1316,7 +1577,8 @@ def optimise(
     at_points = ratio(points * brightness_of(points, target))
     sharp = None if focal is None else ratio((images * focal.masks).sum(0), (target * focal.masks).sum(0))
     history = tuple(torch.stack(losses).tolist()) if losses else ()
-    return DisplayedHologram(display, target, phases, images, lights, ratio(images), at_points, history, sharp)
+    ratios = ratio(images), at_points
+    return DisplayedHologram(display, target, phases, images, lights, *ratios, history, sharp, amplitudes)
 
 
 def _optimise_each(display, targets, where, options: dict[str, Any], run: Run) -> list[DisplayedHologram]:

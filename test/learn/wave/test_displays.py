@@ -11,6 +11,7 @@ from emulated_device import NAME, EmulatedDevice, reads
 from odak.instruments import Calibration, Lens, SimulatedTable, save_calibration
 from odak.learn.models import hologram_network
 from odak.learn.wave import (
+    AmplitudePanel,
     Descent,
     Display,
     Iris,
@@ -420,3 +421,126 @@ def test_holograms_behind_a_lens(tmp_path):
         optimise(display, target, solver="gerchberg-saxton")
     with pytest.raises(ValueError, match="start must be 'gs', 'quadratic'"):
         optimise(display, target, start="double phase")
+
+
+def field_of_two_panels(amplitudes, phases, gap, distance, width, between, after):
+    """Return the field at the middles of the pixels, in NumPy: squares, plane waves, and a finely sampled mask.
+
+    Pixels emit in the inner squares of a width in pixels; `between` and `after` are what stops pass, a function of the
+    frequencies along rows and columns in cycles per pixel.
+    """
+    fine, side = 16, 12 * max(phases.shape)
+    places = ((np.arange(side * fine) + 0.5) / fine - side // 2) * PITCH
+    cycles = np.fft.fftfreq(side * fine, 1 / fine)
+    down, across = cycles[:, None], cycles[None]
+    axial = np.sqrt(WAVELENGTH**-2 - (down**2 + across**2) / PITCH**2)
+    pixels = [(np.arange(n) - n // 2) for n in phases.shape]
+    waves = [np.exp(-2j * np.pi * cycles[:, None] * at) * np.sinc(width * cycles)[:, None] for at in pixels]
+    spectrum = waves[0] @ amplitudes @ waves[1].T * between(down, across) * np.exp(2j * np.pi * gap * axial)
+    turn = np.exp(2j * np.pi * cycles / PITCH * places[0])
+    light = np.fft.ifft2(spectrum * turn[:, None] * turn) * fine**2
+    mask, inner = np.zeros_like(light), round(width * fine) // 2
+    for (i, j), phase in np.ndenumerate(phases):
+        row, column = ((side // 2 + at[k]) * fine for at, k in zip(pixels, (i, j), strict=True))
+        mask[row - inner : row + inner, column - inner : column + inner] = np.exp(1j * phase) / width**2
+    spectrum = np.fft.fft2(light * mask) / (turn[:, None] * turn) * np.exp(2j * np.pi * distance * axial)
+    left, right = (np.exp(2j * np.pi * at[:, None] * cycles) for at in pixels)
+    return left @ (spectrum * after(down, across)) @ right.T / (side * fine) ** 2
+
+
+def passes(half):
+    def stop(down, across):
+        each = [0.5 * (abs(f) < half) + 0.5 * (abs(f) <= half) for f in (down, across)]
+        return each[0] * each[1]
+
+    return stop
+
+
+def within(radius):
+    return lambda down, across: down**2 + across**2 <= radius**2
+
+
+ROUND = {radius: Iris(radius / PITCH * WAVELENGTH * 0.1, 0.1) for radius in (0.6, 0.4)}
+
+
+@pytest.mark.parametrize(
+    ("gap", "iris", "between", "last", "after"),
+    [
+        (0.0, "order", passes(0.5), "order", passes(0.5)),
+        (5e-4, None, passes(1.5), "order", passes(0.5)),
+        (-3e-4, ROUND[0.6], within(0.6), ROUND[0.4], within(0.4)),
+    ],
+)
+def test_two_panels_in_series(gap, iris, between, last, after, random):
+    amplitudes, phases = random.uniform(0, 1, (8, 6)), random.uniform(0, 6, (8, 6))
+    width = 6 / 8
+    panel = Modulator((8, 6), PITCH, None, width**2, lit_through=AmplitudePanel(gap, None, width**2, iris))
+    display = Display(panel, WAVELENGTH, 5e-4, iris=last)
+    given = torch.from_numpy(phases), torch.from_numpy(amplitudes)
+    found = display.fields(*given)[0, 0, 0].numpy()
+    expected = field_of_two_panels(amplitudes, phases, gap, 5e-4, width, between, after)
+    assert np.linalg.norm(found - expected) < 0.007 * np.linalg.norm(expected)
+
+
+def test_two_panels_are_judged_by_another_computation(random):
+    panel = Modulator((48, 40), PITCH, lit_through=AmplitudePanel(2e-4, iris=None))
+    display = Display(panel, WAVELENGTH, 1e-3)
+    given = [torch.from_numpy(random.uniform(0, top, (48, 40))) for top in (1, 6)]
+    areas, points = display.judge(given[1], given[0])
+    light = display.fields(given[1], given[0]).abs().square()[0]
+    assert (points - light).square().mean().sqrt() < 0.015 * light.square().mean().sqrt()
+    # Means at the rim of the image are less exact.
+    inside = np.s_[..., 3:-3, 3:-3]
+    assert (areas - display(given[1], amplitudes=given[0]))[inside].abs().max() < 0.015 * areas.max()
+
+
+def test_a_clear_panel_at_the_modulator_changes_nothing_but_edges(random):
+    phases = torch.from_numpy(random.uniform(0, 6, (1, 40, 40)))
+    alone = Modulator((40, 40), PITCH, None)
+    both = replace(alone, lit_through=AmplitudePanel(0.0, None, 1.0, None))
+    found, expected = (Display(panel, WAVELENGTH, 5e-4)(phases) for panel in (both, alone))
+    assert (found - expected)[..., 8:-8, 8:-8].abs().max() < 0.05 * expected.max()
+
+
+def test_gradients_of_two_panels(random):
+    panel = Modulator((4, 5), PITCH, None, lit_through=AmplitudePanel(2e-4, iris=None))
+    powers = torch.tensor([[1.0, 0.3], [0.0, 1.0]], dtype=torch.float64)
+    display = Display(panel, [WAVELENGTH, 639e-9], [3e-4, 5e-4], 2, powers, profile=torch.rand(4, 5).double())
+    phases, amplitudes = (torch.from_numpy(random.uniform(0, 1, (2, 4, 5))).requires_grad_() for _ in range(2))
+    assert torch.autograd.gradcheck(lambda p, a: display(p, amplitudes=a), (phases, amplitudes), fast_mode=True)
+
+
+def test_a_picture_on_two_panels(disc):
+    found = []
+    for first in (None, AmplitudePanel(1e-3)):
+        display = Display(Modulator(tuple(disc.shape), PITCH, lit_through=first), WAVELENGTH, 3e-3)
+        found.append(optimise(display, disc, start="flat", run=QUIET))
+    alone, both = found
+    assert float(both.psnr) > float(alone.psnr) + 3 and alone.amplitudes is None
+    levels = both.display.modulator.lit_through.levels(both.amplitudes)
+    assert levels.dtype == torch.int32 and torch.equal(levels / 255, both.amplitudes) and levels.max() <= 255
+    again = both.display(both.phases, amplitudes=both.amplitudes) * both.brightness[:, None, None]
+    assert ((again - both.images)[..., 4:-4, 4:-4]).abs().max() < 0.05
+
+
+def test_what_does_not_fit_two_panels(disc):
+    panel = Modulator(tuple(disc.shape), PITCH, lit_through=AmplitudePanel())
+    with pytest.raises(ValueError, match="where more than one order passes the iris of the display, got iris=None"):
+        Display(panel, WAVELENGTH, 3e-3, iris=None)
+    with pytest.raises(ValueError, match="got a display behind a lens"):
+        Display(panel, WAVELENGTH, Lens(20e-3))
+    display = Display(panel, WAVELENGTH, 3e-3)
+    with pytest.raises(ValueError, match="needs a modulator without lit_through"):
+        optimise(display, disc, solver="gerchberg-saxton", run=QUIET)
+    with pytest.raises(ValueError, match="devices must be None for one picture on two panels"):
+        optimise(display, disc, devices=["cpu", "cpu"], run=QUIET)
+    with pytest.raises(ValueError, match=r"amplitudes must be 0 … 1, got 0\.0 to 2\.0"):
+        display(disc, amplitudes=2 * (disc > 0.5).float())
+    with pytest.raises(ValueError, match=r"amplitudes must be \[frames, rows, columns\] = \[1, 40, 48\]"):
+        display(disc, amplitudes=disc[1:])
+    with pytest.raises(ValueError, match="amplitudes must be None for a modulator without lit_through"):
+        Display(replace(panel, lit_through=None), WAVELENGTH, 3e-3)(disc, amplitudes=disc)
+    with pytest.raises(TypeError, match="lit_through must be an AmplitudePanel or None, got float"):
+        replace(panel, lit_through=1e-3)
+    with pytest.raises(ValueError, match="iris must be 'order', an Iris or None"):
+        AmplitudePanel(iris="round")
