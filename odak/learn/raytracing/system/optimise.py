@@ -8,6 +8,7 @@ import torch
 
 from odak import _show, _validate
 from odak._torch_private import load_forward_rules
+from odak._warnings import AccuracyWarning, warn
 from odak.catalog.materials import MICROMETRES, Material
 from odak.learn._tensors import takes_constants
 from odak.learn.raytracing.system.analysis import rms_spot
@@ -690,15 +691,21 @@ def iso_10110_tolerances(system: Any) -> list[Perturbation]:
     -------
     list of Perturbation
         Uniform within the tolerance, for each element by its diameter (up to 10, 30, 100 and 300 mm): centre thickness
-        ±0.1, 0.2, 0.4, 0.8 mm; tilt of each surface within 30′, 20′, 10′, 10′; power of the surfaces within 5, 10, 10,
-        10 fringes at 546 nm and irregularity within 1, 2, 2, 2, over at most 30 or 60 mm of the largest two; index
-        ±0.001 and Abbe number ±0.8 %, usual ones of glass makers. Air spaces have the tolerance of the thickness of
-        the element in front.
+        ±0.1, 0.2, 0.4, 0.8 mm; tilt of each surface 4/30′, 4/20′, 4/10′, 4/10′; power and irregularity of the surfaces
+        3/5(1), 3/10(2), 3/10(2), 3/10(2) in fringes at 546 nm, the power over at most 30 or 60 mm of the largest two;
+        index ±0.001 and Abbe number ±0.8 %, usual ones of glass makers. Air spaces have the tolerance of the thickness
+        of the element in front.
+
+    Warns
+    -----
+    odak.AccuracyWarning
+        If an element is larger than 300 mm, where the table ends: its last column is taken.
 
     Notes
     -----
     ISO 10110-11:1996, table 1. N fringes of power over the radius h change the curvature by N·λ/h². An irregularity of
-    N fringes from peak to valley is taken to have a root mean square of N·λ/2 over 5.
+    N fringes from peak to valley is taken to have a root mean square of N·λ/2 over 5 on the whole clear aperture,
+    where the standard states it for any test area of 30 or 60 mm of the largest two classes.
 
     Examples
     --------
@@ -710,7 +717,7 @@ def iso_10110_tolerances(system: Any) -> list[Perturbation]:
     numbers = checked_system(system).prescription()
     scale, green = 1e3 / MICROMETRES[system.unit], 546.07e-6 * 1e3 / MICROMETRES[system.unit]
     reaches = clear_heights(system, numbers)
-    found = []
+    found, largest = [], 0.0
     classes = (
         (10.0, 0.1, 30, 5, 1, inf),
         (30.0, 0.2, 20, 10, 2, inf),
@@ -722,6 +729,7 @@ def iso_10110_tolerances(system: Any) -> list[Perturbation]:
         ends = [j for j in (i, i + 1) if j < len(surfaces) and not is_break(surfaces[j])]
         radii = [surfaces[j].semi_diameter or float(reaches[j]) for j in ends]
         diameter = 2 * max(radii) / scale
+        largest = max(largest, diameter)
         _, depth, centring, power, ripple, within = next(row for row in classes if diameter <= row[0])
         found.append(Perturbation("thickness", i, depth * scale, False, "uniform"))
         found.append(Perturbation("index", i, 1e-3, False, "uniform"))
@@ -738,6 +746,11 @@ def iso_10110_tolerances(system: Any) -> list[Perturbation]:
             found.append(Perturbation("irregularity", j, ripple * green / 2 / 5))
         if i + 1 < len(surfaces) - 1 and not is_glass(surfaces, i + 1):
             found.append(Perturbation("spacing", i + 1, depth * scale, False, "uniform"))
+    if largest > 300:
+        warn(
+            f"the table of ISO 10110-11 ends at a diameter of 300 mm; its last column is taken for {largest:.0f} mm",
+            AccuracyWarning,
+        )
     return found
 
 

@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from odak import AccuracyWarning
 from odak.learn.raytracing.system import (
     Perturbation,
     coordinate_break,
@@ -254,11 +255,35 @@ def test_sizes_for_a_yield_are_the_largest():
         tolerances_for_yield(lens, off, 0.001, 0.8, samples=4)
 
 
-def test_tolerances_of_drawings_without_any():
-    """ISO 10110-11 by diameter; N fringes over the radius h are a sag of N·λ/2, h²/2 of curvature."""
-    front = surface(60.0, thickness=4.0, material="N-BK7", semi_diameter=10.0)
-    lens = optical_system([front, surface(-60.0, thickness=58.0, semi_diameter=10.0)], 15.0)
-    found = {(item.name, item.surfaces): item.size for item in iso_10110_tolerances(lens)}
-    assert found[("thickness", 0)] == 0.2 and found[("wedge", 1)] == pytest.approx(20 / 60)
-    assert found[("curvature", 0)] * 10.0**2 / 2 == pytest.approx(10 * 546.07e-6 / 2)
-    assert found[("irregularity", 1)] == pytest.approx(2 * 546.07e-6 / 10)
+@pytest.mark.parametrize(
+    ("diameter", "thickness", "form", "centring", "area"),
+    [
+        (10.0, 0.1, "3/5(1)", "4/30", None),
+        (10.1, 0.2, "3/10(2)", "4/20", None),
+        (30.0, 0.2, "3/10(2)", "4/20", None),
+        (30.1, 0.4, "3/10(2)", "4/10", 30.0),
+        (100.1, 0.8, "3/10(2)", "4/10", 60.0),
+        (300.0, 0.8, "3/10(2)", "4/10", 60.0),
+    ],
+)
+def test_tolerances_of_drawings_without_any(diameter, thickness, form, centring, area):
+    """Table 1 of ISO 10110-11:1996 in the notation of drawings: 3/A(B) of form in fringes, 4/σ of tilt in minutes."""
+    fringes, ripple = (int(part) for part in form[2:-1].split("("))
+    half, radius = diameter / 2, 6 * diameter
+    front = surface(radius, thickness=diameter / 5, material="N-BK7", semi_diameter=half)
+    lens = optical_system([front, surface(-radius, thickness=5.8 * diameter, semi_diameter=half)], 1.5 * half)
+    found = {(item.name, item.surfaces): item for item in iso_10110_tolerances(lens)}
+    assert found[("thickness", 0)].size == thickness
+    assert all(item.distribution == "uniform" for (name, _), item in found.items() if name != "irregularity")
+    for i in (0, 1):
+        assert 60 * found[("wedge", i)].size == pytest.approx(int(centring[2:]))
+        # A fringe is half a wave of sag: c·h²/2 over the test area.
+        sag = found[("curvature", i)].size * (min(diameter, area or diameter) / 2) ** 2 / 2
+        assert sag == pytest.approx(fringes * 546.07e-6 / 2)
+        assert 5 * found[("irregularity", i)].size == pytest.approx(ripple * 546.07e-6 / 2)
+
+
+def test_elements_beyond_the_table_are_told():
+    front = surface(3000.0, thickness=60.0, material="N-BK7", semi_diameter=200.0)
+    with pytest.warns(AccuracyWarning, match="ends at a diameter of 300 mm; its last column is taken for 400 mm"):
+        iso_10110_tolerances(optical_system([front, surface(-3000.0, thickness=2900.0)], 300.0))
