@@ -476,3 +476,29 @@ def test_a_seed_repeats_a_trace():
 def test_bad_arguments_are_named(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_the_edge_of_a_cone_behind_a_lens_is_that_of_snells_law():
+    """The lens of `benchmarks/nonsequential.py`: a ray of 10° in its plane, spheres of 50 mm about z = 100 and 8."""
+    angle = math.radians(10.0)
+    y, z, way, power = 0.0, 0.0, angle, 1.0
+    for middle, side, n1, n2 in ((100.0, -1, 1.0, 1.6), (8.0, 1, 1.6, 1.0)):
+        along = y * math.sin(way) + (z - middle) * math.cos(way)
+        distance = -along + side * math.sqrt(along**2 - y**2 - (z - middle) ** 2 + 50.0**2)
+        y, z = y + distance * math.sin(way), z + distance * math.cos(way)
+        normal = math.asin(side * y / 50.0)
+        incident = way - normal
+        refracted = math.asin(n1 / n2 * math.sin(incident))
+        s = math.sin(incident - refracted) / math.sin(incident + refracted)
+        p = math.tan(incident - refracted) / math.tan(incident + refracted)
+        way, power = normal + refracted, power * (1 - (s * s + p * p) / 2)
+    faces = [
+        Element(Conic(1 / 50.0), (1.0, 1.6), center=(0, 0, 50.0), aperture=15.0),
+        Element(Conic(-1 / 50.0), (1.6, 1.0), center=(0, 0, 58.0), aperture=15.0),
+        Element(Plane(), interface=Interface(0, 0), center=(0, 0, 120.0), detects=True, name="screen"),
+    ]
+    ray = torch.tensor([[[0, 0, 0], [0, math.sin(angle), math.cos(angle)]]], dtype=torch.float64)
+    found = Scene(faces).trace(Light(ray, torch.ones(1, dtype=torch.float64)), 550e-6, split=True).received["screen"]
+    assert float(found.point[0, 1]) == pytest.approx(y + (120 - z) * math.tan(way), rel=1e-13)
+    assert float(found.point[0, 1]) == pytest.approx(6.02189, abs=5e-6)
+    assert float(found.power[0]) == pytest.approx(power, rel=1e-12)
