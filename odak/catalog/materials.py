@@ -1015,7 +1015,7 @@ def nearest_materials(nd: float, vd: float, count: int = 3, makers: Iterable[str
 
     Notes
     -----
-    A difference of 0.01 in nd counts as much as one of 1 in vd.
+    A difference of 0.01 in nd has the same weight as a difference of 1 in vd.
 
     Examples
     --------

@@ -759,7 +759,7 @@ def metamer(
     quiet: Quiet = False,
     again: Again = False,
 ) -> None:
-    """Make a metamer; the parameters are those of :class:`odak.cli.metamer.MetamerJob`."""
+    """Make a metamer; for the parameters see :class:`odak.cli.metamer.MetamerJob`."""
     values = dict(locals())
     notices = _notices(values.pop("again"), quiet)
     with _messages():

@@ -686,9 +686,9 @@ def depolarizer(
     xp : module, optional
         Array library of the result where no array is given; NumPy by default.
     device : optional
-        Device of the result; by default that of the array given.
+        Device of the result; by default the device of the array given.
     dtype : optional
-        float32 or float64; by default that of the array given, else the library's default.
+        float32 or float64; by default the precision of the array given, else the library's default.
 
     Returns
     -------

@@ -69,7 +69,7 @@ def refract(vector: Array, normvector: Array, n1: float | Array, n2: float | Arr
     n2 : float or array
         Refractive index behind the surface, a number or ``[m]``.
     error : float
-        Not used: the result is exact. Kept so that the call equals that of :func:`odak.learn.raytracing.refract`.
+        Not used: the result is exact. Kept for the signature of :func:`odak.learn.raytracing.refract`.
 
     Returns
     -------

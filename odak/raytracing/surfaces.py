@@ -620,7 +620,7 @@ class QbfsAsphere(Shape):
     Notes
     -----
     z = cr²/(1 + φ) + u²(1 − u²)/φ·Σ a_m·Q_m(u²), u = r/R, φ = √(1 − c²r²). Forbes, Opt. Express 15, 5218 (2007); the
-    recurrence is that of Opt. Express 18, 19700 (2010).
+    recurrence is from Opt. Express 18, 19700 (2010).
 
     Examples
     --------

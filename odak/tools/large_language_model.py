@@ -62,7 +62,7 @@ def query_llm(
     >>> query_llm("What is a hologram?", max_tokens=60)  # doctest: +SKIP
     'A hologram is a recording of the interference of light …'
 
-    Where no server answers, the error is that of the standard library:
+    Where no server answers, the standard library raises its error:
 
     >>> import urllib.error
     >>> try:

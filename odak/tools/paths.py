@@ -21,7 +21,7 @@ _DEVICE_OR_NETWORK = re.compile(r"//\.|\\\\")
 def validate_path(
     path: str | os.PathLike[str], allowed_extensions: Iterable[str] | None = None, *, name: str = "path"
 ) -> str:
-    """Return the absolute path, ``~`` expanded, after rejecting what is not safe to open.
+    """Return the absolute path, ``~`` expanded, after rejecting paths that are not safe to open.
 
     Parameters
     ----------

@@ -102,7 +102,7 @@ def create_group_tensor(
     Returns
     -------
     torch.Tensor
-        int64 ``[number_of_elements]``. A group has the rounded share (half to even) but no more than what is left; the
+        int64 ``[number_of_elements]``. A group has the rounded share (half to even) but no more than remains; the
         last one takes the rest.
 
     Raises

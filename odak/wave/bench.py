@@ -1111,7 +1111,7 @@ class Light:
     pitch : float or pair
         Pixel pitch.
     lenses : tuple of ThinLens
-        What is still to be multiplied with the field.
+        Lenses by which the field is still to be multiplied.
     openings : tuple
         Apertures of this plane: where they are closed, no lens has to be sampled.
     coarse : float

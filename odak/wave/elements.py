@@ -148,7 +148,7 @@ def quadratic_phase_function(
 
     Notes
     -----
-    Along each axis of n samples the positions are those of earlier releases, linspace(−n·dx/2, n·dx/2, n): the step is
+    Along each axis of n samples the positions are as in earlier releases, linspace(−n·dx/2, n·dx/2, n): the step is
     n·dx/(n − 1) and the axis of the lens lies at the index (n − 1)/2. Applied to a field of pitch `dx`, whose axis is
     at the index n // 2, the element is thus a lens of the focal length f·((n − 1)/n)², half a pixel before the axis
     where n is even. ``exp(1j * lens_phase(shape, focal, dx, wavelength))`` is the lens on the grid of a field, centred.
@@ -722,7 +722,7 @@ def spiral_phase(
     offset : sequence of float
         Position of the axis (rows, columns).
     xp : optional
-        Array namespace; by default that of the charge, else NumPy.
+        Array namespace; by default the library of the charge, else NumPy.
     device : optional
         Device of the result.
 

@@ -518,7 +518,7 @@ def set_kernel_cache_size(maximum_bytes: int | None) -> None:
     """Bound the memory of the store of transfer functions; 0 switches it off.
 
     Transfer functions of geometries that were used once take at most 128 MiB, or the place of one if that is larger.
-    Those of geometries that were used again take at most a tenth of the memory that is free when the first one is
+    Geometries that were used again take at most a tenth of the memory that is free when the first one is
     stored, but not less than 128 MiB and not more than 1 GiB. The least recently used is dropped first. Each GPU has a
     store of its own, with bounds that follow from its memory.
 

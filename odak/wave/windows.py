@@ -175,7 +175,7 @@ class Rays:
         return fx, fy, np.sqrt(np.maximum(1 / self.wavelength**2 - fx**2 - fy**2, 0))
 
     def waves(self):
-        """Return the frequencies of :meth:`directions`, and close to the field those of waves of all directions."""
+        """Return the frequencies of :meth:`directions`, and close to the field of waves of all directions."""
         waves = self.directions()
         if not self._is_near().any():
             return waves

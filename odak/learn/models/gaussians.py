@@ -128,7 +128,7 @@ class gaussian_2d(nn.Module):
 
         Centres are spread by strata with a density that grows with the gradient of the image. Widths follow from this
         density, rotations from the structure tensor, and the heights are the least-squares solution. A density that
-        follows the gradient is that of Y. Zhang et al., *Image-GS*, SIGGRAPH (2025).
+        follows the gradient is due to Y. Zhang et al., *Image-GS*, SIGGRAPH (2025).
 
         Parameters
         ----------

@@ -331,7 +331,7 @@ class spatially_adaptive_module(_AdaptiveLayer):
     input_channels : int
         Number of channels.
     output_channels : int
-        Number of channels, at least 2: the first is the sum, the others are those of the convolution.
+        Number of channels, at least 2: the first is the sum, the others come from the convolution.
     kernel_size : int
         Edge k of the kernel in pixels.
     stride : int
@@ -741,7 +741,7 @@ class spatially_adaptive_unet(nn.Module):
         Raises
         ------
         ValueError
-            If the number of tensors is wrong, or their shapes do not match that of the field.
+            If the number of tensors is wrong, or their shapes do not match the field.
         """
         listed = isinstance(sv_kernel, Sequence) and all(isinstance(factors, torch.Tensor) for factors in sv_kernel)
         if not listed or isinstance(sv_kernel, str):

@@ -92,7 +92,7 @@ def xyz_to_cam16_ucs(
     white : sequence of float
         XYZ of the white; D65 with Y = 1 by default.
     adapting_luminance : float
-        Luminance in cd/m² that the eye is adapted to, a fifth of that of the white as a rule; by default that of a
+        Luminance in cd/m² that the eye is adapted to, usually a fifth of the luminance of the white; by default for a
         white paper in 64 lx.
     background : float
         Luminance of the background in per cent of the white with Y = 1.
@@ -101,7 +101,7 @@ def xyz_to_cam16_ucs(
     -------
     torch.Tensor
         ``[..., 3, H, W]``, four axes for three: J′ (0 … 100), a′ and b′. Distances are colour differences. Responses
-        below a 10 000th of the white have the gradient there; that of greys in a′ and b′ is 0.
+        below a 10 000th of the white have the gradient there; greys have a gradient of 0 in a′ and b′.
 
     Raises
     ------

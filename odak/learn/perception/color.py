@@ -1483,7 +1483,7 @@ def adapt_chromatically(
 
     Examples
     --------
-    The white of the source becomes that of the target:
+    The white of the source becomes the white of the target:
 
     >>> import torch
     >>> from odak.learn.perception import adapt_chromatically

@@ -377,7 +377,7 @@ def color_information_loss(
         Side of the blur's kernel, in pixels.
     sigma : float
         Its width. :func:`odak.learn.tools.blur_gaussian` does not normalise: a kernel of 5 and σ = 1 sums
-        to 0.639, so that an offset of 0.1 counts as 0.06.
+        to 0.639, so that an offset of 0.1 becomes 0.06.
 
     Returns
     -------

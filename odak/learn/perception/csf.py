@@ -602,8 +602,8 @@ class VisibilityLoss(nn.Module):
     Brightness: Barten's contrast sensitivity, its frequencies scaled by (e + e₂)/e₂ with e₂ = 2.3°, the law of Geisler
     and Perry (1998) and :func:`highest_frequency`, and never more than at the gaze. Colour: differences of a* and b*
     filtered by the kernels of S-CIELAB (Zhang and Wandell 1997), scaled alike, over a just noticeable difference of
-    2.3. Masking: a difference of c thresholds on a mask of m thresholds counts as c/(1 + m²)^(s/2), the slope s = 0.6
-    that of Legge and Foley (1980).
+    2.3. Masking: a difference of c thresholds on a mask of m thresholds becomes c/(1 + m²)^(s/2), with the slope
+    s = 0.6 of Legge and Foley (1980).
     Octaves are computed by :class:`FrequencySteerablePyramid`, whose energies add up; pictures are taken as periodic.
     For luminance alone, without gaze and exact in frequency: :class:`CSFLoss`.
 

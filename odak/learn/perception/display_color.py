@@ -887,7 +887,7 @@ def individual_cone_fundamentals(
     lens : float
         Optical density of the lens at 400 nm.
     macular : float
-        Peak optical density of the macular pigment; 0.35 is that of the standard observer for 2°.
+        Peak optical density of the macular pigment; 0.35 for the standard observer of 2°.
     densities : sequence of float
         Peak optical densities of the L, M and S pigments.
     shifts : sequence of float
@@ -984,11 +984,11 @@ def sample_observers(number: int, wavelengths: torch.Tensor | Sequence[float] = 
 
     Notes
     -----
-    Densities of lens, macula and pigments, and peaks of pigments, are normal about those of the standard observer with
-    the deviations of Asano, Fairchild and Blondé, PLoS ONE 11, e0145671 (2016), doi 10.1371/journal.pone.0145671:
-    18.7 % for the lens, 36.5 % for the macula, 9, 9 and 7.4 % for the densities and 2, 1.5 and 1.3 nm for the peaks of
-    the L, M and S pigments. Densities stay above a twentieth of their means. Age, which changes the lens, is not
-    varied.
+    Densities of lens, macula and pigments, and peaks of pigments, are normally distributed about the standard
+    observer's, with the deviations of Asano, Fairchild and Blondé, PLoS ONE 11, e0145671 (2016), doi
+    10.1371/journal.pone.0145671: 18.7 % for the lens, 36.5 % for the macula, 9, 9 and 7.4 % for the densities and 2,
+    1.5 and 1.3 nm for the peaks of the L, M and S pigments. Densities stay above a twentieth of their means. Age, which
+    changes the lens, is not varied.
 
     Examples
     --------

@@ -80,7 +80,7 @@ def pq_decode(signal: torch.Tensor) -> torch.Tensor:
     Parameters
     ----------
     signal : torch.Tensor
-        0 … 1; values outside count as 0 and 1.
+        0 … 1; values outside are clipped.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def hlg_encode(light: torch.Tensor) -> torch.Tensor:
     Parameters
     ----------
     light : torch.Tensor
-        Linear scene light, 1 at the peak; below 0 counts as 0, above 1 the logarithm goes on.
+        Linear scene light, 1 at the peak; negative values are set to 0, above 1 the logarithm goes on.
 
     Returns
     -------
@@ -139,7 +139,7 @@ def hlg_decode(signal: torch.Tensor) -> torch.Tensor:
     Parameters
     ----------
     signal : torch.Tensor
-        0 … 1; below 0 counts as 0, above 1 the exponential goes on.
+        0 … 1; negative values are set to 0, above 1 the exponential goes on.
 
     Returns
     -------
@@ -325,7 +325,7 @@ def pu21_decode(values: torch.Tensor, variant: str = "banding_glare") -> torch.T
     Parameters
     ----------
     values : torch.Tensor
-        As :func:`pu21_encode` gives them; values outside its range count as the nearest inside.
+        As :func:`pu21_encode` gives them; values outside its range are clipped to it.
     variant : {"banding_glare", "banding", "peaks", "peaks_glare"}
         Threshold data behind the curve.
 

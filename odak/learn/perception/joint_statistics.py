@@ -175,8 +175,8 @@ def texture_statistics(
 
     Notes
     -----
-    Those of Portilla and Simoncelli, Int. J. Comput. Vis. 40, 49 (2000), and covariances across channels. They compare
-    pictures of any sizes.
+    The statistics of Portilla and Simoncelli, Int. J. Comput. Vis. 40, 49 (2000), and covariances across channels. They
+    compare pictures of any sizes.
 
     Examples
     --------

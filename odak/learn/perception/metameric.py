@@ -275,8 +275,8 @@ class MetamericLoss(_StatisticsLoss):
         values with the previous ones. On a GPU values are never compared, and the target's statistics are computed
         at every call unless this is set.
     nominal_width : bool
-        Pool over regions whose standard deviation is that of a square of the pooling size. False keeps the wider ones:
-        1.7 to 1.9 times that, because a square of the size is enlarged bilinearly.
+        Pool over regions with the standard deviation of a square of the pooling size. False keeps regions that are 1.7
+        to 1.9 times as wide, because a square of the size is enlarged bilinearly.
     joint : bool
         Compare statistics of pairs of bands too, across channels, orientations, scales and neighbours, which keep edges
         and corners: :func:`odak.learn.perception.joint_statistics.joint_maps`. Takes several times as long; meant for
@@ -552,8 +552,8 @@ class MetamericLossUniform(_StatisticsLoss):
         values with the previous ones. On a GPU values are never compared, and the target's statistics are computed
         at every call unless this is set.
     nominal_width : bool
-        Pool over regions whose standard deviation is that of a square of the pooling size. False keeps the wider ones:
-        1.7 to 1.9 times that, because a square of the size is enlarged bilinearly.
+        Pool over regions with the standard deviation of a square of the pooling size. False keeps regions that are 1.7
+        to 1.9 times as wide, because a square of the size is enlarged bilinearly.
     joint : bool
         Compare statistics of pairs of bands too, across channels, orientations, scales and neighbours, which keep edges
         and corners: :func:`odak.learn.perception.joint_statistics.joint_maps`. Takes several times as long; meant for
@@ -829,8 +829,8 @@ class MetamerMSELoss(_EachGaze):
     iterations : int
         Evaluations of the metameric loss by which a metamer is made; 0 for matched noise.
     nominal_width : bool
-        Pool over regions whose standard deviation is that of a square of the pooling size. False keeps the wider ones:
-        1.7 to 1.9 times that, because a square of the size is enlarged bilinearly.
+        Pool over regions with the standard deviation of a square of the pooling size. False keeps regions that are 1.7
+        to 1.9 times as wide, because a square of the size is enlarged bilinearly.
     joint : bool
         Compare statistics of pairs of bands too, across channels, orientations, scales and neighbours, which keep edges
         and corners: :func:`odak.learn.perception.joint_statistics.joint_maps`. Takes several times as long; meant for
@@ -850,7 +850,7 @@ class MetamerMSELoss(_EachGaze):
     Notes
     -----
     Equal pictures do not give 0: the target is one of its own metamers, but not the one that was drawn. So that values
-    stay those of earlier versions, that metamer is made with the orientations of the loss and with displacements that
+    stay as in earlier versions, that metamer is made with the orientations of the loss and with displacements that
     vary faster, and keeps oblique lines less well than :meth:`gen_metamer` does. It is kept as long as a target of the
     same values comes with the same gaze and parameters.
 
@@ -940,8 +940,8 @@ class MetamerMSELoss(_EachGaze):
         seed : int
             Seed of the noise that it starts from; equal input gives equal output.
         iterations : int, optional
-            Evaluations of the distance between the statistics, which L-BFGS makes smaller; that of the class by
-            default, 0 for matched noise. With `joint` the statistics of single bands are matched first:
+            Evaluations of the distance between the statistics, which L-BFGS makes smaller; by default the
+            number of the class, 0 for matched noise. With `joint` the statistics of single bands are matched first:
             :func:`metamer_stages`.
         progress : callable, optional
             Called without arguments at each evaluation.

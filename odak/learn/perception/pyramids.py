@@ -316,7 +316,7 @@ class SpatialSteerablePyramid(nn.Module):
         image : torch.Tensor
             Real floats ``[B, C, H, W]``.
         n_levels : int
-            At least 2: the last level holds only what is left.
+            At least 2: the last level holds only the low-pass residual.
         multiple_highpass : bool
             Put a high-pass residual into every level but the last; reconstruction uses the first alone.
 
@@ -559,7 +559,7 @@ class FrequencySteerablePyramid(nn.Module):
     Parameters
     ----------
     n_levels : int
-        At least 2: the last level holds only what is left.
+        At least 2: the last level holds only the low-pass residual.
     n_orientations : int
         Number K ≥ 1 of orientations.
 

@@ -340,7 +340,7 @@ class PU21PSNR(nn.Module):
     Notes
     -----
     Mantiuk and Azimi, Picture Coding Symposium (2021). The peak is 256, the value of white of 100 cd/m², so that the
-    result compares with that of ordinary pictures.
+    result is comparable with the PSNR of ordinary pictures.
 
     Examples
     --------

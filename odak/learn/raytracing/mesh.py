@@ -803,7 +803,7 @@ class planar_mesh:
     offset : torch.Tensor
         Shift after the rotation, ``[3]``.
     device : torch.device, optional
-        By default that of `heights`, else the CPU.
+        By default the device of `heights`, else the CPU.
     heights : torch.Tensor, optional
         Heights along the rotated z axis, ``[n0, n1, 1]``; zeros by default.
 

@@ -285,7 +285,7 @@ class Interface:
     phase : odak.raytracing.interfaces.Phase, optional
         A grating or another phase that has an `order`.
     scatter : Scatter, optional
-        Scattering of what is reflected and transmitted.
+        Scattering of reflected and transmitted light.
 
     Raises
     ------
@@ -877,7 +877,7 @@ class Scene:
     -----
     The media at an intersection are taken from the element that is met, on the side from which the ray comes, so
     that adjoining elements must agree on the medium between them. Light is taken for unpolarised at each interface,
-    unless it is that of :meth:`Light.polarized`: then interfaces act on its two polarisations, scattering leaves none
+    unless it comes from :meth:`Light.polarized`: then interfaces act on its two polarisations, scattering leaves none
     (each ray is scattered with a linear polarisation that is drawn), and gratings turn the field with the ray.
 
     Examples

@@ -45,7 +45,7 @@ class Run:
     checkpoint_every : int
         Iterations between two writings of that file; it is written at the end and on an interruption too.
     seed : int
-        Makes what is drawn at random reproducible.
+        Seed of the random numbers, for reproducible results.
 
     Examples
     --------

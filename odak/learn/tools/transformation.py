@@ -52,7 +52,7 @@ def quaternion_to_rotation_matrix(quaternions: torch.Tensor) -> torch.Tensor:
     Returns
     -------
     torch.Tensor
-        ``[..., 3, 3]``, for column vectors: those of zeros are taken as (1, 0, 0, 0), and an
+        ``[..., 3, 3]``, for column vectors: quaternions of zeros are taken as (1, 0, 0, 0), and an
         :class:`~odak.AccuracyWarning` states their number (not of values on a GPU, which would have to be read).
 
     Examples

@@ -59,7 +59,7 @@ class simulated_camera(torch.nn.Module):
 
     The light of the modulator, times illumination and aberration, is propagated; each pixel of the sensor collects
     the light of one pixel of the hologram. An intensity I becomes I·exposure·full_well electrons on average, drawn by
-    Poisson's law; the amplifier adds normal noise; what is outside 0 … full_well is cut; the rest is rounded to the
+    Poisson's law; the amplifier adds normal noise; values outside 0 … full_well are clipped, then rounded to the
     levels of the converter, and divided by the gain again. A captured image is therefore on the scale of the model's
     intensity, of mean I and variance I/(exposure·full_well) + (read_noise/(exposure·full_well))², within
     0 … 1/exposure.
@@ -174,7 +174,7 @@ class simulated_camera(torch.nn.Module):
         self.seed, self._generator = None if seed is None else _validate.integer("seed", seed), None
 
     def light(self, phase: torch.Tensor) -> torch.Tensor:
-        """Return the intensity on the sensor, without its noise and limits: the mean of what is captured.
+        """Return the intensity on the sensor, without its noise and limits: the mean of captures.
 
         Parameters
         ----------

@@ -93,7 +93,7 @@ def eyebox_hologram(
         Number of places drawn for each iteration, for fewer transforms and less memory; all by default. Not with
         "lbfgs".
     seed : int, optional
-        Makes what is random reproducible.
+        Seed of the random numbers, for reproducible results.
     progress : bool
         Show a progress bar.
     callback : callable, optional

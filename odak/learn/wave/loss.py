@@ -413,7 +413,7 @@ class speckle_contrast(nn.Module):
     Notes
     -----
     Fully developed speckle has a contrast of 1 (Goodman, Speckle Phenomena in Optics, 2007, section 3.2). The deviation
-    is that of the samples themselves, not an estimate from fewer degrees of freedom.
+    is computed over the samples themselves, not estimated from fewer degrees of freedom.
 
     Examples
     --------
@@ -499,7 +499,7 @@ class multiplane_loss(FocalTargets):
     multiplier : float
         Factor of the targets' intensity.
     scheme : {"defocus", "naive"}
-        Targets that show what is out of focus, or are dark beyond their plane.
+        Targets that show defocused content blurred, or are dark beyond their plane.
     reduction : {"mean", "sum"}
         How pixels are put together.
     device : torch.device or str, optional
@@ -660,7 +660,7 @@ class perceptual_multiplane_loss(FocalTargets):
     multiplier : float, default: 1.0
         Factor of the targets' intensity.
     scheme : {"defocus", "naive"}
-        Targets that show what is out of focus, or are dark beyond their plane.
+        Targets that show defocused content blurred, or are dark beyond their plane.
     base_loss_weights : dict, optional
         Weights of "base_l2_loss", "loss_l2_mask", "loss_l2_cor", "base_l1_loss", "loss_l1_mask" and "loss_l1_cor"; all
         1 by default, and 0 for those that a dict leaves out.

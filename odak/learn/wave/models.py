@@ -350,8 +350,8 @@ class focal_surface_light_propagation(nn.Module):
         FileNotFoundError
             If a file is missing.
         ValueError
-            If a file is broken, the mapping is not one, or what it gives does not fit the model, which then stays as
-            it was; the message names what is wrong.
+            If a file is broken, the mapping is not one, or its result does not fit the model, which then stays as it
+            was; the message names the fault.
         """
         path = validate_path(weight_filename, EXTENSIONS, name="weight_filename")
         validate_path(key_mapping_filename, name="key_mapping_filename")

@@ -443,7 +443,7 @@ class temporal_modulator(torch.nn.Module):
         return torch.tensordot(self.weights(len(shown)).to(shown), shown, 1)
 
     def weights(self, frames: int) -> torch.Tensor:
-        """Return the share of each frame's phase in what is shown at each instant, ``[frames·time_samples, frames]``.
+        """Return the share of each frame's phase in the phase shown at each instant, ``[frames·time_samples, frames]``.
 
         Parameters
         ----------

@@ -444,7 +444,7 @@ def init(headless: bool = False, blend_fn: str = "") -> Session:
     Returns
     -------
     Session
-        A handle with `poll` and `kill`, as a process has them; its `scene` is what is drawn into.
+        A handle with `poll` and `kill`, as a process has them; its `scene` receives the objects that are drawn.
 
     Examples
     --------

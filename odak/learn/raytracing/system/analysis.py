@@ -54,7 +54,7 @@ class Spots(NamedTuple):
         Reference points, ``[..., F, 2]``.
     rms, largest : torch.Tensor
         Root mean square and largest distance from the reference point, all wavelengths together, ``[..., F]``; the
-        mean is that of the rays, with the weights of a :class:`PupilQuadrature` that of the area of the pupil.
+        mean is taken over the rays, with the weights of a :class:`PupilQuadrature` over the area of the pupil.
     status : torch.Tensor
         int8, numbers of :class:`odak.raytracing.RayStatus`: what befell the ray first.
 
@@ -234,7 +234,7 @@ def path_fan(system: Any, axis: str = "y", count: int = 21, **options: Any) -> t
     Returns
     -------
     tuple of torch.Tensor
-        Pupil coordinates ``[count]``, −1 … 1, and paths to the reference sphere less that of the chief ray in
+        Pupil coordinates ``[count]``, −1 … 1, and paths to the reference sphere less the chief ray's in
         wavelengths, ``[..., W, F, count]``; NaN where a ray is lost.
 
     Examples
@@ -256,7 +256,7 @@ def path_fan(system: Any, axis: str = "y", count: int = 21, **options: Any) -> t
 
 
 def lateral_color(system: Any, **options: Any) -> torch.Tensor:
-    """Return the distances in the image of the chief rays of all wavelengths from that of the reference wavelength.
+    """Return the distances in the image of the chief rays of all wavelengths from the one of the reference wavelength.
 
     Parameters
     ----------
@@ -672,7 +672,7 @@ def encircled_energy(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the fraction of the energy within circles about the centroid of an image of a point.
 
-    Of a Spread with an `energy` the energy is that of an image of any width, some of which falls beside its samples.
+    A Spread with an `energy` gives the energy of an image of any width, some of which falls beside its samples.
 
     Parameters
     ----------
@@ -681,7 +681,7 @@ def encircled_energy(
     radii : sequence of float or torch.Tensor, optional
         Radii of the circles; by default 100 of them, for a Spread up to a quarter of its width.
     wavelength_weights : sequence of float, optional
-        Weights of the wavelengths of Spots, such as those of the system; by default all count the same.
+        Weights of the wavelengths of Spots, such as the system's; by default they are equal.
 
     Returns
     -------
@@ -867,15 +867,15 @@ class Wavefront(NamedTuple):
     path : torch.Tensor
         Optical path to the reference sphere less the path of the chief ray, in wavelengths, ``[..., W, F, P]``; NaN
         where a ray is lost. Positive where the wave lags: where the path from the object to the reference sphere is
-        longer than that of the chief ray. Where a program states the path of the chief ray less that of a ray, signs
-        differ.
+        longer for the ray than for the chief ray. Signs differ from programs that subtract the path of the ray from
+        the path of the chief ray.
     rms : torch.Tensor
         Its standard deviation over the area of the pupil where the rays have weights, over the rays where they have
         none, ``[..., W, F]``.
     pupil : torch.Tensor
         Pupil coordinates, ``[P, 2]``, or ``[F, P, 2]`` where each field has its own.
     cosines : torch.Tensor
-        Direction cosines u, v of the rays in image space less those of the chief ray, ``[..., W, F, P, 2]``.
+        Direction cosines u, v of the rays in image space less the chief ray's, ``[..., W, F, P, 2]``.
     status : torch.Tensor
         int8, numbers of :class:`odak.raytracing.RayStatus`: what befell the ray first.
     weights : torch.Tensor or None

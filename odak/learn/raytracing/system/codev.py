@@ -720,8 +720,8 @@ def write_seq(system: optical_system, path: Any) -> None:
     Raises
     ------
     ValueError
-        If the system holds what is not written: graded media, coatings, phases that are not radial, shapes without a
-        counterpart, a coefficient of r², telecentric or afocal systems.
+        If the system holds parts that cannot be written: graded media, coatings, phases that are not radial, shapes
+        without a counterpart, a coefficient of r², telecentric or afocal systems.
 
     Notes
     -----

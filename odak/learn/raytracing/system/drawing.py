@@ -487,7 +487,7 @@ def transfer_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> Fi
     matplotlib.figure.Figure
         Two panels: modulation over frequency (full lines tangential, dashed ones sagittal, black the limit of
         diffraction), and the fraction of the energy within a radius. For systems with more than a wavelength of
-        aberration both are those of the rays, as the titles say.
+        aberration both are computed from rays, as the titles say.
 
     Raises
     ------
@@ -746,7 +746,7 @@ def wavefront_figure(
     -------
     matplotlib.figure.Figure
         A column for each field: path differences in wavelengths with their root mean square, and below the amplitude
-        (square root of the intensity) of the image with its Strehl ratio, both numbers those of `quality`. Images are
+        (square root of the intensity) of the image with its Strehl ratio, both numbers as in `quality`. Images are
         left out if a wavefront has more than two waves RMS.
 
     Examples
@@ -951,8 +951,9 @@ def pupil_figure(system: Any, place: int | None = None, aim: str = "paraxial") -
     Returns
     -------
     matplotlib.figure.Figure
-        Three panels: heights of the marginal over those of the chief ray at the surfaces, the image an open point;
-        deviations at the stop along y in percent of its radius; angles of incidence over the height on the surface.
+        Three panels: heights of the marginal ray over heights of the chief ray at the surfaces, the image an open
+        point; deviations at the stop along y in percent of its radius; angles of incidence over the height on the
+        surface.
 
     Examples
     --------
@@ -1151,9 +1152,9 @@ def tolerance_figure(system: Any, found: Any, limit: float | None = None) -> Fig
         The system.
     found : ToleranceResult or Sensitivity
         From :func:`tolerance`: the fraction of the systems whose merits are below a value, for each field and for all
-        of them, and a histogram of their root mean square over the fields with that of the system as drawn. From
-        :func:`sensitivity`: bars of the root mean square of the merits over that as drawn. Merits are taken to be
-        lengths, as those of :func:`rms_spot`.
+        of them, and a histogram of their root mean square over the fields, with the value of the system as drawn. From
+        :func:`sensitivity`: bars of the root mean square of the merits relative to the system as drawn. Merits are
+        taken to be lengths, as from :func:`rms_spot`.
     limit : float, optional
         Largest merit that is accepted, marked with the yield.
 
@@ -1285,7 +1286,7 @@ def lens_report(
     aim : str
         "paraxial" or "real", how :func:`launch` aims.
     figures : dict, optional
-        From :func:`report_figures`, where available; those of :func:`tolerance_figure` as "tolerance" and
+        From :func:`report_figures`, where available; figures of :func:`tolerance_figure` as "tolerance" and
         "sensitivity".
     quality : FieldQuality, optional
         From :func:`field_quality`, where available.

@@ -657,7 +657,7 @@ def retinal_field(
     Returns
     -------
     RetinalField
-        Differentiable in the field and in what is a tensor of `pupil_diameter`, `accommodation`, `pupil_position` and
+        Differentiable in the field and, if they are tensors, in `pupil_diameter`, `accommodation`, `pupil_position` and
         `rotation`. Of a turned eye samples are equally spaced in the direction cosines of the field, `pitch` being
         their step.
 

@@ -36,8 +36,8 @@ class PointSpreadMap(NamedTuple):
     illumination : torch.Tensor
         Irradiance of an even object over that on the axis, ``[C, rows, columns]``.
     ideal, real : torch.Tensor
-        Points (x, y) of the grid, ``[rows, columns, 2]``: those of paraxial chief rays, evenly spaced over the sensor,
-        and those of real ones.
+        Points (x, y) of the grid, ``[rows, columns, 2]``, of paraxial chief rays, evenly spaced over the sensor, and
+        of real ones.
     undistort : torch.Tensor
         Coefficients of the polynomials that give the ideal point of a real one, ``[2, terms]``.
     pitch : float

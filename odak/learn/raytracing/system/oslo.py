@@ -270,8 +270,9 @@ def write_len(system: optical_system, path: Any) -> None:
     Raises
     ------
     ValueError
-        If the system holds what is not written: surfaces that are decentred or of other shapes than conics with terms
-        to r¹⁰, coordinate breaks, phases but ideal lenses, graded media, coatings, telecentric or afocal systems.
+        If the system holds parts that cannot be written: surfaces that are decentred or of other shapes than conics
+        with terms to r¹⁰, coordinate breaks, phases but ideal lenses, graded media, coatings, telecentric or afocal
+        systems.
 
     Notes
     -----

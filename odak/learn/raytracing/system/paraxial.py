@@ -15,7 +15,7 @@ SEIDEL_STEPS = 20
 
 
 class FirstOrder(NamedTuple):
-    """First-order properties of a system at one wavelength; each ``[...]``, the axes those of the batch of systems.
+    """First-order properties of a system at one wavelength; each ``[...]``, with the axes of the batch of systems.
 
     Attributes
     ----------
@@ -490,9 +490,9 @@ def seidel_sums(system: Any, field: Any = None, prescription: Prescription | Non
     Lateral colour "LAT" and distortion are heights in the image plane. Coordinate breaks are ignored: the
     sums describe the unfolded system.
 
-    The contribution of a graded medium (P. J. Sands, J. Opt. Soc. Am. 60, 1436 (1970)) is included in that of the
-    surface in front of it. It is the integral of the fourth-order part of the optical Hamiltonian along both rays, less
-    its value in a homogeneous medium, and a surface term due to the variation of the index over the sag.
+    The contribution of a graded medium (P. J. Sands, J. Opt. Soc. Am. 60, 1436 (1970)) is included in the contribution
+    of the surface in front of it. It is the integral of the fourth-order part of the optical Hamiltonian along both
+    rays, less its value in a homogeneous medium, and a surface term due to the variation of the index over the sag.
 
     Examples
     --------

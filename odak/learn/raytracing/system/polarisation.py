@@ -59,7 +59,7 @@ class PolarizedRays(NamedTuple):
 
     @property
     def jones(self) -> torch.Tensor:
-        """Jones matrices ``[..., 2, 2]`` of QᵀP in axes across the ray in front, those of :func:`transverse_axes`."""
+        """Jones matrices ``[..., 2, 2]`` of QᵀP in the axes of :func:`transverse_axes` across the ray in front."""
         axes = transverse_axes(self.incoming).to(self.matrix.dtype)
         inner = self.rotation.mT.to(self.matrix.dtype) @ self.matrix
         return axes.mT @ inner @ axes

@@ -99,7 +99,7 @@ class Prescription(NamedTuple):
         Parameters
         ----------
         image : surface, optional
-            Image surface, whose shape is appended to those of the surfaces.
+            Image surface, whose shape is appended to the shapes of the surfaces.
         """
         groups = [list(group or [None] * self.thickness.shape[-1]) for group in self._groups()]
         if image is not None:

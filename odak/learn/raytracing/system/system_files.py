@@ -319,7 +319,7 @@ def system_from_dict(entry: dict[Any, Any]) -> optical_system:
     Parameters
     ----------
     entry : dict
-        As from :func:`system_to_dict`; what is left out has its default.
+        As from :func:`system_to_dict`; missing entries take their defaults.
 
     Raises
     ------

@@ -215,7 +215,7 @@ def finished(state, shape: tuple[int, ...]) -> Traced:
 
 
 def ray_paths(system: Any, rays: Rays, *, prescription: Prescription | None = None) -> torch.Tensor:
-    """Return the points of rays at all surfaces in global coordinates, those of the first vertex.
+    """Return the points of rays at all surfaces in global coordinates, whose origin is the first vertex.
 
     Parameters
     ----------

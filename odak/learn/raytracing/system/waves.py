@@ -384,7 +384,7 @@ def _derivatives(found, weight):
 
 
 def strehl_ratio(system: Any, pupil: Any = "gauss", count: int = 16, **options: Any) -> torch.Tensor:
-    """Return the peak of the diffraction image of a point over that of the same pupil without aberrations.
+    """Return the peak of the diffraction image of a point relative to the same pupil without aberrations.
 
     Parameters
     ----------
@@ -845,7 +845,7 @@ def exit_field(
         Pixel pitch; by default such that the light fills ten elevenths of the grid.
     distance : float, optional
         From the last vertex to the plane, where the chief ray crosses it; the paraxial exit pupil's by default. Where
-        the pupil is virtual, so is the field: that of the medium behind the system, continued.
+        the pupil is virtual, so is the field: the medium behind the system is continued to it.
     plane : str
         "axis": perpendicular to the axis. "chief": perpendicular to the chief ray, for fields off the axis, whose phase
         otherwise asks for a much smaller pitch.
@@ -877,10 +877,11 @@ def exit_field(
 
     Notes
     -----
-    For each sample the ray that meets it is found by Newton's method. The amplitude is that of a tube of rays, which
-    keeps the power: with q the place in the plane and p that in the pupil, |U|² = |A(p)|²/(|∂q/∂p|·cos θ) (Born and
-    Wolf, Principles of Optics, 1999, section 3.1.2). Geometric optics knows no diffraction before the plane. Therefore
-    the plane belongs into the exit pupil, whose rim cuts the wave; close to the focus, fringes of that rim are missing.
+    For each sample the ray that meets it is found by Newton's method. The amplitude follows a tube of rays, which
+    keeps the power: with q the place in the plane and p the place in the pupil, |U|² = |A(p)|²/(|∂q/∂p|·cos θ) (Born
+    and Wolf, Principles of Optics, 1999, section 3.1.2). Geometric optics knows no diffraction before the plane.
+    Therefore the plane belongs into the exit pupil, whose rim cuts the wave; close to the focus, fringes of that rim
+    are missing.
 
     Examples
     --------
@@ -1150,7 +1151,7 @@ def modulation_at(spread: Spread, frequency: float, axis: str = "y") -> torch.Te
     Returns
     -------
     torch.Tensor
-        ``[..., W, F]``. All frequencies that the image resolves are those of :func:`modulation_transfer_function`.
+        ``[..., W, F]``. For all frequencies that the image resolves see :func:`modulation_transfer_function`.
 
     Examples
     --------
@@ -1252,8 +1253,8 @@ def field_modulation(
     -------
     torch.Tensor
         ``[2, n, F]``: of gratings whose lines are along x (tangential for fields along y), and of the others. With
-        diffraction; of fields with more than two waves RMS of aberration that of the rays, which the samples would not
-        resolve.
+        diffraction, but for fields with more than two waves RMS of aberration, which the samples would not resolve, by
+        rays.
 
     Examples
     --------
