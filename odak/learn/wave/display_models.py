@@ -375,7 +375,7 @@ class display_model(torch.nn.Module):
             inner squares that modulate, without the gaps, where pixels are squares.
         """
         s = self._parts
-        phase = _finely(self._checked(phase), s)
+        phase = _repeated(self._checked(phase), s)
         at = torch.arange(-2 * s, 2 * s + 1, dtype=phase.dtype, device=phase.device) / s
         # A fringing field has the same width along both axes, in units of the smaller pitch.
         widths = (self.fringing.abs().clamp_min(0.05) * min(self._pitches) / pitch for pitch in self._pitches)
@@ -388,10 +388,10 @@ class display_model(torch.nn.Module):
             line = torch.minimum(torch.maximum(edges, -side), side).diff()
             active = torch.outer(line.repeat(self.shape[0]), line.repeat(self.shape[1]))
             light = active * light + (1 - active)
-        aberration = _finely(self.wavefront(), s)
+        aberration = _repeated(self.wavefront(), s)
         light = torch.complex(torch.cos(aberration), torch.sin(aberration)) * light
         light = light + torch.complex(self.reflection[0], self.reflection[1])
-        return _finely(self.source_amplitude(), s) * light
+        return _repeated(self.source_amplitude(), s) * light
 
     def image(self, phase: torch.Tensor, position: float = 0.0) -> torch.Tensor:
         """Return the intensity in the plane of the camera at points that lie as the pixels of the modulator do.
@@ -411,14 +411,14 @@ class display_model(torch.nn.Module):
         """
         s, (rows, columns) = self.samples_per_pixel, self.shape
         if self.lens is not None:
-            light = _averaged(self._finely_there(self.field(phase), position), self._fine, FINER)
+            light = _averaged(self._intensity_on_grid(self.field(phase), position), self._fine, FINER)
             light = torch.roll(light[..., ::FINER, ::FINER], (rows // 2, columns // 2), (-2, -1))
             return light[..., :rows, :columns]
         if s is None:
             # A whole number of samples lies between pixels.
             finer = max(-(-fine // size) for fine, size in zip(self._fine, self._sizes, strict=True))
             wide = [finer * size for size in self._sizes]
-            light = _averaged(self._finely_there(self.field(phase), position, wide), wide, finer)
+            light = _averaged(self._intensity_on_grid(self.field(phase), position, wide), wide, finer)
             light = torch.roll(light[..., ::finer, ::finer], (rows // 2, columns // 2), (-2, -1))
             return light[..., :rows, :columns]
         light = torch.fft.ifft2(self._spectrum(self.field(phase), position))
@@ -678,21 +678,21 @@ class display_model(torch.nn.Module):
         gaps = torch.complex(*self.gap) * torch.complex(torch.cos(aberration), torch.sin(aberration))
         gaps = self.source_amplitude() * (gaps + torch.complex(*self.reflection))
         # A fit may step beyond 1.
-        fill, still, parts = self.fill.clamp_min(1e-3), _finely(gaps, self._parts), 1
+        fill, still, parts = self.fill.clamp_min(1e-3), _repeated(gaps, self._parts), 1
         modulated = light - still
         if curved is not None:
             modulated, gaps, parts = modulated * curved, still * curved, self._parts
         modulated = pixels_spectrum(modulated, self._sizes, fill=fill, cells=self._parts, counts=self._counts)
         return modulated + pixels_spectrum(gaps, self._sizes, cells=parts, counts=self._counts)
 
-    def _finely_there(self, light: torch.Tensor, position: float, fine: list[int] | None = None) -> torch.Tensor:
+    def _intensity_on_grid(self, light: torch.Tensor, position: float, fine: list[int] | None = None) -> torch.Tensor:
         """Return the intensity in the plane of the camera on a grid, the axis at its first sample, or in the window."""
         spectrum = self._spectrum(light, position)
         if self.lens is not None:
             return (spectrum.real**2 + spectrum.imag**2) / math.prod(self.shape)
         window, fine = self._window if fine is None else None, fine or self._fine
         for axis in (-1, -2):
-            spectrum = torch.fft.ifft(_widened(spectrum, fine[axis], axis), dim=axis)
+            spectrum = torch.fft.ifft(_zero_padded(spectrum, fine[axis], axis), dim=axis)
             if window is not None:
                 spectrum = _cut(spectrum, *window[axis], axis)
         there = math.prod(fine) / math.prod(self._sizes) * spectrum
@@ -700,7 +700,7 @@ class display_model(torch.nn.Module):
 
     def _seen(self, light: torch.Tensor, position: float, pixels: torch.Tensor | None) -> torch.Tensor:
         """Return the intensity on pixels of the camera ``[..., pixels]``."""
-        intensity = self._finely_there(light, position)
+        intensity = self._intensity_on_grid(light, position)
         if self.lens is None:
             steps = self._steps
         else:
@@ -1311,7 +1311,7 @@ def _ending(shape: Sequence[int]) -> str:
     return f"[..., {shape[0]}, {shape[1]}]"
 
 
-def _finely(values: torch.Tensor, samples: int) -> torch.Tensor:
+def _repeated(values: torch.Tensor, samples: int) -> torch.Tensor:
     """Return values of pixels on the samples of the pixels."""
     return values if samples == 1 else values.repeat_interleave(samples, -2).repeat_interleave(samples, -1)
 
@@ -1336,7 +1336,7 @@ def _fast(count: int) -> int:
         count += 2
 
 
-def _widened(spectrum: torch.Tensor, wanted: int, axis: int) -> torch.Tensor:
+def _zero_padded(spectrum: torch.Tensor, wanted: int, axis: int) -> torch.Tensor:
     """Return a spectrum with zeros at the frequencies that a finer grid has beyond its own along an axis."""
     have = spectrum.shape[axis]
     if have == wanted:
