@@ -15,6 +15,7 @@ from odak.learn.raytracing.system.operands import (
     View,
     checked_operands,
     clear_heights,
+    merit_deviations,
     merit_residuals,
     nearest_glasses,
     values_of,
@@ -185,7 +186,7 @@ class lens_design:
     -----
     The Jacobian is exact and takes one pass for any number of variables and residuals: directions of all
     variables are carried forward together, and through the surfaces, where the work is, each ray's own derivatives are
-    taken backward at once.
+    taken backward at once. Steps are computed with the bounds of operands that they would exceed.
 
     Examples
     --------
@@ -444,6 +445,21 @@ class lens_design:
         """Return the residuals ``[..., R]`` and their exact Jacobian ``[..., R, V]`` at values ``[..., V]``."""
         return linearised_forward(self.residuals, self._checked(values))
 
+    def _deviations(self, values: torch.Tensor) -> tuple[torch.Tensor, list[bool]]:
+        """Return the residuals, those of bounds negative within them, and which are of bounds."""
+        return merit_deviations(self.operands, self.view(values))
+
+    def _linearised_with_limits(self, values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return what :meth:`_deviations` does, and their Jacobian as :meth:`linearised` does."""
+        limits: list[bool] = []
+
+        def deviations(values):
+            found, limits[:] = self._deviations(values)
+            return found
+
+        value, jacobian = linearised_forward(deviations, self._checked(values))
+        return value, jacobian, torch.tensor(limits, device=value.device)
+
     def report(self) -> list[tuple[Operand, torch.Tensor, float]]:
         """Return each operand with its values and its share of the merit, for the variables as they are."""
         with torch.no_grad():
@@ -531,9 +547,9 @@ class lens_design:
 
         def linearised(numbers):
             if basis is None:
-                return self.linearised(numbers)
-            value, jacobian = self.linearised((numbers[:, None] @ basis.mT)[:, 0])
-            return value, jacobian @ basis
+                return self._linearised_with_limits(numbers)
+            value, jacobian, limits = self._linearised_with_limits((numbers[:, None] @ basis.mT)[:, 0])
+            return value, jacobian @ basis, limits
 
         found = least_squares(
             linearised,
@@ -864,6 +880,11 @@ class zoom_design(lens_design):
         values = self._checked(values)
         parts = [design.residuals(values[..., row]) for design, row in zip(self.each, self.rows, strict=True)]
         return torch.cat(parts, -1)
+
+    def _deviations(self, values: torch.Tensor) -> tuple[torch.Tensor, list[bool]]:
+        values = self._checked(values)
+        parts = [design._deviations(values[..., row]) for design, row in zip(self.each, self.rows, strict=True)]
+        return torch.cat([part for part, _ in parts], -1), [flag for _, flags in parts for flag in flags]
 
     def refresh(self) -> None:
         """Compute the clear semi-diameters of each configuration from its rays."""

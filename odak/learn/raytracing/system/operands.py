@@ -69,14 +69,19 @@ class Operand(NamedTuple):
 
     def residuals(self, values: torch.Tensor) -> torch.Tensor:
         """Return the residuals of the values ``[..., n]``: the merit is half the sum of their squares."""
-        parts = []
-        if self.target is not None or (self.lower is None and self.upper is None):
-            parts.append(values - (self.target or 0.0))
+        free, limits = self._deviations(values)
+        return torch.cat([free, limits.clamp_min(0.0)], -1)
+
+    def _deviations(self, values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the residuals from the target and those from bounds, negative within them."""
+        sides = [self.lower is not None, self.upper is not None]
+        free = values - (self.target or 0.0) if self.target is not None or not any(sides) else values[..., :0]
+        limits = [values[..., :0]]
         if self.lower is not None:
-            parts.append((self.lower - values).clamp_min(0.0))
+            limits.append(self.lower - values)
         if self.upper is not None:
-            parts.append((values - self.upper).clamp_min(0.0))
-        return self.weight * torch.cat(parts, -1)
+            limits.append(values - self.upper)
+        return self.weight * free, abs(self.weight) * torch.cat(limits, -1)
 
 
 class View:
@@ -484,6 +489,14 @@ def merit_residuals(operands: list[Operand], view: View) -> torch.Tensor:
     parts = [item.residuals(values_of(item, view)) for item in operands]
     lead = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
     return torch.cat([part.expand(*lead, part.shape[-1]) for part in parts], -1)
+
+
+def merit_deviations(operands: list[Operand], view: View) -> tuple[torch.Tensor, list[bool]]:
+    """Return residuals of all operands ``[..., R]``, those of bounds negative within them, and which are of bounds."""
+    parts = [part for item in operands for part in item._deviations(values_of(item, view))]
+    lead = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
+    bounds = [bool(k % 2) for k, part in enumerate(parts) for _ in range(part.shape[-1])]
+    return torch.cat([part.expand(*lead, part.shape[-1]) for part in parts], -1), bounds
 
 
 def clear_heights(system, prescription: Prescription, count: int = 12, aim: str = "paraxial") -> torch.Tensor:

@@ -182,6 +182,8 @@ class LeastSquares(NamedTuple):
 
 # Dampings tried at once, and the factors of the next one after steps that help and after steps that do not.
 ONE = ((1.0,), 1 / 5, 4.0, 24)
+# How often limits that a step would exceed are added to its linear model.
+LIMIT_ROUNDS = 4
 LADDER = ((0.03, 0.3, 3.0, 30.0, 300.0), 1.0, 3e4, 4)
 
 
@@ -204,7 +206,8 @@ def least_squares(
     Parameters
     ----------
     linearised : callable
-        Takes numbers ``[N, V]``, returns residuals ``[N, R]`` and Jacobians ``[N, R, V]``.
+        Takes numbers ``[N, V]``, returns residuals ``[N, R]`` and Jacobians ``[N, R, V]``; perhaps also which residuals
+        are limits ``[R]``, that count only where they are positive. A step is computed with those that it would exceed.
     losses : callable
         Takes numbers ``[N, M, V]``, returns losses ``[N, M]``; what is not finite counts as a failed step.
     x : torch.Tensor
@@ -236,8 +239,8 @@ def least_squares(
         torch.full_like(x[0], side) if bound is None else bound for bound, side in ((lower, -inf), (upper, inf))
     )
     x = x.clamp(low, high)
-    value, jacobian = linearised(x)
-    loss = 0.5 * value.square().sum(-1)
+    value, jacobian, limits = _with_limits(*linearised(x))
+    loss = 0.5 * _counted(value, limits).square().sum(-1)
     loss = torch.where(torch.isfinite(loss), loss, inf)
     if not bool((loss < inf).any()):
         raise ValueError("residuals must be finite at the start; are rays lost?")
@@ -246,19 +249,29 @@ def least_squares(
         # Problems without finite residuals and derivatives stay where they are.
         regular = (loss < inf) & torch.isfinite(jacobian).all(-1).all(-1)
         jacobian = torch.where(regular[:, None, None], jacobian, 0.0)
-        slope = (jacobian.mT @ torch.where(regular[:, None], value, 0.0)[..., None])[..., 0]
+        apart = limits & ~(value > 0)
+        ahead, jacobian = jacobian[:, limits], jacobian * ~apart[..., None]
+        slope = (jacobian.mT @ torch.where(regular[:, None], _counted(value, limits), 0.0)[..., None])[..., 0]
         free = ~((x <= low) & (slope > 0) | (x >= high) & (slope < 0))
         jacobian = jacobian * free[:, None]
         normal = jacobian.mT @ jacobian
         diagonal = normal.diagonal(dim1=-2, dim2=-1)
         least = (1e-12 * diagonal.amax(-1, keepdim=True)).clamp_min(max(floor, 1e-300))
         scale = torch.maximum(diagonal, least).rsqrt()
-        levels, axes = torch.linalg.eigh(normal * scale[:, :, None] * scale[:, None])
+        scaled = normal * scale[:, :, None] * scale[:, None]
+        ahead = ahead * (scale * free)[:, None]
+        # Limits that count already are none that a step could meet.
+        away = torch.where(apart, value, -inf)[:, limits]
+        levels, axes = torch.linalg.eigh(scaled)
         turned = (axes.mT @ (scale * slope * free)[..., None])[..., 0]
         before, taken = x, torch.zeros_like(loss, dtype=torch.bool)
         for _ in range(rounds):
             shares = turned[:, None] / (levels.clamp_min(0)[:, None] + (size[:, None] * scales)[..., None])
-            candidates = before[:, None] - (shares @ axes.mT) * scale[:, None]
+            step = -shares @ axes.mT
+            if bool(limits.any()):
+                damped = scaled[:, None] + torch.diag_embed((size[:, None] * scales)[..., None].expand_as(step))
+                step = _seeing_limits(step, damped, scale * slope * free, away, ahead)
+            candidates = before[:, None] + step * scale[:, None]
             candidates = torch.where(torch.isfinite(candidates), candidates, before[:, None]).clamp(low, high)
             tried = losses(candidates)
             best, place = torch.where(torch.isfinite(tried), tried, inf).min(-1)
@@ -281,8 +294,38 @@ def least_squares(
         converged = bool(settled.all())
         if (callback is not None and callback(number, loss)) or converged or number == iterations:
             break
-        value, jacobian = linearised(x)
+        value, jacobian, limits = _with_limits(*linearised(x))
     return LeastSquares(x, loss, history, converged, size)
+
+
+def _with_limits(value, jacobian, limits=None):
+    """Return residuals, Jacobians and which of them are limits; none by default."""
+    return value, jacobian, torch.zeros_like(value[0], dtype=torch.bool) if limits is None else limits
+
+
+def _counted(value: torch.Tensor, limits: torch.Tensor) -> torch.Tensor:
+    """Return residuals with those of limits that are kept set to 0."""
+    return torch.where(limits, value.clamp_min(0.0), value)
+
+
+def _seeing_limits(step, matrix, slope, value, jacobian):
+    """Return steps ``[N, M, V]`` that minimise the linear model together with the limits that they would exceed.
+
+    A limit that is kept has neither residual nor slope, so that a step that disregards it can end far beyond it.
+    """
+    seen = torch.zeros(*step.shape[:2], value.shape[-1], dtype=torch.bool, device=step.device)
+    for _ in range(LIMIT_ROUNDS):
+        exceeded = (value[:, None] + step @ jacobian.mT > 0) & ~seen
+        if not bool(exceeded.any()):
+            break
+        seen = seen | exceeded
+        some = seen.any(0).any(0)
+        ahead, short = jacobian[:, None, some], value[:, None, some, None].clamp_min(-1e300)
+        rows = torch.where(seen[..., some, None], ahead, 0.0)
+        right = slope[:, None] + (rows.mT @ short)[..., 0]
+        found, _ = torch.linalg.solve_ex(matrix + rows.mT @ ahead, -right[..., None])
+        step = torch.where(exceeded.any(-1, keepdim=True), found[..., 0], step)
+    return step
 
 
 def _linearised(residuals, parameters):

@@ -26,7 +26,7 @@ from odak.learn.raytracing.system import (
     trace_fields,
 )
 from odak.learn.raytracing.system.operands import clear_heights
-from odak.learn.raytracing.system.optimise import perturbed
+from odak.learn.raytracing.system.optimise import LADDER, least_squares, perturbed
 from odak.raytracing.surfaces import Conic, Toroid
 
 F64 = torch.float64
@@ -70,6 +70,30 @@ def test_what_of_a_surface_can_be_varied():
     assert surface(thickness=given).thickness is given
     with pytest.raises(TypeError, match="thickness must be a number, a tensor without gradient"):
         surface(thickness=given * 2)
+
+
+def test_steps_meet_limits_that_they_would_exceed():
+    """Squares with a steep limit that is kept at the start: the first steps end at the least, found in closed form."""
+    rows = torch.tensor([[1.0, 0.0], [0.0, 1e-2], [1e3, 1e3]], dtype=F64)
+    wanted = torch.tensor([1.0, 1e-2, 5e2], dtype=F64)
+    least = torch.linalg.lstsq(rows, wanted).solution
+    limits = torch.tensor([False, False, True])
+
+    def losses(x):
+        value = x @ rows.mT - wanted
+        return 0.5 * torch.where(limits, value.clamp_min(0.0), value).square().sum(-1)
+
+    def found(*flags):
+        def linearised(x):
+            value = x @ rows.mT - wanted
+            kept = limits & (value[0] <= 0) if not flags else limits & False
+            value, slope = torch.where(kept, 0.0, value), torch.where(kept[:, None], 0.0, rows)
+            return value, slope.expand(1, -1, -1), *flags
+
+        return least_squares(linearised, losses, torch.zeros(1, 2, dtype=F64), iterations=4, ladder=LADDER).x[0]
+
+    torch.testing.assert_close(found(limits), least, rtol=1e-3, atol=0)
+    assert float((found() - least).norm()) > 0.1
 
 
 def test_levenberg_marquardt_of_fewer_residuals_than_parameters():
