@@ -363,6 +363,15 @@ def cast(value, like, dtype=None):
     return xp.asarray(value, dtype=dtype, device=device_of(like))
 
 
+def product(first, second):
+    """Return the product of two matrices, which keeps the precision of tensors under torch.autocast."""
+    if not is_torch(first):
+        return first @ second
+    from odak import _torch_private
+
+    return _torch_private.product(first, second)
+
+
 def convolve_plainly(field, kernel):
     """Return :func:`odak.wave.transfer_functions.convolve` by the array library's own transforms."""
     fft, (rows, columns) = namespace(field).fft, field.shape[-2:]

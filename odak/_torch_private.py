@@ -4,10 +4,12 @@ import sys
 import warnings
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, nullcontext
-from functools import cache
-from typing import Any
+from functools import cache, wraps
+from typing import Any, TypeVar
 
 import torch
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 def has_compiler() -> bool:
@@ -126,6 +128,73 @@ def keeping() -> AbstractContextManager:
     contexts.enter_context(stack)
     contexts.enter_context(_disable_current_modes())
     return contexts
+
+
+def differentiates(function: F) -> F:
+    """Return a function that takes derivatives itself, and so must leave the inference mode of its caller.
+
+    In that mode nothing is recorded: gradients would be missing, in silence or with an error of autograd's own. Tensors
+    that were made in it are copied, since they can take no part in gradients.
+    """
+
+    @wraps(function)
+    def run(*args, **options):
+        if not torch.is_inference_mode_enabled():
+            return function(*args, **options)
+        from torch.utils._pytree import tree_map
+
+        with torch.inference_mode(False), torch.no_grad():
+            args, options = tree_map(_recordable, (args, options))
+            return function(*args, **options)
+
+    return run  # type: ignore[return-value]
+
+
+def _recordable(value):
+    """Return a tensor or module that autograd can record, in place of one made in inference mode."""
+    if isinstance(value, torch.Tensor) and value.is_inference():
+        return value.clone().requires_grad_(value.requires_grad)
+    if hasattr(value, "__dict__") and _holds_inference_tensors(value):
+        raise RuntimeError(
+            f"{type(value).__name__} was made in inference mode, where its tensors cannot take part in gradients: make "
+            "it outside of torch.inference_mode()"
+        )
+    return value
+
+
+def _holds_inference_tensors(value, depth: int = 3) -> bool:
+    """Return whether an object, or what it is made of, holds tensors that were made in inference mode."""
+    from torch.utils._pytree import tree_leaves
+
+    leaves = tree_leaves(value)
+    if len(leaves) != 1 or leaves[0] is not value:
+        return any(_holds_inference_tensors(leaf, depth) for leaf in leaves)
+    if isinstance(value, torch.Tensor):
+        return value.is_inference()
+    return depth > 0 and _holds_inference_tensors(list(getattr(value, "__dict__", {}).values()), depth - 1)
+
+
+def in_own_precision(function: F) -> F:
+    """Return the function, run with torch.autocast off.
+
+    Differences of nearly equal means, colours and coordinates need the digits that bfloat16 does not have; networks
+    are what it is for.
+    """
+
+    @wraps(function)
+    def careful(*args, **options):
+        on = [kind for kind in ("cpu", "cuda") if torch.is_autocast_enabled(kind)]
+        if not on:
+            return function(*args, **options)
+        with ExitStack() as stack:
+            for kind in on:
+                stack.enter_context(torch.autocast(kind, enabled=False))
+            return function(*args, **options)
+
+    return careful  # type: ignore[return-value]
+
+
+product = in_own_precision(torch.matmul)
 
 
 def kept_constant(tensor: torch.Tensor) -> torch.Tensor:

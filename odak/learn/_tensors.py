@@ -4,7 +4,7 @@ import difflib
 import functools
 import inspect
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from typing import ParamSpec, TypeVar, overload
 
 import numpy as np
@@ -297,26 +297,6 @@ def in_float32(values: torch.Tensor) -> torch.Tensor:
 
 P = ParamSpec("P")
 R = TypeVar("R")
-
-
-def in_own_precision(function: Callable[P, R]) -> Callable[P, R]:
-    """Return the function, run with torch.autocast off.
-
-    Differences of nearly equal means, colours and coordinates need the digits that bfloat16 does not have; networks
-    are what it is for.
-    """
-
-    @functools.wraps(function)
-    def careful(*args: P.args, **options: P.kwargs) -> R:
-        on = [kind for kind in ("cpu", "cuda") if torch.is_autocast_enabled(kind)]
-        if not on:
-            return function(*args, **options)
-        with ExitStack() as stack:
-            for kind in on:
-                stack.enter_context(torch.autocast(kind, enabled=False))
-            return function(*args, **options)
-
-    return careful
 
 
 def get_device(device: torch.device | str | None = "auto") -> torch.device:

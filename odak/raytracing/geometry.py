@@ -188,4 +188,4 @@ def corner_weights(edge1, edge2):
     xp = namespace(edge1, edge2)
     product = dot(edge1, edge1) * dot(edge2, edge2)
     exists = product > 0
-    return xp.where(exists, 1.0, 0.0) / xp.where(exists, product, 1.0)
+    return xp.where(exists, 1 / xp.where(exists, product, 1.0), 0.0)

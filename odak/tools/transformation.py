@@ -62,16 +62,16 @@ def rotation_matrix(angles, mode: str = "XYZ"):
     """
     first, second, third = tuple(_validate.one_of("mode", mode, ROTATION_MODES))
     about = {axis: axis_rotation(axis, angles[..., i]) for i, axis in enumerate("XYZ")}
-    return about[third] @ about[second] @ about[first]
+    return _array.product(_array.product(about[third], about[second]), about[first])
 
 
 def apply_matrix(matrix, vector):
     """Return matrix · vector for ``[..., 3, 3]`` and ``[..., 3]``, broadcast against each other."""
     if matrix.ndim > 2:
-        return (matrix @ vector[..., None])[..., 0]
+        return _array.product(matrix, vector[..., None])[..., 0]
     xp = _array.namespace(matrix, vector)
     # One product of two matrices takes a fifth of the time of one product per vector.
-    rotated = xp.reshape(vector, (-1, 3)) @ xp.matrix_transpose(matrix)
+    rotated = _array.product(xp.reshape(vector, (-1, 3)), xp.matrix_transpose(matrix))
     return xp.reshape(rotated, vector.shape)
 
 

@@ -9,6 +9,7 @@ import torch
 from torch import nn
 
 from odak import _validate
+from odak._torch_private import differentiates
 from odak.learn._tensors import checked_device
 from odak.learn.models.layers import features
 from odak.learn.models.training import TrainingHistory, errors, load_weights, save_weights, train, weighted_errors
@@ -123,6 +124,7 @@ class spec_track(nn.Module):
         """
         return weighted_errors(self.l2, self.l1, input_data, ground_truth, weights)
 
+    @differentiates
     def fit(
         self,
         trainloader: Iterable[Any],

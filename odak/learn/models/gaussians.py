@@ -14,6 +14,7 @@ from torch import nn
 from torch.utils.checkpoint import checkpoint
 
 from odak import _validate
+from odak._torch_private import differentiates
 from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import checked_device, takes_constants, tensor, trainable
 from odak.learn.models.layers import features
@@ -1010,6 +1011,7 @@ class gaussian_3d_volume(nn.Module):
         _validate.integer("epoch_count", epoch_count, minimum=1)
         return volume_loss(self, estimate, ground_truth, epoch_id, epoch_count, weights)
 
+    @differentiates
     def optimize(
         self,
         points: torch.Tensor,

@@ -14,6 +14,7 @@ import torch
 from torch import nn
 
 from odak import _validate
+from odak._torch_private import differentiates
 from odak._validate import texts
 from odak._warnings import ConvergenceWarning, warn
 from odak.learn._tensors import advising_on_memory, checked_device
@@ -64,6 +65,7 @@ class TrainingHistory:
 _LESS_MEMORY = "use smaller batches, mixed_precision=True or device='cpu'; the training continues from its checkpoint"
 
 
+@differentiates
 def train(
     model: nn.Module,
     loss: Callable[[Any, Any], torch.Tensor],

@@ -17,8 +17,8 @@ import torch
 from torch.nn import functional
 
 from odak import _array, _torch_private, _validate
-from odak._torch_private import is_plain_on_cpu
-from odak.learn._tensors import as_pictures, in_float32, in_float64, in_own_precision, kind_of
+from odak._torch_private import in_own_precision, is_plain_on_cpu
+from odak.learn._tensors import as_pictures, in_float32, in_float64, kind_of
 from odak.learn.perception.hdr import pq_decode, pq_encode
 
 BT709_PRIMARIES = ((0.640, 0.330), (0.300, 0.600), (0.150, 0.060))
@@ -972,6 +972,7 @@ def _power(base, exponent):
     return torch.exp2(base.log2().mul_(exponent))
 
 
+@in_own_precision
 def _to_lab(rgb):
     # Mixing the channels in float32 would lose the dark ones; decoding does not mix them, and is twice as fast there.
     intensities = in_float64(_decoded(in_float32(rgb)))
@@ -980,6 +981,7 @@ def _to_lab(rgb):
     return (_matrix(_TO_LAB, roots) @ roots).sub_(_matrix(_BLACK, roots)).to(rgb.dtype)
 
 
+@in_own_precision
 def _to_lab_gradient(rgb, lab, gradient):
     roots = _matrix(_FROM_LAB, lab) @ (lab + _matrix(_BLACK, lab))
     derivative = roots.clamp_min(_LAB_JOINT).square_().mul_(3).reciprocal_()
@@ -987,6 +989,7 @@ def _to_lab_gradient(rgb, lab, gradient):
     return _decoded_gradient(rgb, _decoded(rgb), _matrix(_RGB_TO_RELATIVE, rgb).T @ gradient)
 
 
+@in_own_precision
 def _from_lab(lab):
     lab, dtype = in_float64(lab), lab.dtype
     roots = _matrix(_FROM_LAB, lab) @ (lab + _matrix(_BLACK, lab))
@@ -996,6 +999,7 @@ def _from_lab(lab):
     return _encoded(linear).to(dtype)
 
 
+@in_own_precision
 def _from_lab_gradient(lab, rgb, gradient):
     gradient = _matrix(_RELATIVE_TO_RGB, lab).T @ _encoded_gradient(_decoded(rgb), rgb, gradient)
     roots = _matrix(_FROM_LAB, lab) @ (lab + _matrix(_BLACK, lab))

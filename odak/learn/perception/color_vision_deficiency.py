@@ -9,7 +9,8 @@ import torch
 from torch import nn
 
 from odak import _array, _validate
-from odak.learn._tensors import as_pictures, check_values, in_float32, in_own_precision, kind_of
+from odak._torch_private import in_own_precision
+from odak.learn._tensors import as_pictures, check_values, in_float32, kind_of
 from odak.learn.perception.color import mix, rows, srgb_decoded, srgb_encoded
 from odak.learn.tools.matrix import blur_gaussian
 

@@ -19,6 +19,7 @@ from scipy.optimize import least_squares
 from torch import nn
 
 from odak import _array, _validate
+from odak._torch_private import in_own_precision
 from odak.learn._tensors import as_pictures, checked_device, floating, in_float32, kind_of
 from odak.learn.perception.color import ciede2000, mix, xyz_to_lab
 
@@ -715,6 +716,7 @@ class display_color_hvs(nn.Module):
     def _lines(self, lines):
         return gaussian_lines(self._axis(), lines).to(self.primaries_spectrum)
 
+    @in_own_precision
     def _responses(self, *cones):
         samples = self.primaries_spectrum.shape[-1:]
         cones = [

@@ -10,6 +10,7 @@ import torch
 from torch.nn import functional
 
 from odak import _torch_private, _validate
+from odak._torch_private import in_own_precision
 from odak.learn._tensors import as_pictures, check_values
 from odak.learn.perception.pyramids import SpatialSteerablePyramid, pad_image_for_pyramid
 
@@ -233,6 +234,7 @@ def _deviation(values):
     return ((values - _mean(values)) ** 2).mean((-2, -1)).clamp_min(POWER_FLOOR).sqrt()
 
 
+@in_own_precision
 def _covariance(values):
     """Return the covariances of the channels ``[B, C, C]``."""
     flat = (values - _mean(values)).flatten(2)
@@ -332,6 +334,7 @@ def synthesize_texture(
         return descended(start, lambda picture: picture.maximum(low).minimum(high), distance, iterations, progress)
 
 
+@in_own_precision
 def _coloured(noise, sample):
     """Return noise with the sample's mean and covariance of channels."""
     values, vectors = torch.linalg.eigh(_covariance(sample.double()))

@@ -18,8 +18,8 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _torch_private, _validate
-from odak._torch_private import is_plain_on_cpu, operator
-from odak.learn._tensors import checked_device, checked_dtype, in_own_precision, kind_of
+from odak._torch_private import in_own_precision, is_plain_on_cpu, operator
+from odak.learn._tensors import checked_device, checked_dtype, kind_of
 
 FILTER_TYPES = ("full", "cropped", "trained")
 # Sizes of l, l0, h0 and the bands of the full bank.

@@ -19,7 +19,8 @@ import torch
 from torch import nn
 
 from odak import _validate, _warnings
-from odak.learn._tensors import as_pictures, checked_device, checked_pair, in_own_precision, kind_of
+from odak._torch_private import in_own_precision
+from odak.learn._tensors import as_pictures, checked_device, checked_pair, kind_of
 from odak.learn.perception.color import (
     BT709_PRIMARIES,
     IEC_WHITE,

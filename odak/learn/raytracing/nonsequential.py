@@ -16,6 +16,7 @@ import torch
 
 from odak import _validate
 from odak._threads import each
+from odak._torch_private import in_own_precision
 from odak.catalog.materials import MICROMETRES, Material, absorption_coefficient, extinction_of, refractive_index
 from odak.catalog.materials import material as find_material
 from odak.learn._tensors import reals_of, tensor
@@ -613,6 +614,7 @@ def axes_across(vector: tuple) -> tuple[tuple, tuple]:
     return (1 + sign * u * u * a, sign * b, -sign * u), (b, sign + v * v * a, -v)
 
 
+@in_own_precision
 def light_source(
     kind: str,
     count: int,

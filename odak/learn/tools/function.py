@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from odak import _array, _validate
+from odak._torch_private import in_own_precision
 from odak.learn._tensors import checked_device, checked_dtype, kind_of
 from odak.tools.transformation import apply_matrix, rotation_matrix
 from odak.tools.zernike import fringe_to_nm, noll_to_nm, osa_to_nm, zernike_norm, zernike_polynomial
@@ -248,6 +249,7 @@ def decompose_bspline_2d(
     return coefficients.reshape(-1), basis, grid.to(image.dtype)
 
 
+@in_own_precision
 def compose_bspline_2d(
     control_coefficients: torch.Tensor, basis_matrix: torch.Tensor | SeparableBasis, resolution: Sequence[int]
 ) -> torch.Tensor:
@@ -412,6 +414,7 @@ def _factors(num_control_points, resolution, dtype, device):
     return factors, torch.stack(torch.meshgrid(*lines, indexing="ij"), dim=-1)
 
 
+@in_own_precision
 def _solve(image, rows, columns, regularization) -> torch.Tensor:
     (row_values, row_vectors), (values, vectors) = (torch.linalg.eigh(f @ f.T) for f in (rows, columns))
     rotated = (row_vectors.T @ rows) @ image @ (vectors.T @ columns).T

@@ -12,6 +12,7 @@ import torch
 
 from odak import _validate
 from odak._bars import tqdm
+from odak._torch_private import in_own_precision
 from odak._warnings import ConvergenceWarning, warn
 from odak.learn._tensors import advising_on_memory
 from odak.learn.tools.file import first_line, read_torch_file
@@ -73,6 +74,7 @@ class Run:
         _validate.integer("seed", self.seed)
 
 
+@in_own_precision
 def minimise(
     parameters: dict[str, torch.Tensor],
     loss: Callable[[int], torch.Tensor],
@@ -143,6 +145,8 @@ def minimise(
             found = loss(loop.done)
             if found.requires_grad:
                 found.backward(inputs=values)
+            elif all(value.grad is None for value in values):
+                raise ValueError("loss must depend on what is optimised, got a value without a gradient")
         found = found.detach()
         loop.keep(found)
         loop.torn = True

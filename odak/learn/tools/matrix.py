@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import torch
 
 from odak import _array, _validate
+from odak._torch_private import in_own_precision
 from odak.learn._face import torch_face
-from odak.learn._tensors import checked_device, checked_dtype, in_own_precision, kind_of, tensor
+from odak.learn._tensors import checked_device, checked_dtype, kind_of, tensor
 from odak.tools import matrix
 from odak.tools.matrix import convolve2d, correlation_2d
 

@@ -7,6 +7,7 @@ import torch
 
 from odak import _validate
 from odak._bars import tqdm
+from odak._torch_private import differentiates
 from odak.learn._tensors import floating, trainable
 from odak.learn.tools.file import torch_load
 from odak.tools.paths import replacing, validate_path
@@ -135,6 +136,7 @@ class multi_layer_perceptron(torch.nn.Module):
         with torch.no_grad():
             return self.forward(x)
 
+    @differentiates
     def fit(
         self,
         x_values: torch.Tensor,
@@ -180,13 +182,14 @@ class multi_layer_perceptron(torch.nn.Module):
             range(_validate.integer("epochs", epochs)), disable=not _validate.flag("progress", progress), leave=False
         ):
             self.optimizer.zero_grad()
-            estimate = self._output("x_values", x_values)
-            if estimate.shape != y_values.shape:
-                raise ValueError(
-                    f"y_values must be {list(estimate.shape)} for x_values of {list(x_values.shape)}, "
-                    f"got {list(y_values.shape)}"
-                )
-            loss = self.loss_function(estimate, y_values)
+            with torch.enable_grad():
+                estimate = self._output("x_values", x_values)
+                if estimate.shape != y_values.shape:
+                    raise ValueError(
+                        f"y_values must be {list(estimate.shape)} for x_values of {list(x_values.shape)}, "
+                        f"got {list(y_values.shape)}"
+                    )
+                loss = self.loss_function(estimate, y_values)
             loss.backward()
             self.optimizer.step()
         if loss is not None:

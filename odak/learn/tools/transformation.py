@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 import torch
 
 from odak import _array, _show, _validate
+from odak._torch_private import in_own_precision
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._face import torch_face
-from odak.learn._tensors import checked_device, floating, in_own_precision, tensor, tensors_of
+from odak.learn._tensors import checked_device, floating, tensor, tensors_of
 from odak.tools import transformation
 from odak.tools.asset import read_PLY
 from odak.tools.paths import validate_path
@@ -356,6 +357,7 @@ class PerspectiveCamera:
             if tuple(value.shape) not in (shape, (1, *shape)):
                 raise ValueError(f"{name} must be {list(shape)} or {[1, *shape]}, got {list(value.shape)}")
 
+    @in_own_precision
     def transform_world_to_camera_space(self, points: torch.Tensor) -> torch.Tensor:
         """Return points in the axes of the camera.
 
@@ -375,6 +377,7 @@ class PerspectiveCamera:
         dtype = torch.promote_types(torch.promote_types(points.dtype, self.R.dtype), self.T.dtype)
         return points.to(dtype) @ self.R.to(dtype).reshape(3, 3) + self.T.reshape(1, 3)
 
+    @in_own_precision
     def get_camera_center(self) -> torch.Tensor:
         """Return the camera's place in the world, −T·Rᵀ, ``[1, 3]``."""
         return -self.T.reshape(1, 3) @ self.R.reshape(3, 3).T

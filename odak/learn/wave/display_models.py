@@ -15,6 +15,7 @@ from scipy.ndimage import map_coordinates
 
 from odak import _array, _show, _validate
 from odak._array import Array
+from odak._torch_private import in_own_precision
 from odak._warnings import ConvergenceWarning, warn
 from odak.instruments import Calibration, Camera, Captures, Modulator, Registration, load_calibration
 from odak.instruments.mapping import Lens, plane_points, ray_matrix
@@ -393,6 +394,7 @@ class display_model(torch.nn.Module):
         light = light + torch.complex(self.reflection[0], self.reflection[1])
         return _repeated(self.source_amplitude(), s) * light
 
+    @in_own_precision
     def image(self, phase: torch.Tensor, position: float = 0.0) -> torch.Tensor:
         """Return the intensity in the plane of the camera at points that lie as the pixels of the modulator do.
 

@@ -19,6 +19,7 @@ from scipy.fft import next_fast_len
 
 from odak import _array, _show, _torch_private, _validate
 from odak._bars import tqdm
+from odak._torch_private import differentiates, in_own_precision
 from odak._warnings import AccuracyWarning, warn
 from odak.instruments import Calibration, Lens, load_calibration
 from odak.learn._tensors import floating
@@ -945,6 +946,7 @@ def _taps(samples: int) -> torch.Tensor:
     return torch.from_numpy(whole / whole.sum())
 
 
+@in_own_precision
 def _over_areas(points: torch.Tensor) -> torch.Tensor:
     """Return the means over pixels of intensities at their points ``[planes, samples, samples, rows, columns]``."""
     planes, samples, _, rows, columns = points.shape
@@ -1454,6 +1456,8 @@ def optimise(
 ) -> list[DisplayedHologram]: ...
 
 
+@differentiates
+@in_own_precision
 def optimise(
     display: Display,
     target: Target | list[Target] | list[torch.Tensor],

@@ -13,12 +13,12 @@ import torch
 from odak import _validate
 from odak._array import phasor
 from odak._bars import tqdm
+from odak._torch_private import in_own_precision
 from odak._warnings import AccuracyWarning, ArgumentWarning, warn
 from odak.learn._tensors import (
     checked_device,
     floating,
     get_device,
-    in_own_precision,
     takes_constants,
     tensor,
 )

@@ -8,9 +8,10 @@ import torch
 from torch import nn
 
 from odak import _show, _validate
+from odak._torch_private import in_own_precision
 from odak._warnings import AccuracyWarning, MissingPackageWarning, warn
 from odak.learn import perception
-from odak.learn._tensors import checked_device, checked_generator, get_device, in_own_precision, kind_of, tensor
+from odak.learn._tensors import checked_device, checked_generator, get_device, kind_of, tensor
 from odak.learn.tools.matrix import blur_gaussian, plane_indices, plane_masks
 from odak.wave.transfer_functions import checked_pitch, pitches
 

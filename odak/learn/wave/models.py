@@ -8,6 +8,7 @@ import torch
 from torch import nn
 
 from odak import _validate
+from odak._torch_private import differentiates
 from odak.learn._tensors import checked_device
 from odak.learn.models.layers import channels, images
 from odak.learn.models.training import (
@@ -122,6 +123,7 @@ class holobeam_multiholo(nn.Module):
         """
         return weighted_errors(self.l2, self.l1, input_data, ground_truth, weights)
 
+    @differentiates
     def fit(
         self,
         dataloader: Iterable[Any],

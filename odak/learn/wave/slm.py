@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import torch
 
 from odak import _array, _show, _validate
+from odak._torch_private import in_own_precision
 from odak._warnings import AccuracyWarning, warn
-from odak.learn._tensors import floating, in_own_precision
+from odak.learn._tensors import floating
 from odak.learn.wave.fields import unit_phasor
 from odak.wave.fields import within_range
 from odak.wave.linear_kernels import checked_pixel_fill
@@ -434,6 +435,7 @@ class temporal_modulator(torch.nn.Module):
         """
         return self.slm._light(self.displayed_phase(phase), scale)
 
+    @in_own_precision
     def displayed_phase(self, phase: torch.Tensor) -> torch.Tensor:
         """Return the phase at the instants at which the modulator is lit, ``[frames·time_samples, ..., m·s, n·s]``."""
         if not isinstance(phase, torch.Tensor) or phase.ndim < 3 or not len(phase):

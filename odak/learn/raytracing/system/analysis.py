@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from odak import _show, _validate
+from odak._torch_private import differentiates
 from odak.learn.raytracing.system.paraxial import (
     check_media,
     entrance_pupil,
@@ -800,6 +801,7 @@ def paraxial_points(system, prescription: Prescription | None = None, fields=Non
     return a * height + b * n * slope
 
 
+@differentiates
 def field_curvature(
     system: Any, prescription: Prescription | None = None, **options: Any
 ) -> tuple[torch.Tensor, torch.Tensor]:

@@ -8,6 +8,7 @@ import torch
 
 from odak import _show, _validate
 from odak._array import is_readable
+from odak._torch_private import in_own_precision
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import floating
 from odak.learn.raytracing.system.analysis import CENTRE, paraxial_points
@@ -70,6 +71,7 @@ class PointSpreadMap(NamedTuple):
         return _show.one_line(self)
 
 
+@in_own_precision
 def point_spread_map(
     system: Any,
     shape: Sequence[int],
@@ -240,6 +242,7 @@ def _terms(points: torch.Tensor) -> torch.Tensor:
     return torch.stack([x**i * y**j for i, j in _POWERS], -1)
 
 
+@in_own_precision
 def _area(undistort: torch.Tensor, real: torch.Tensor) -> torch.Tensor:
     """Return the area of the ideal image per area of the real one at points ``[F, 2]``, as ``[1, F]``."""
     x, y = real.unbind(-1)
@@ -248,6 +251,7 @@ def _area(undistort: torch.Tensor, real: torch.Tensor) -> torch.Tensor:
     return (along_x[..., 0] * along_y[..., 1] - along_x[..., 1] * along_y[..., 0]).abs()[None]
 
 
+@in_own_precision
 def ideal_points(undistort: torch.Tensor, real: torch.Tensor) -> torch.Tensor:
     """Return the ideal points ``[..., 2]`` of real ones."""
     return _terms(real) @ undistort.mT.to(real)
@@ -455,6 +459,7 @@ def _masks(image: torch.Tensor, pattern: str) -> torch.Tensor:
     return torch.stack([channel == i for i in range(3)]).to(image)
 
 
+@in_own_precision
 def demosaic(raw: torch.Tensor, pattern: str = "RGGB") -> torch.Tensor:
     """Return the colours of a mosaic by bilinear interpolation.
 

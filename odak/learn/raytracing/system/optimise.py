@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _show, _validate
-from odak._torch_private import load_forward_rules
+from odak._torch_private import differentiates, load_forward_rules
 from odak._warnings import AccuracyWarning, warn
 from odak.catalog.materials import MICROMETRES, Material
 from odak.learn._tensors import takes_constants
@@ -64,6 +64,7 @@ class LevenbergMarquardtResult(NamedTuple):
         return _show.one_line(self)
 
 
+@differentiates
 def levenberg_marquardt(
     residuals: Callable[[], torch.Tensor],
     parameters: Sequence[torch.Tensor],

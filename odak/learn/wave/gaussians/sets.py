@@ -15,6 +15,7 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _array, _show, _validate
+from odak._torch_private import in_own_precision
 from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import floating, get_device, rows_of, shaped, tensor, trainable
 from odak.learn.tools.file import first_line, save_torch_tensor, torch_load
@@ -984,6 +985,7 @@ class complex_3d_gaussians(nn.Module):
         """Let all parameters require gradients."""
         self.requires_grad_(True)
 
+    @in_own_precision
     def densify(
         self, gradients: torch.Tensor, threshold: float, split_scale: float, *, seed: int | None = None
     ) -> torch.Tensor:
@@ -1108,6 +1110,7 @@ class complex_3d_gaussians(nn.Module):
         if fixed := [name for name, parameter in self.named_parameters() if not parameter.requires_grad]:
             raise RuntimeError(f"{', '.join(fixed)} require no gradients: call make_trainable() first")
 
+    @in_own_precision
     def compute_cov_3D(self, quats: torch.Tensor, scales: torch.Tensor) -> torch.Tensor:
         """Return covariances R·S·Sᵀ·Rᵀ in space ``[N, 3, 3]``.
 
@@ -1122,6 +1125,7 @@ class complex_3d_gaussians(nn.Module):
         axes = quaternion_to_rotation_matrix(quats) * scales[:, None]
         return axes @ axes.mT
 
+    @in_own_precision
     def compute_cov_2D(
         self,
         cam_means_3D: torch.Tensor,

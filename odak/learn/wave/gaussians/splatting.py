@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from odak._torch_private import in_own_precision
+
 BLOCK = 32
 # Larger parts leave the cache of a CPU core; on a GPU they keep it busy.
 _PART = {"cpu": 1 << 19, "cuda": 1 << 25}
@@ -238,6 +240,7 @@ class TiledGaussians:
         torch.nn.functional.threshold(result, self.lowest, 0.0, inplace=True)
         return out
 
+    @in_own_precision
     def moments(self, blocks: torch.Tensor, density: torch.Tensor) -> torch.Tensor:
         """Return Σ density·(1, x, y, x², xy, y²) about the Gaussians' centres ``[blocks, 6, BLOCK]``.
 

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 
 from odak import _show, _validate
+from odak._torch_private import differentiates
 from odak.learn._tensors import checked_device, checked_generator, floating
 from odak.learn.tools.iterations import Run, minimise
 from odak.learn.wave.camera import captured_by, with_model_gradient
@@ -270,6 +271,7 @@ class multi_color_hologram_optimizer:
         self.parameters["peak_amplitude"] = self.peak_amplitude
         self.learning_rates = cosine(self.learning_rate, self.min_learning_rate, number_of_iterations)
 
+    @differentiates
     def gradient_descent(
         self,
         number_of_iterations: int = 100,
@@ -324,6 +326,7 @@ class multi_color_hologram_optimizer:
             self.propagator.set_laser_powers(self.channel_power.detach())
             return self._pattern()[0].detach()
 
+    @differentiates
     def optimize(
         self,
         number_of_iterations: int = 100,
@@ -732,6 +735,7 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
         return self.propagator.reconstruct(hologram_phases)
 
     # Fewer options than with one colour per frame, and one result less.
+    @differentiates
     def gradient_descent(  # type: ignore[override]
         self, number_of_iterations: int = 100, weights: Sequence[float] | dict[Any, Any] = (1.0, 1.0, 0.0, 0.0)
     ) -> torch.Tensor:
@@ -747,6 +751,7 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
         (weights,) = _validate.constants(weights=weights)
         return super().gradient_descent(number_of_iterations, weights)
 
+    @differentiates
     def optimize(  # type: ignore[override]
         self, number_of_iterations: int = 100, weights: Sequence[float] | dict[Any, Any] = (1.0, 1.0, 1.0)
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, float]:

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 
 from odak import _show, _validate
+from odak._torch_private import differentiates
 from odak._warnings import ArgumentWarning, warn
 from odak.learn.tools.iterations import Run, minimise
 from odak.learn.wave.fields import mean_intensity, unit_phasor
@@ -271,6 +272,7 @@ class multiplane_hologram_optimizer:
         shifted_phase, phase_offset = checked_pattern(shifted_phase, phase_offset, "shifted_phase")
         return checkerboard(zero_mean(shifted_phase), phase_offset)
 
+    @differentiates
     def optimize(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Optimize, and return phase, amplitude and intensities.
 
@@ -307,6 +309,7 @@ class multiplane_hologram_optimizer:
         phase, amplitude = hologram_phase.reshape(phases), hologram_amplitude.reshape(m, n)
         return self.propagator.reconstruct(phase, amplitude)[:, :, 0].mean(0).detach()
 
+    @differentiates
     def gradient_descent(self) -> None:
         """Optimize phase and offset in place."""
         self.init_optimizer()
