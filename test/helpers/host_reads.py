@@ -99,6 +99,7 @@ REASONS = {
         wave/propagators: holograms
     """,
     "a search ends when it has converged: one reading for an iteration of many operations": """
+        raytracing/system/coatings: _cleaned _doubles _needles _refined needle_design
         models/gaussians: _improve refine
         perception/discrimination: maximum_differentiation twice
         raytracing/nonsequential: follow

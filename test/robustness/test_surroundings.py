@@ -1,4 +1,4 @@
-"""Results do not depend on what the caller has switched on: inference mode, automatic mixed precision, NumPy's errors."""
+"""Results do not depend on what is switched on: inference mode, mixed precision, NumPy's errors."""
 
 import numpy as np
 import pytest
