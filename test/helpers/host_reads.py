@@ -24,7 +24,7 @@ REASONS = {
         tools/file: *
         tools/function: __array__
         tools/models: fit
-        raytracing/system/surfaces: _view of
+        raytracing/system/prescriptions: _view of
         raytracing/system/waves: _view field_modulation field_quality relative_illumination
         wave/displays: _view
         wave/gaussians/sets: _points save_splats
@@ -56,7 +56,7 @@ REASONS = {
         raytracing/nonsequential: __post_init__ _plain _reach polarized system_elements trace
         tools/matrix: quantize slice_rgbd_targets
         tools/transformation: quaternion_to_rotation_matrix
-        wave/displays: __init__ _checked_target _frames_alone _shares judge optimise starting_phases
+        wave/displays: __init__ _amplitudes _checked_target _frames_alone _shares judge optimise starting_phases
         wave/eyebox: _of_each eyebox_hologram
         wave/gaussians/scene: chosen
         wave/gaussians/sets: prune
@@ -111,7 +111,7 @@ REASONS = {
         raytracing/system/pupils: _continuation _differences _solve aimed solve_pairs
         raytracing/system/sequence: _adjoint axis_signs
         raytracing/system/waves: _peak
-        wave/display_models: _match_brightness _numbers misfit
+        wave/display_models: _match_brightness _numbers misfit with_gaps
         tools/iterations: step
     """,
 }
