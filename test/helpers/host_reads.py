@@ -107,7 +107,7 @@ REASONS = {
         raytracing/system/automatic: _designed_aspheres _optimised _set_next_stage _with_equal_spots
         raytracing/system/design: _take_glasses best_of restarts
         raytracing/system/eye: accommodation_response
-        raytracing/system/optimise: _linearly_compensated least_squares tolerances_for_yield
+        raytracing/system/optimise: _linearly_compensated _seeing_limits least_squares tolerances_for_yield
         raytracing/system/pupils: _continuation _differences _solve aimed solve_pairs
         raytracing/system/sequence: _adjoint axis_signs
         raytracing/system/waves: _peak
