@@ -162,7 +162,8 @@ def conic(start, direction, curvature, constant, aperture=None, select: str = "a
     select : str
         Which of two intersections: "ahead", the nearest in front of the start; "vertex", ahead or behind, the nearest
         to the vertex plane; "through", ahead or behind, the one at which the ray passes from the side of −z to that of
-        +z if its direction has a positive z component, and back otherwise.
+        +z if its direction has a positive z component, and back otherwise; "forward", the one at which it passes from
+        the side of −z to that of +z, whatever its direction.
 
     Returns
     -------
@@ -193,9 +194,9 @@ def conic(start, direction, curvature, constant, aperture=None, select: str = "a
         across = None if aperture is None else (x + t * dx) ** 2 + (y + t * dy) ** 2
         candidates.append((t + offset, on_sheet, height, across))
     (t1, on1, z1, r1), (t2, on2, z2, r2) = candidates
-    if select == "through":
+    if select in ("through", "forward"):
         # The derivative of z − sag along the ray has the sign of b at the first root, the opposite one at the second.
-        first = (b >= 0) == (dz > 0)
+        first = (b >= 0) == (dz > 0) if select == "through" else b >= 0
         on1, on2 = on1 & first, on2 & ~first
     if select == "ahead":
         leaving = _starts_on(start, curvature, k, aperture)

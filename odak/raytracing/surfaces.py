@@ -1035,7 +1035,7 @@ def intersection(start, direction, shape: Shape, aperture=None, select: str = "a
     aperture : float or array, optional
         Semi-diameter of the surface.
     select : str
-        "ahead", "vertex" or "through", as in :func:`odak.raytracing.intersections.conic`.
+        "ahead", "vertex", "through" or "forward", as in :func:`odak.raytracing.intersections.conic`.
 
     Returns
     -------
@@ -1109,9 +1109,10 @@ def _solve(start, direction, shape: Shape, aperture, select: str):
             # A start point on the surface itself is not an intersection.
             scale = abs(distance) * length + vec.dot(start, start) ** 0.5 + (0.0 if aperture is None else aperture)
             crossed = crossed & (distance * length > 64 * epsilon(length) * scale)
-        elif select == "through":
+        elif select in ("through", "forward"):
             _, slope, here = _level(start, direction, shape, distance, found)
-            crossed = crossed & (~found | (here.defined & (slope * direction[2] > 0)))
+            upward = slope * direction[2] if select == "through" else slope
+            crossed = crossed & (~found | (here.defined & (upward > 0)))
         return distance, found, crossed
 
     distance, found, crossed = solved(guess)

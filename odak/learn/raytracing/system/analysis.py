@@ -993,7 +993,7 @@ def path_at_start(system, rays, numbers: Prescription):
     """Return the optical path of rays up to their starts, from a plane wavefront or from one point."""
     if not system.at_infinity:
         return 0.0
-    return numbers.index[..., :1][..., None] * (rays.x * rays.u + rays.y * rays.v)
+    return numbers.index[..., :1][..., None] * (rays.x * rays.u + rays.y * rays.v + rays.z * rays.w)
 
 
 def _to_sphere(system, traced, prescription):

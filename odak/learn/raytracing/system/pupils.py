@@ -19,6 +19,9 @@ PATTERNS = ("rings", "grid", "x", "y", "random", "gauss")
 AIMS = ("paraxial", "real")
 # Steps of Newton's method, and steps along a continuation.
 ROUNDS, MARCHES = 8, 60
+# Angle beyond which real rays are looked for across the field's direction, since the plane of the pupil is seen edge
+# on, and distances of the pupil in front of it at which they start.
+WIDE, BEFORE = 80.0, 20.0
 # Newton's method ends with steps this small relative to that of its differences; one more follows.
 CLOSE = 1e-6
 # Spokes of the Gaussian quadrature for each of its rings. Steps along a spoke in which its clear parts are looked for,
@@ -404,7 +407,11 @@ def through_pupil(system, points: torch.Tensor, fields: torch.Tensor, prescripti
     pupil = entrance_pupil(system, prescription=numbers)
     place = places_of(pupil, points)
     if aim == "real" and not system.telecentric:
-        return through_places(system, fields, pupil, *aimed(system, numbers, pupil, points, fields))
+        # Of a device that is not read, the system's own fields decide.
+        given = fields.flatten().tolist() if is_readable(fields) else sum(system.fields, ())
+        wide = system.at_infinity and max(map(abs, given)) > WIDE
+        x, y = aimed(system, numbers, pupil, points, fields, wide)
+        return through_places(system, fields, pupil, x, y, wide)
     return through_places(system, fields, pupil, *place)
 
 
@@ -415,13 +422,21 @@ def places_of(pupil, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     return tuple(reach * points[..., i] + center for i, center in enumerate(middle))  # type: ignore[return-value]
 
 
-def through_places(system, fields: torch.Tensor, pupil, px, py) -> Rays:
-    """Return rays from field points ``[F, 1, 2]`` through coordinates of the entrance pupil."""
+def through_places(system, fields: torch.Tensor, pupil, px, py, wide: bool = False) -> Rays:
+    """Return rays from field points ``[F, 1, 2]`` through coordinates of the entrance pupil.
+
+    With `wide`, the coordinates are across the direction of the field instead, so that it may come from behind.
+    """
     distance, bend = (value[..., None, None, None] for value in (pupil.distance, pupil.bend))
     # Rays without coordinates in the pupil are computed as if they passed its centre.
     lost = torch.isinf(px)
     px, py = (torch.where(lost, 0.0, value) for value in (px, py))
-    rays = _far(fields, distance, px, py) if system.at_infinity else _near(system, fields, bend, px, py)
+    if not system.at_infinity:
+        rays = _near(system, fields, bend, px, py)
+    elif wide:
+        rays = _beyond(system, fields, distance, px, py)
+    else:
+        rays = _far(fields, distance, px, py)
     return Rays(*rays[:3], *(torch.where(lost, torch.inf, value) for value in rays[3:]))
 
 
@@ -444,13 +459,38 @@ def pupil_of(pupil, count: int, system) -> torch.Tensor:
 def _far(fields, distance, px, py) -> Rays:
     """Return rays of distant points through points of the plane of the entrance pupil."""
     if is_readable(fields) and bool((fields.abs() >= 90).any()):
-        raise ValueError(f"fields must be below 90 degrees from the axis, got {fields.abs().max().item():g}")
-    tangent = torch.tan(torch.deg2rad(fields))
+        largest = fields.abs().max().item()
+        raise ValueError(f'fields must be below 90 degrees from the axis, or aim "real", got {largest:g} degrees')
+    # Where nothing is read, rays that this plane does not see are lost.
+    tangent = torch.where(fields.abs() < 90, torch.tan(torch.deg2rad(fields)), torch.nan)
     tx, ty = tangent[..., 0], tangent[..., 1]
     w = 1 / (1 + tx * tx + ty * ty).sqrt()
     x, y = px - distance * tx, py - distance * ty
     u, v, w = (value.expand(x.shape) for value in (tx * w, ty * w, w))
     return Rays(x, y, torch.zeros_like(x), u, v, w)
+
+
+def _beyond(system, fields, distance, px, py) -> Rays:
+    """Return rays of distant points, at 90 degrees from the axis or more too, from far in front of the first vertex.
+
+    Coordinates are those about the middle of the entrance pupil in the plane across the direction.
+    """
+    angle = torch.deg2rad(fields)
+    # Points beyond 90 degrees lie on the x or the y axis of the field.
+    beyond = (fields.abs() >= 90).any(-1)
+    tangent = torch.tan(torch.where(beyond[..., None], 0.0, angle))
+    size = (1 + tangent.square().sum(-1)).sqrt()
+    cosine = torch.cos(angle).prod(-1)
+    u, v = (torch.where(beyond, torch.sin(angle[..., i]), tangent[..., i] / size) for i in range(2))
+    w = torch.where(beyond, cosine, 1 / size)
+    # Of two directions across, the first is that of x turned with the field, the second that of y.
+    share = 1 / (1 + w)
+    across = (1 - u * u * share, -u * v * share, -u)
+    along = (-u * v * share, 1 - v * v * share, -v)
+    back = BEFORE * (distance.abs() + px.abs() + py.abs())
+    x, y, z = (px * a + py * b - back * d for a, b, d in zip(across, along, (u, v, w), strict=True))
+    u, v, w = (value.expand(x.shape) for value in (u, v, w))
+    return Rays(x, y, z + distance, u, v, w)
 
 
 def _near(system, fields, bend, sx, sy) -> Rays:
@@ -461,7 +501,7 @@ def _near(system, fields, bend, sx, sy) -> Rays:
     return Rays(x, y, torch.full_like(sx, -system.object_distance), sx * w, sy * w, w)
 
 
-def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: torch.Tensor):
+def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: torch.Tensor, wide: bool = False):
     """Return coordinates in the entrance pupil of rays that pass the stop at given points.
 
     Parameters
@@ -476,6 +516,8 @@ def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: to
         ``[P, 2]`` or ``[..., F, P, 2]`` in units of the stop's radius.
     fields : torch.Tensor
         Field points ``[F, 1, 2]``.
+    wide : bool
+        Of coordinates across the directions of the fields.
 
     Returns
     -------
@@ -492,7 +534,8 @@ def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: to
     step = 1e-4 * pupil.reach[..., None, None, None]
 
     def errors(px, py, share=1.0, part=1.0):
-        rays = through_places(system, fields if isinstance(share, float) else fields * share[..., None], pupil, px, py)
+        points_now = fields if isinstance(share, float) else fields * share[..., None]
+        rays = through_places(system, points_now, pupil, px, py, wide)
         x, y, kept = at_stop(system, numbers, rays)
         return x - part * radius * points[..., 0], y - part * radius * points[..., 1], kept
 

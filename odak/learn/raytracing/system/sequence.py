@@ -540,11 +540,17 @@ class _Walk:
     def _meet(self, i: int, shape: Shape, index):
         """Intersect the rays with a surface, and return what :func:`intersection` found."""
         sign = self.layout.signs[i]
-        # A ray must arrive from the side that its surface is passed from.
-        self._fail(self.direction[2] * sign > 64 * torch.finfo(self.dtype).eps, RayStatus.MISS)
+        # Rays of fields beyond 90 degrees meet the first surface from its front, though they run against the axis.
+        first, least = i == 0 and sign > 0, 64 * torch.finfo(self.dtype).eps
+        if not first:
+            # A ray must arrive from the side that its surface is passed from.
+            self._fail(self.direction[2] * sign > least, RayStatus.MISS)
         point, self.direction = _on_axis(self.status, sign, self.point, self.direction)
-        found, state = intersection(point, self.direction, shape, None, "through")
+        found, state = intersection(point, self.direction, shape, None, "forward" if first else "through")
         self._fail(found.hit, state)
+        if first:
+            across = sum(a * b for a, b in zip(found.normal, self.direction, strict=True))
+            self._fail(across.detach() > least, RayStatus.MISS)
         self.path = self.path + index * torch.where(self.status == HIT, found.distance, 0.0)
         self.point, self.direction = _on_axis(self.status, sign, found.point, self.direction)
         return found

@@ -729,6 +729,7 @@ class optical_system(torch.nn.Module):
         Which of them first-order properties, pupils and reference spheres are computed at; the middle one by default.
     fields : sequence
         Field points: numbers y or pairs (x, y). Angles in degrees for an object at infinity, heights otherwise.
+        Angles of 90 and more are along x or y alone and need rays that are aimed, ``aim="real"``.
     object_distance : float
         From the object to the first vertex.
     image : surface, optional
@@ -871,8 +872,12 @@ class optical_system(torch.nn.Module):
             )
         if not self.object_distance > 0:
             raise ValueError(f"object_distance must be positive or infinite, got {self.object_distance}")
-        if self.at_infinity and any(abs(angle) >= 90 for field in self.fields for angle in field):
-            raise ValueError(f"fields must be below 90 degrees from the axis, got {self.fields}")
+        if self.at_infinity and any(
+            max(map(abs, f)) >= 90 and (min(map(abs, f)) or max(map(abs, f)) >= 180) for f in self.fields
+        ):
+            raise ValueError(
+                f"fields must be below 90 degrees from the axis, or below 180 along x or y alone, got {self.fields}"
+            )
         if self.telecentric and (self.at_infinity or self.aperture_type not in ("NA", "stop")):
             raise ValueError(
                 'telecentric needs a near object, and an aperture given as "NA" or "stop"; got an object at '

@@ -45,6 +45,8 @@ KINDS = FOLDER / "zemax_kinds"
 STATED = {
     "abbe0__Konica_Minolta_AF_Reflex_500mm_F8": (500, 0.02),
     "abbe0__Nikon_AI_Reflex-Nikkor_1000mm_f11": (1000, 0.02),
+    "field90__Canon_EF15mm_f2.8_Fisheye": (15, 0.04),
+    "field90__Nikon_AF_Fisheye-Nikkor_10.5mm_f2.8G_ED": (10.5, 0.04),
     "noa__Edmund_33-918": (100, 1e-3),
     "object-glass__Bertele_USP1699682": (100, 1e-3),
     "object-glass__Erfle_USP1478704": (100, 1e-3),

@@ -504,3 +504,63 @@ def test_each_field_may_have_points_of_its_own_in_the_pupil():
         torch.testing.assert_close(waves[..., i : i + 1, :], expected, rtol=1e-9, atol=1e-9)
     with pytest.raises(ValueError, match="pupil has points for 3 fields, got 1"):
         launch(lens, points, fields=[(0.0, 0.0)])
+
+
+def traced_back(slope):
+    """Return the angle in the object space, in degrees, of a ray from the centre of the stop of :func:`dome`."""
+    point, way = [0.0, 12.0], [-math.sin(slope), -math.cos(slope)]
+    for vertex, radius, ratio in ((2.0, 8.0, 1 / 1.8), (0.0, 30.0, 1.8)):
+        off = [point[0], point[1] - vertex - radius]
+        along = off[0] * way[0] + off[1] * way[1]
+        reach = -along + math.sqrt(along**2 - off[0] ** 2 - off[1] ** 2 + radius**2)
+        point = [p + reach * w for p, w in zip(point, way, strict=True)]
+        normal = [point[0] / radius, (point[1] - vertex - radius) / radius]
+        cosine = normal[0] * way[0] + normal[1] * way[1]
+        bend = math.sqrt(1 - ratio**2 * (1 - cosine**2)) - ratio * cosine
+        way = [ratio * w + bend * n for w, n in zip(way, normal, strict=True)]
+    return math.degrees(math.atan2(-way[0], -way[1]))
+
+
+def dome(fields):
+    """Return the front of a fisheye lens: a strong meniscus of index 1.8 and a stop behind it."""
+    faces = [surface(30.0, thickness=2.0, material=1.8), surface(8.0, thickness=10.0)]
+    return optical_system([*faces, surface(stop=True, thickness=10.0)], 0.2, fields=fields)
+
+
+@pytest.mark.parametrize("slope", [30.0, 48.0, 50.0, 51.0])
+def test_fields_beyond_90_degrees_are_those_of_rays_traced_back(slope):
+    angle = traced_back(math.radians(slope))
+    assert (angle > 90) == (slope >= 50)
+    for sign in (1, -1):
+        lens = dome([(0.0, sign * angle), (sign * angle, 0.0)])
+        found = trace_fields(lens, torch.zeros(1, 2, dtype=torch.float64), aim="real")
+        run = 10 * math.tan(math.radians(sign * slope))
+        assert found.y[lens.reference].flatten().tolist() == pytest.approx([run, 0.0], abs=1e-9)
+        assert found.x[lens.reference].flatten().tolist() == pytest.approx([0.0, run], abs=1e-9)
+
+
+def test_rays_and_paths_are_smooth_across_90_degrees():
+    chief = torch.zeros(1, 2, dtype=torch.float64)
+    heights = [
+        float(trace_fields(dome([0.0]), chief, fields=[(0.0, angle)], aim="real").y[0, 0, 0])
+        for angle in (89.99, 90.0, 90.01)
+    ]
+    assert heights[2] - heights[1] == pytest.approx(heights[1] - heights[0], rel=2e-3)
+    # Both ways to launch, by heights in the pupil plane and across the ray, give the same wavefront.
+    alone, beside = (wavefront(dome(fields), aim="real").rms[:, 1] for fields in ([0.0, 60.0], [0.0, 60.0, 91.0]))
+    assert beside.tolist() == pytest.approx(alone.tolist(), rel=1e-6)
+    lens = dome([(0.0, 92.0)])
+    bend = lens.vary(curvature=1)[0]
+    height = trace_fields(lens, chief, aim="real").y.sum()
+    (slope,) = torch.autograd.grad(height, bend)
+    with torch.no_grad():
+        ends = [float((bend.add_(step), trace_fields(lens, chief, aim="real").y.sum())[1]) for step in (1e-6, -2e-6)]
+    assert float(slope) == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-5)
+
+
+def test_fields_beyond_90_degrees_need_real_rays_and_an_axis():
+    with pytest.raises(ValueError, match='fields must be below 90 degrees from the axis, or aim "real", got 95'):
+        trace_fields(dome([0.0, 95.0]), "rings", 1)
+    for field in ((10.0, 95.0), (0.0, 180.0)):
+        with pytest.raises(ValueError, match="below 180 along x or y alone"):
+            dome([field])
