@@ -106,10 +106,12 @@ def load_system(path: Any) -> optical_system:
     path = Path(_text("path", path))
     if not path.is_file():
         raise ValueError(f"path must be a file or one of {', '.join(sample_systems())}; got {str(path)!r}")
-    if path.stat().st_size > MAXIMUM_BYTES:
-        raise ValueError(f"{path}: must be of at most {MAXIMUM_BYTES} bytes, got {path.stat().st_size}")
+    reader = {".zmx": "read_zmx", ".seq": "read_seq", ".len": "read_len"}.get(path.suffix.lower())
+    if reader is not None:
+        raise ValueError(f"path must be a JSON file of save_system; {reader} reads {str(path)!r}")
+    text = lens_text(path)
     try:
-        return system_from_dict(json.loads(path.read_text(encoding="utf-8")))
+        return system_from_dict(json.loads(text))
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         raise ValueError(f"{path}: {error}") from error
 

@@ -472,6 +472,8 @@ def test_archives_and_black_boxes_are_refused_by_name(tmp_path, name, start):
     (tmp_path / name).write_bytes(start + bytes(64))
     with pytest.raises(ValueError, match=rf"{name} is a Zemax (archive|black box), which is not read"):
         read_zmx(tmp_path / name)
+    with pytest.raises(ValueError, match=r"is a Zemax|read_zmx reads"):
+        load_system(tmp_path / name)
 
 
 def test_the_object_may_be_in_a_medium(tmp_path):
