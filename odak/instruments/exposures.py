@@ -29,6 +29,8 @@ SATURATED = 0.98
 # Pixels that are stuck at most, reductions of the exposure by 4 through which they stay saturated, and the exposure in
 # seconds up to which light is searched for.
 LARGEST_STUCK, FEWEST_CUTS, LONGEST_DARK = 200, 5, 30.0
+# Share of the wanted counts above which the offset is negligible.
+PROPORTIONAL = 0.25
 # Frames that are older than what they should show.
 STALE = (
     "{} frames that the camera returned after {} show {}: discard as many frames before each capture (skip= of "
@@ -118,6 +120,9 @@ def set_exposure(camera: Camera, show: Callable[[], None] | None = None, level: 
                 f"{camera.top} counts; {'attenuate the light' if factor < 1 else 'use more light'}",
                 AccuracyWarning,
             )
+            break
+        if camera.examined and PROPORTIONAL * wanted < brightest < SATURATED * camera.top:
+            # Its counts are known to follow the exposure.
             break
     else:
         if not camera.examined:

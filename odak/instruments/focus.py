@@ -191,20 +191,21 @@ def distance_with_uncertainty(
     phases: np.ndarray,
     registration: Registration,
     wavefront: np.ndarray | float = 0.0,
-    span: float = 0.15,
+    span: float | None = 0.15,
     samples: int = 15,
     captures: int = 4,
 ) -> tuple[float, float]:
     """Return the distance from a modulator to a camera, and its uncertainty in metres.
 
-    The parameters are those of :func:`measure_distance`. The error of the wavefront is not in the uncertainty.
+    The parameters are those of :func:`measure_distance`, and a span of None for a distance that is known within the
+    depth of focus. The error of the wavefront is not in the uncertainty.
     """
     distance = without_lens(distance, "measure_wavefront finds the defocus")
     check_square_pixels(modulator, camera)
     camera = checked_camera(camera)
     distance = float(_validate.number("distance", distance, positive=True))
-    span, samples = _validate.number("span", span, positive=True), _validate.integer("samples", samples, minimum=5)
-    if span >= 1:
+    samples = _validate.integer("samples", samples, minimum=5)
+    if span is not None and _validate.number("span", span, positive=True) >= 1:
         raise ValueError(f"span must be a share of the distance below 1, got {span:g}")
     correction = np.asarray(wavefront, float)
     if correction.ndim:
@@ -236,10 +237,12 @@ def distance_with_uncertainty(
 
     # The focus of a small aperture is deep, and its sweep misses none; the apertures that follow search near it.
     smallest = min(modulator.shape) * modulator.pitch
-    low, high = 1 / (distance * (1 + span)), 1 / (distance * (1 - span))
-    step = (high - low) / (samples - 1)
-    peak, half, depth = (low + high) / 2, (high - low) / 2 + step, depth_of(largest)
-    sweeps = 0
+    depth = depth_of(largest)
+    if span is None:
+        peak, half, sweeps = 1 / distance, 1.5 * depth, 1
+    else:
+        low, high = 1 / (distance * (1 + span)), 1 / (distance * (1 - span))
+        peak, half, sweeps = (low + high) / 2, (high - low) * (0.5 + 1 / (samples - 1)), 0
     while sweeps == 0 or half > 1.5 * depth:
         powers = np.linspace(peak - half, peak + half, samples)
         step = powers[1] - powers[0]

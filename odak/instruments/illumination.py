@@ -26,6 +26,8 @@ DEPTH, EVEN = 0.7, 0.013
 # Bits of cameras below which each pattern is captured at a second exposure, longer by a factor, because most speckles
 # are much darker than the brightest; and electrons of a full pixel, from which the weights follow.
 FEW_BITS, LONGER, WELL = 10, 8, 20_000.0
+# Half the width of the places that are evaluated, as a share of that of the light of a cell, and pixels of it at most.
+VIEW, WIDEST = 0.35, 12
 QUARTERS = np.arange(4) * (np.pi / 2)
 
 
@@ -201,7 +203,8 @@ def illumination_with_uncertainty(
     covariance = (inner @ (scores.T @ scores) @ inner)[3:-3, 3:-3]
     relative = terms - terms[largest]
     variance = np.einsum("rci,ij,rcj->rc", relative, covariance, relative)
-    uncertainty = math.sqrt((amplitude**2 * variance).mean())
+    # The factor is that which makes a standard deviation of the errors on independent tables.
+    uncertainty = 0.9 * math.sqrt((amplitude**2 * variance).mean())
     reason = ""
     if half > farthest + aside and not behind_lens:
         reason = (
@@ -254,7 +257,12 @@ def _speckles(
     shown = np.stack(
         [nearest_levels(np.where(reaches, lens + turn, np.pi * (rows + columns)), phases) for turn in QUARTERS]
     )
-    read_around(camera, np.rint(registration.camera_pixels(point)).astype(int), 2)
+    # Within a part of the width of the light of a cell.
+    size = max(rows_of * modulator.pitch for rows_of in modulator.shape) / math.sqrt(steps.shape[1])
+    reach = int(np.clip(VIEW * wavelength * abs(b) / (size * camera.pitch), 2, WIDEST))
+    place = np.rint(registration.camera_pixels(point)).astype(int)
+    reach = min(reach, *place, *(np.array(camera.shape[::-1]) - 1 - place))
+    read_around(camera, place, reach)
 
     def show(step: np.ndarray) -> None:
         modulator.show(np.take_along_axis(shown, step[cell][None], axis=0)[0])
@@ -286,10 +294,14 @@ def _speckles(
     offsets = np.array(list(itertools.product((-1, 1), repeat=2))) / math.sqrt(12)
     points = registration.plane_points(np.stack([u, v], axis=-1).reshape(-1, 1, 2) + offsets)
     count = np.bincount(cell[reaches], minlength=cells)
-    places = (
-        np.stack([np.bincount(cell[reaches], np.broadcast_to(a, cell.shape)[reaches], cells) for a in (x, y)], axis=-1)
+    places, squares = (
+        np.stack([np.bincount(cell[reaches], np.broadcast_to(a, cell.shape)[reaches], cells) for a in axes], axis=-1)
         / np.maximum(count, 1)[:, None]
+        for axes in ((x, y), (x**2, y**2))
     )
-    tilts = np.exp(-2j * np.pi / (wavelength * b) * ((points - point) @ places.T))
+    # The widths of the cells follow from their second moments.
+    widths = np.sqrt(12 * np.clip(squares - places**2, 0, None) + modulator.pitch**2)
+    away = (points - point) / (wavelength * b)
+    tilts = np.exp(-2j * np.pi * (away @ places.T)) * np.sinc(away[..., None, :] * widths).prod(-1)
     noise = np.sqrt(np.clip(seen, 0, None) * seen.max() + (0.02 * seen.max()) ** 2)
     return _Speckles(point, steps[fine], seen, noise, places, count, tilts)

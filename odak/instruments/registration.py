@@ -29,6 +29,8 @@ STRIPE = 0.8
 BLUR = 0.4
 # Distance from the axis of spots of a first estimate of the registration, as a share of that of the others.
 NEAR = 0.4
+# Captures of a single spot at most, from which its place follows roughly.
+SINGLE = 2
 # Pixels around the spots of the outermost lenslets, and share of the modulator that is calibrated, at least.
 LEAST_MARGIN, SMALLEST_SHARE = 8, 0.3
 
@@ -107,6 +109,28 @@ def register_camera(
     >>> bool(np.linalg.norm(found.plane_points(middle) - exact.plane_points(middle)) < 4e-6)
     True
     """
+    there = (modulator, camera, wavelength, distance, phases)
+    return registered(*there, wavefront, grid, extent, middle, captures)
+
+
+def registered(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float | Lens,
+    phases: np.ndarray,
+    wavefront: np.ndarray | float = 0.0,
+    grid: Sequence[int] = (6, 6),
+    extent: float = 0.75,
+    middle: bool = False,
+    captures: int = 6,
+    start: Registration | None = None,
+) -> Registration:
+    """Return the mapping from the pixels of a camera to points of the image plane.
+
+    The parameters are those of :func:`register_camera`, and `start` a mapping that is correct within some pixels, which
+    takes the place of single spots.
+    """
     check_square_pixels(modulator, camera)
     camera = checked_camera(camera)
     shape, pitch = np.array(modulator.shape), modulator.pitch
@@ -155,27 +179,37 @@ def register_camera(
         return np.stack([centroid(frame, brightest(frame), around) for frame in moving])
 
     captures = _validate.integer("captures", captures, minimum=1)
-    show(origin[None])
-    set_exposure(camera)
-    # Spots near the axis tell which of the farther ones the camera sees.
-    steps = NEAR * np.diag(half)
-    first, *beside = places_of(origin + np.vstack([np.zeros(2), steps]), 1)
-    roughly = (np.array(beside) - first) / (NEAR * half[:, None])
-    three = np.diag(half)
-    for number in range(2):
-        for share in (1, -1, 0.8, -0.8, 0.6, -0.6, 0.4, -0.4):
-            three[number] = share * np.diag(half)[number]
-            there = first + three[number] @ roughly
-            if (there >= around).all() and (there <= np.array(camera.shape[::-1]) - 1 - around).all():
-                break
-        else:
-            three[number] = steps[number]
-    three = np.vstack([np.zeros(2), three])
-    wanted, three = three @ roughly, origin + three
-    pixels = places_of(three, captures)
+
+    def single_spots() -> tuple[np.ndarray, np.ndarray]:
+        """Return three points and the pixels of their spots."""
+        show(origin[None])
+        set_exposure(camera)
+        # Spots near the axis tell which of the farther ones the camera sees.
+        steps = NEAR * np.diag(half)
+        first, *beside = places_of(origin + np.vstack([np.zeros(2), steps]), 1)
+        roughly = (np.array(beside) - first) / (NEAR * half[:, None])
+        three = np.diag(half)
+        for number in range(2):
+            for share in (1, -1, 0.8, -0.8, 0.6, -0.6, 0.4, -0.4):
+                three[number] = share * np.diag(half)[number]
+                there = first + three[number] @ roughly
+                if (there >= around).all() and (there <= np.array(camera.shape[::-1]) - 1 - around).all():
+                    break
+            else:
+                three[number] = steps[number]
+        three = np.vstack([np.zeros(2), three])
+        wanted, three = three @ roughly, origin + three
+        pixels = places_of(three, min(captures, SINGLE))
+        missed = np.linalg.norm(pixels - first - wanted, axis=-1)
+        _check_places(first, roughly, camera, bool((missed > 2 * around + 0.3 * np.abs(wanted).max()).any()))
+        return three, pixels
+
+    if start is None:
+        three, pixels = single_spots()
+    else:
+        three = origin + np.vstack([np.zeros(2), np.diag(half)])
+        pixels = start.camera_pixels(three)
     matrix = np.linalg.solve(np.column_stack([three, np.ones(3)]), pixels)
-    missed = np.linalg.norm(pixels - first - wanted, axis=-1)
-    _check_places(first, roughly, camera, bool((missed > 2 * around + 0.3 * np.abs(wanted).max()).any()))
     if middle:
         near = 0.45 * half.min() if behind_lens else half.min()
         blur = min(BLUR, 0.6 * near / (size.max() * pitch)) if behind_lens else BLUR
@@ -184,7 +218,8 @@ def register_camera(
                 *(modulator, camera, partial(show, three[:1]), wavelength, b, moments, matrix, origin, near, blur)
             )
         # Spots that the aberration had spread are smaller now.
-        matrix = np.linalg.solve(np.column_stack([three, np.ones(3)]), places_of(three, captures))
+        pixels = places_of(three, min(captures, SINGLE))
+        matrix = np.linalg.solve(np.column_stack([three, np.ones(3)]), pixels)
     down, across = _validate.size("grid", grid)
     y, x = (np.linspace(-h, h, n) for h, n in ((half[1], down), (half[0], across)))
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -209,9 +244,9 @@ def register_camera(
         seen.append(centroid(frame, brightest(window) + corner, min(reach, around)))
     seen, points = np.array(seen), points[inside]
     pixel = 1 / np.linalg.norm(matrix[0])
-    start = np.linalg.inv(np.vstack([matrix.T, [0, 0, 1]]))
+    straight = np.linalg.inv(np.vstack([matrix.T, [0, 0, 1]]))
     shift = np.array([[1, 0, camera.shape[1] / 2], [0, 1, camera.shape[0] / 2], [0, 0, 1.0]])
-    start = start @ shift
+    straight = straight @ shift
 
     def mapping(parameters: np.ndarray) -> Registration:
         homography = np.append(parameters[:8], 1.0).reshape(3, 3)
@@ -221,7 +256,7 @@ def register_camera(
     def misfit(parameters: np.ndarray) -> np.ndarray:
         return ((mapping(parameters).plane_points(seen) - points) / pixel).ravel()
 
-    begin = np.append((start / start[2, 2] / np.array([[pixel], [pixel], [1.0]])).ravel()[:8], 0.0)
+    begin = np.append((straight / straight[2, 2] / np.array([[pixel], [pixel], [1.0]])).ravel()[:8], 0.0)
     scale = np.array([1, 1, 10, 1, 1, 10, 1e-3, 1e-3, 0.1])
     # Spots that were missed do not enter the fit of the mapping.
     fitted = least_squares(misfit, begin, x_scale=scale, loss="soft_l1", f_scale=0.3)
@@ -316,7 +351,7 @@ def _curvature(modulator, camera, show, wavelength, distance, moments, matrix, o
     for sign in (1, -1):
         show(extra=sign * added / 2 * (x**2 + y**2))
         set_exposure(camera)
-        frame = averaged(camera, 4)
+        frame = averaged(camera, SINGLE)
         difference += sign * back.T @ _second_moments(frame, near) @ back
     scale = (wavelength * distance / (2 * np.pi)) ** 2 * np.add.outer(moments, moments)
     hessian = -difference / (2 * scale * added)
