@@ -36,6 +36,13 @@ NOT_EMULATED = (
     "*.image_figure",
     "odak.learn.wave.Scene.*",  # cameras are objects of their own, with a `to`
 )
+# Nor with the device as the default one.
+NOT_BY_DEFAULT = (
+    "*.accommodation_response",  # a spectrum that is a conjugated view
+    "*.eye_transfer_function",
+    "*.retinal_image",
+    "odak.learn.wave.display_model",  # places chosen by a list of truths
+)
 # What is not ready for a device yet: numbers of the CPU are mixed in, or read back in every iteration.
 NOT_READY = ()
 # How often one call may read numbers back at one place: checks of arguments, figures and files; nothing in a loop over
@@ -69,8 +76,9 @@ def bound(path, declared, folder):
     return getattr(made, declared.__name__)
 
 
-def is_emulated(path):
-    return samples.is_called(path) and not any(fnmatchcase(path, pattern) for pattern in NOT_EMULATED + NOT_READY)
+def is_emulated(path, left_out=()):
+    patterns = (*NOT_EMULATED, *NOT_READY, *left_out)
+    return samples.is_called(path) and not any(fnmatchcase(path, pattern) for pattern in patterns)
 
 
 @pytest.mark.slow
@@ -95,6 +103,17 @@ def test_on_a_device(path):
     assert not unexplained
     often = {line: count for line, count in emulated_device.reads.items() if count > MOST_READS}
     assert not often
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", [path for path in CALLABLES if is_emulated(path, NOT_BY_DEFAULT)])
+def test_on_a_default_device(path):
+    """A script may have called torch.set_default_device: constants that are of the CPU must say so."""
+    folder = Path(tempfile.mkdtemp(dir="."))
+    with EmulatedDevice():
+        function, given = bound(path, CALLABLES[path], folder), arguments(path, CALLABLES[path], folder)
+        with torch.device(DEVICE):
+            contract.call(function, given)
 
 
 def test_the_emulation_finds_what_a_gpu_would():

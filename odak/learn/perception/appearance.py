@@ -289,7 +289,7 @@ def dkl_to_xyz(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
 def _planckian_locus():
     """Return mireds, and u, v of CIE 1960 of black bodies with their derivatives by the mired, float64 ``[5, N]``."""
     nanometres = np.arange(360.0, 831.0)
-    matching = np.asarray(color_matching_functions(nanometres))
+    matching = color_matching_functions(nanometres).cpu().numpy()
     mired = np.arange(_HOTTEST, _COLDEST + _STEP, _STEP)
     per_mired = _SECOND_CONSTANT / (nanometres * 1e-9) / 1e6
     cycles = mired[:, None] * per_mired

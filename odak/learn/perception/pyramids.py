@@ -541,14 +541,14 @@ def _unsteered(size, count, kind, bilinear):
     """
     bands = get_steerable_pyramid_filters(size, count, kind, bilinear=bilinear, dtype=torch.float64)["b"]
     shares = steering(count, orientations(count))
-    parts = np.linalg.solve(shares, torch.cat(bands)[:, 0].numpy().reshape(count, -1))
+    parts = np.linalg.solve(shares, torch.cat(bands)[:, 0].cpu().numpy().reshape(count, -1))
     return shares.T, parts.reshape(count, *bands[0].shape[-2:])
 
 
 @functools.lru_cache(maxsize=16)
 def _quadrature_taps(size, count, kind, bilinear, dtype, device):
     bands = get_steerable_pyramid_filters(size, count, kind, bilinear=bilinear, dtype=torch.float64)["b"]
-    taps = quadrature(torch.cat(bands)[:, 0].numpy(), QUADRATURE_SIZE)
+    taps = quadrature(torch.cat(bands)[:, 0].cpu().numpy(), QUADRATURE_SIZE)
     with _torch_private.keeping():
         return torch.tensor(taps, dtype=dtype, device=device)
 

@@ -189,7 +189,10 @@ def needle_design(
     if not bool(tilts.any()) and bool((wanted[0] == wanted[1]).all()):
         wanted = wanted[:1]
     scale = waves.mean()
-    indices = [torch.as_tensor(_index(value, waves, unit), dtype=torch.complex128) for value in (*pool, *ends)]
+    indices = [
+        torch.as_tensor(_index(value, waves, unit), dtype=torch.complex128, device=waves.device)
+        for value in (*pool, *ends)
+    ]
     indices = [value.expand(len(waves)) for value in indices]
     aim = _Aim(
         waves / scale,
@@ -200,8 +203,8 @@ def needle_design(
         tilts.cos(),
         wanted,
     )
-    order = torch.tensor([pool.index(value) for value in start.media])
-    thick = torch.stack([_doubles("thicknesses", value) for value in start.thicknesses]) / scale
+    order = torch.tensor([pool.index(value) for value in start.media], device=waves.device)
+    thick = torch.stack([_doubles("thicknesses", value) for value in start.thicknesses]).to(waves) / scale
     merit = float(aim.off(order, thick[None, None, None]).abs().square().sum().sqrt())
     history = [(len(order), merit)]
     while len(order) < films and merit > 1e-12 and (needles := _needles(aim, order, thick, len(held))):

@@ -771,7 +771,9 @@ def wavefront_figure(
         grid = torch.full_like(x, torch.nan)
         grid[inside] = found.path[0, i].cpu()
         span = float(grid.abs().nan_to_num().max()) or 1.0
-        shown = axes.imshow(grid.numpy(), origin="lower", extent=(-1, 1, -1, 1), cmap="RdBu_r", vmin=-span, vmax=span)
+        shown = axes.imshow(
+            grid.cpu().numpy(), origin="lower", extent=(-1, 1, -1, 1), cmap="RdBu_r", vmin=-span, vmax=span
+        )
         axes.set_title(f"field {field_label(system, i)}\nRMS {float(quality.wavefront_rms[i]):.3g} λ", fontsize=9)
         axes.set(xticks=[-1, 0, 1], yticks=[-1, 0, 1])
         figure.colorbar(shown, ax=axes, shrink=0.8, label="path (λ)" if i == fields - 1 else None)
@@ -899,7 +901,7 @@ def performance_figure(system: Any, points: int = 11, frequencies: Any = None, a
     largest = max(math.hypot(*field) for field in system.fields)
     if not largest:
         raise ValueError("system must have a field off the axis")
-    heights = torch.linspace(0, largest, points, dtype=torch.float64)
+    heights = torch.linspace(0, largest, points, dtype=torch.float64, device="cpu")
     fields = torch.stack([0 * heights, heights], -1)
     focus = bool(image_aperture(system)) and not system.afocal
     numbers = system.prescription().at(system.reference)
@@ -1096,7 +1098,9 @@ def polarisation_figure(system: Any, samples: int = 24, aim: str = "paraxial") -
         for i in range(fields):
             axes, grid = panels[row, i], torch.full_like(x, torch.nan)
             grid[inside] = values[0, i].cpu()
-            shown = axes.imshow(grid.numpy(), origin="lower", extent=(-1, 1, -1, 1), cmap="viridis", vmin=0, vmax=top)
+            shown = axes.imshow(
+                grid.cpu().numpy(), origin="lower", extent=(-1, 1, -1, 1), cmap="viridis", vmin=0, vmax=top
+            )
             axes.set(xticks=[-1, 0, 1], yticks=[-1, 0, 1])
             figure.colorbar(shown, ax=axes, shrink=0.8, label=name if i == fields - 1 else None)
         panels[row, 0].set_ylabel("pupil y", fontsize=9)
