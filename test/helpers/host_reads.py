@@ -86,6 +86,7 @@ REASONS = {
         perception/csf: _sensitivities
     """,
     "numbers of NumPy or constants, which are on the CPU": """
+        perception/appearance: _planckian_locus
         perception/color: _column rows tone_map
         perception/display_color: _checked read_spectra
         perception/pyramids: keep _quadrature_taps _unsteered

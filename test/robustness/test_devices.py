@@ -39,6 +39,7 @@ NOT_EMULATED = (
 # Nor with the device as the default one.
 NOT_BY_DEFAULT = (
     "*.accommodation_response",  # a spectrum that is a conjugated view
+    "*.automatic_design",  # the classes of one_hot
     "*.eye_transfer_function",
     "*.retinal_image",
     "odak.learn.wave.display_model",  # places chosen by a list of truths

@@ -978,8 +978,7 @@ def _placed(old: torch.Tensor, chosen: torch.Tensor, places: list, name: str) ->
         return old
     deep = name in ("coefficients", "shift", "tilt", "glass")
     tail = old.shape[-2:] if deep else old.shape[-1:]
-    flat = [place * tail[-1] + term if deep else place for place, term in places]
-    where = torch.tensor(flat, device="cpu")
+    where = torch.tensor([place * tail[-1] + term if deep else place for place, term in places])
     spread = torch.nn.functional.one_hot(where, tail.numel()).to(old)
     kept = old.reshape(*old.shape[: old.ndim - len(tail)], -1) * (1 - spread.sum(0))
     return (kept + chosen @ spread).unflatten(-1, tail)
