@@ -323,8 +323,7 @@ def calibrate_table(
     camera = checked_camera(camera)
     there = (modulator, camera, wavelength)
     # More levels determine the response better than more captures of each, but few pixels see a focus.
-    samples, captures = (25, 4) if behind_lens else (33, 1)
-    phases, doubt, spread = phases_with_uncertainty(*there, distance, samples, captures)
+    phases, doubt, spread = phases_with_uncertainty(*there, distance, 25, 4)
     warn_of_short_range(phases)
     varies = spread > SPREAD_OF_RESPONSE
     if regions is None and behind_lens:

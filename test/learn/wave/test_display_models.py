@@ -175,7 +175,7 @@ def test_calibration_of_a_table_is_refined_by_a_fit_to_captures(shape, distance,
     bounds = {"phases": 2e-3, "registration": 2e-3, "wavefront": 1e-3, "distance": 1e-4, "amplitude": 1e-3}
     for name, bound in bounds.items():
         assert abs(after[name]) < bound, name
-    assert all(abs(after[name]) < abs(before[name]) for name in ("registration", "wavefront", "distance", "amplitude"))
+        assert abs(after[name]) < abs(before[name]) or abs(before[name]) < bound, name
 
 
 def test_a_tuned_laser_is_a_model_of_scaled_phases():
