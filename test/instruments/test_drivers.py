@@ -125,7 +125,7 @@ def test_a_folder_that_does_not_answer(tmp_path):
 
 def test_drivers_of_the_package_are_registered():
     with pytest.raises(
-        ValueError, match=r"'file-modulator', 'genicam', .*'micro-manager-modulator', 'screen', 'video'"
+        ValueError, match=r"'file-modulator', 'genicam', .*'micro-manager-modulator', 'raspberry-pi', 'screen', 'video'"
     ):
         instruments.open_instrument("none")
 
