@@ -7,8 +7,10 @@ import torch
 
 from odak import _show, _validate
 from odak._array import namespace
+from odak._torch_private import differentiates
 from odak.catalog.materials import MICROMETRES, Material
 from odak.jones.thin_films import stack_response
+from odak.learn._tensors import takes_constants
 from odak.learn.raytracing.system.optimise import LADDER, least_squares
 from odak.learn.raytracing.system.surfaces import Coating, _coating_medium, _index
 
@@ -94,6 +96,8 @@ class _Aim(NamedTuple):
         return (r - root * torch.sgn(r)) / self.target.numel() ** 0.5
 
 
+@takes_constants("media", "between", "wavelengths", "target", "angles")
+@differentiates
 def needle_design(
     start: Coating,
     media: Sequence[str | complex | Material],
