@@ -140,8 +140,10 @@ def numbers(value) -> list[float]:
     """Return a number, a sequence or an array of numbers as a flat list of floats."""
     if type(value) in _NUMBERS:
         return [float(value)]
+    if is_torch(value):
+        # The whole list at once: a tensor of each number takes microseconds.
+        return [float(v) for v in value.detach().reshape(-1).tolist()]
     if is_array(value):
-        value = value.detach() if is_torch(value) else value
         return [float(v) for v in namespace(value).reshape(value, (-1,))]
     if isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
         return [number for v in value for number in numbers(v)]
@@ -691,14 +693,14 @@ def _range_of(value) -> tuple[float, float] | None:
         known = [entry for entry in found if entry is not None]
         return (min(a for a, _ in known), max(b for _, b in known)) if known and len(known) == len(found) else None
     if is_torch(value):
-        if value.requires_grad or value.device.type != "cpu" or not is_readable(value) or not value.is_floating_point():
+        if value.requires_grad or not (value.is_cpu and value.is_floating_point() and is_readable(value)):
             return None
     elif not isinstance(value, (numpy.ndarray, numpy.generic)) or value.dtype.kind not in "fiu":
         return None
     # What is no list of a few lengths takes too long to read.
     if not 0 < math.prod(value.shape) <= _MOST_LENGTHS:
         return None
-    listed = value.reshape(-1).tolist()
+    listed = value.reshape(-1).tolist() if value.ndim else [value.item()]
     least, largest = min(listed), max(listed)
     return (least, largest) if least > 0 and largest < math.inf else None
 

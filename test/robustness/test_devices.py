@@ -92,10 +92,7 @@ def test_on_a_device(path):
         function = bound(path, declared, folder)
         given = arguments(path, declared, folder)
         result = contract.call(function, given)
-    there = [leaf for leaf in tree_leaves(given) if isinstance(leaf, Emulated) and leaf.ndim]
-    if (there or "device" in given) and not hasattr(function, "__self__"):
-        results = [leaf for leaf in tree_leaves(result) if isinstance(leaf, torch.Tensor) and leaf.ndim]
-        assert all(isinstance(leaf, Emulated) for leaf in results)
+    check_results_are_there(function, given, result)
     unexplained = [
         line
         for line in emulated_device.reads
@@ -114,7 +111,16 @@ def test_on_a_default_device(path):
     with EmulatedDevice():
         function, given = bound(path, CALLABLES[path], folder), arguments(path, CALLABLES[path], folder)
         with torch.device(DEVICE):
-            contract.call(function, given)
+            result = contract.call(function, given)
+    check_results_are_there(function, given, result)
+
+
+def check_results_are_there(function, given, result):
+    """Check that a call whose tensors are on the device returns tensors on it."""
+    there = [leaf for leaf in tree_leaves(given) if isinstance(leaf, Emulated) and leaf.ndim]
+    if (there or "device" in given) and not hasattr(function, "__self__"):
+        results = [leaf for leaf in tree_leaves(result) if isinstance(leaf, torch.Tensor) and leaf.ndim]
+        assert all(isinstance(leaf, Emulated) for leaf in results)
 
 
 def test_the_emulation_finds_what_a_gpu_would():
