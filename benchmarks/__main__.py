@@ -84,7 +84,9 @@ def tested(arguments: list[str]) -> dict:
     """Run pytest and return how many tests passed and were skipped, and the failed ones with their messages."""
     with tempfile.TemporaryDirectory() as folder:
         report = pathlib.Path(folder) / "report.xml"
-        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"--junitxml={report}", *arguments]
+        # What an assertion compared belongs to the message, whatever PYTEST_ADDOPTS asks for.
+        command = [sys.executable, "-m", "pytest", "-q", "--assert=rewrite", "-p", "no:cacheprovider"]
+        command += [f"--junitxml={report}", *arguments]
         run = subprocess.run(command, cwd=FOLDER.parent, capture_output=True, text=True)
         if not report.exists():
             return {"passed": 0, "skipped": 0, "failed": {"pytest": (run.stdout + run.stderr)[-2000:]}}
