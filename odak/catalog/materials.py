@@ -667,8 +667,9 @@ def _ciddor(wide, temperature, pressure, humidity=0.0, carbon_dioxide: float = 4
     exponent = 1.2378847e-5 * kelvin**2 - 1.9121316e-2 * kelvin + 33.93711047 - 6.3431645e3 / kelvin
     saturated = _array.namespace(exponent).exp(exponent) if _array.is_array(exponent) else math.exp(exponent)
     vapour = humidity * (1.00062 + 3.14e-8 * pressure + 5.6e-7 * temperature**2) * saturated
-    bare = not _array.is_array(pressure) and pressure == 0
-    share = 0.0 * vapour if bare else vapour / pressure
+    # Without vapour, or without air, there is no share to divide for: a pressure of 0 is vacuum.
+    none = any(not _array.is_array(value) and value == 0 for value in (humidity, pressure))
+    share = 0.0 * vapour if none else vapour / pressure
     mass = 0.0289635 + 1.2011e-8 * (carbon_dioxide - 400)
     air = pressure * mass * (1 - share) / (_compressibility(kelvin, pressure, share) * kelvin)
     water = pressure * 0.018015 * share / (_compressibility(kelvin, pressure, share) * kelvin)

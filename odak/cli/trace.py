@@ -35,8 +35,8 @@ from odak.learn.raytracing.system import (
     tolerances_for_yield,
 )
 from odak.learn.raytracing.system.drawing import MICROMETRES, field_label, image_aperture, modulation_frequencies
+from odak.learn.raytracing.system.environment import replaced
 from odak.learn.raytracing.system.system_files import load_materials
-from odak.learn.raytracing.system.zooms import replaced
 from odak.raytracing.intersections import RayStatus
 from odak.tools.paths import replacing
 

@@ -42,7 +42,7 @@ REASONS = {
         raytracing/system/automatic: glasses standard_design
         raytracing/system/design: __init__ _now
         raytracing/system/operands: glass_hull nearest_glasses
-        raytracing/system/environment: _expand
+        raytracing/system/environment: expanded_system
         raytracing/system/eye: _traced_terms
         raytracing/system/lens_fields: __init__ _check _traced apply
         raytracing/system/image_simulation: _chief _response point_spread_map

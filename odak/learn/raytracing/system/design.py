@@ -10,6 +10,7 @@ import torch
 from odak import _show, _validate
 from odak.catalog import material
 from odak.catalog.materials import MICROMETRES, cauchy_through, model_glass
+from odak.learn.raytracing.system.environment import Environment, expanded
 from odak.learn.raytracing.system.operands import (
     Operand,
     View,
@@ -224,6 +225,8 @@ class lens_design:
         with torch.no_grad():
             held = (v.detach() if isinstance(v, torch.Tensor) else v for v in system.prescription())
             self.base = Prescription._make(held)
+        # That of one of several configurations; variables, pickups and solves are of the numbers at the nominal one.
+        self.environment: Environment | None = None
         # Of several designs, which glasses are real ones already, [N, glasses].
         self.real: torch.Tensor | None = None
         self.pickups = [self._checked_pickup(item) for item in _items("pickups", pickups, Pickup)]
@@ -255,7 +258,7 @@ class lens_design:
             name = _number_of(item)
             if (item.surface, 0) in self.places.get(name, ()):
                 column = self.columns[name][self.places[name].index((item.surface, 0))]
-                number = getattr(self.prescription(self.values), name)[item.surface]
+                number = getattr(self._nominal(self.values), name)[item.surface]
                 self.values[column] = getattr(self.base, name)[item.surface] - number
         self.refresh()
 
@@ -374,6 +377,11 @@ class lens_design:
         Prescription
             With the axes ``[...]`` as a batch of systems; pickups and solves applied.
         """
+        p = self._nominal(values)
+        return p if self.environment is None else expanded(self.system, p, self.environment)
+
+    def _nominal(self, values: torch.Tensor) -> Prescription:
+        """Return the numbers for values of the variables, those at the nominal temperature."""
         values, p = self._checked(values), self.base
         if p.index.ndim > 2:
             # One row for each of several designs, each of which may be evaluated at several values.
@@ -612,7 +620,7 @@ class lens_design:
         """
         with torch.no_grad():
             self.values = self._checked(values).detach().clone()
-            p = self.prescription(self.values)
+            p = self._nominal(self.values)
             followers: dict[str, set[int]] = {
                 "curvature": set(),
                 "conic": set(),
@@ -787,12 +795,15 @@ class zoom_design(lens_design):
     Raises
     ------
     ValueError, TypeError
-        If a description is malformed, names what the system does not have, or solves for a shared number.
+        If a description is malformed, names what the system does not have, solves for a shared number, or varies a
+        glass where the settings have temperatures.
 
     Notes
     -----
     Fields, apertures and distances of the object may differ between the configurations. The columns of the variables
-    in `values` are those of the first configuration, each of its own ones followed by those of the others.
+    in `values` are those of the first configuration, each of its own ones followed by those of the others. Where the
+    settings have temperatures, variables, pickups and solves are of the numbers at 20 °C, and operands are evaluated
+    at the temperature. Glasses, whose dn/dT would be unknown, are then no variables.
 
     Examples
     --------
@@ -830,10 +841,18 @@ class zoom_design(lens_design):
         with torch.no_grad():
             self.each = [
                 lens_design(
-                    zoom.view(c), [_of_configuration(item, c, zoom.count) for item in listed], variables, **options
+                    zoom._view(c, True, False),
+                    [_of_configuration(item, c, zoom.count) for item in listed],
+                    variables,
+                    **options,
                 )
                 for c in range(zoom.count)
             ]
+            for c, design in enumerate(self.each):
+                design.environment = zoom._environment(c)
+                design.refresh()
+        if "glass" in self.each[0].places and zoom._environment(0) is not None:
+            raise ValueError("variables must not be glasses where the settings have temperatures: dn/dT is unknown")
         first = self.each[0]
         self.__dict__.update({name: value for name, value in first.__dict__.items() if name not in self.__dict__})
         self.system, self.heights = zoom.system, None

@@ -1,15 +1,16 @@
 """Systems at other temperatures and pressures: expansion of glasses and mounts, change of the indices."""
 
-from typing import Any
+import copy
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import torch
 
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.catalog.materials import Material, thermal_of
-from odak.learn.raytracing.system.surfaces import Row, checked_system, is_break, optical_system
-from odak.learn.raytracing.system.zooms import replaced, shared_copy
-from odak.raytracing.surfaces import Shape
+from odak.catalog.materials import Material, refractive_index, thermal_of
+from odak.learn.raytracing.system.prescriptions import Prescription
+from odak.learn.raytracing.system.surfaces import Row, checked_system, is_break, optical_system, wavelengths_of
 
 
 def in_environment(
@@ -79,25 +80,39 @@ def in_environment(
         _validate.constant(name, value)
     temperature = _validate.number("temperature", temperature, least=-273.15)
     pressure = _validate.number("pressure", pressure, least=0)
-    change = torch.as_tensor(temperature, dtype=torch.float64).reshape(()) - nominal
-    found = shared_copy(system)
-    items: list[Any] = list(system.surfaces)
-    rates: list[Any] = []
+    tell_unknown([system])
+    return expanded_system(system, Environment(temperature, pressure, mount, mirror, nominal))
+
+
+class Environment(NamedTuple):
+    """What :func:`in_environment` takes."""
+
+    temperature: Any = 20.0
+    pressure: Any = 101325.0
+    mount: Any = 0.0
+    mirror: Any = 0.0
+    nominal: float = 20.0
+
+
+def tell_unknown(systems: Iterable) -> None:
+    """Warn once of glasses whose expansion or dn/dT is not known; raise ValueError for what has no known change.
+
+    Parameters
+    ----------
+    systems : iterable of optical_system
+        The systems.
+    """
     unknown: list[str] = []
-    inside = False
-    for i, item in enumerate(items):
-        if item.own_gradient is not None:
-            raise ValueError(f"surfaces[{i}] has a graded medium behind it, whose change with temperature is not known")
-        rate = None
-        if isinstance(item.material, Material):
-            constants, rate, _ = thermal_of(item.material)
-            unknown += [item.material.name] if rate is None or constants is None else []
-            rate = rate or 0.0
-        elif (item.reflects or is_break(item)) and inside:
-            # Behind a mirror or a break in glass, that glass goes on.
-            rate = rates[-1]
-        inside = rate is not None
-        rates.append(rate)
+    for system in systems:
+        for i, item in enumerate(system.surfaces):
+            if item.own_gradient is not None:
+                raise ValueError(
+                    f"surfaces[{i}] has a graded medium behind it, whose change with temperature is not known"
+                )
+            if item.own_shape is not None:
+                raise ValueError(f"surfaces[{i}] is a {item.own_shape.kind.__name__}, whose expansion is not known")
+            if isinstance(item.material, Material) and None in thermal_of(item.material)[:2]:
+                unknown.append(item.material.name)
     if unknown:
         names = ", ".join(dict.fromkeys(unknown))
         warn(
@@ -105,62 +120,131 @@ def in_environment(
             "`expansion`, or load a maker's catalogue (AGF)",
             AccuracyWarning,
         )
-    grown = []
-    for i, item in enumerate(items):
-        around = [rate for rate in (rates[i - 1] if i else None, rates[i]) if rate is not None]
-        rate = mirror if item.reflects else sum(around) / len(around) if around else 0.0
-        grown.append(1 + rate * change)
+
+
+def expanded_system(system, given: Environment) -> optical_system:
+    """Return a system in an environment, linked to the system.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    given : Environment
+        The environment.
+    """
+    p = expanded(system, system.prescription([system.wavelengths[0]]), given)
+    found = shared_copy(system)
+    items: list[Any] = list(system.surfaces)
     copies = [shared_copy(item) for item in items]
+    growth = _growth(items, given)[0]
     for i, (item, other) in enumerate(zip(items, copies, strict=True)):
-        _expand(i, item, other, grown[i])
+        if not _is_fixed(item):
+            replaced(other, "curvature", p.curvature[i])
+            replaced(other, "coefficients", p.coefficients[i, : item.coefficients.numel()])
+            if item.semi_diameter is not None:
+                other.semi_diameter = float((item.semi_diameter * growth[i]).detach())
+        replaced(other, "thickness", p.thickness[i])
         if isinstance(item.material, Material):
-            other.material = item.material.at(temperature, pressure)
-    for i, (item, other) in enumerate(zip(items, copies, strict=True)):
-        if rates[i] is not None:
-            thickness = item.thickness * (1 + rates[i] * change)
-        else:
-            thickness = item.thickness + mount * change * _rim_distance(items, i)
-            thickness = thickness - _rim_growth(items, copies, i)
-        replaced(other, "thickness", thickness)
+            other.material = item.material.at(given.temperature, given.pressure)
     if isinstance(system.object_material, Material):
-        found.object_material = system.object_material.at(temperature, pressure)
+        found.object_material = system.object_material.at(given.temperature, given.pressure)
     found.surfaces = Row(copies, found.object_material)
     return found
 
 
-def _expand(i: int, item, other, scale) -> None:
-    """Scale the shape of a surface."""
-    if item.own_shape is not None:
-        raise ValueError(f"surfaces[{i}] is a {item.own_shape.kind.__name__}, whose expansion is not known")
-    if item.own_phase is not None and not is_break(item):
-        return
-    replaced(other, "curvature", item.curvature / scale)
-    powers = torch.ones_like(item.coefficients).cumsum(0)
-    replaced(other, "coefficients", item.coefficients * torch.as_tensor(scale).to(powers) ** (1 - 2 * powers))
-    if item.semi_diameter is not None:
-        other.semi_diameter = float(torch.as_tensor(item.semi_diameter * scale).detach())
+def expanded(system, p: Prescription, given: Environment) -> Prescription:
+    """Return numbers that hold at the nominal temperature as they are in an environment.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system, whose glasses and semi-diameters count.
+    p : Prescription
+        Its numbers, of one system or of a batch.
+    given : Environment
+        The environment.
+    """
+    items: list[Any] = list(system.surfaces)
+    growth, rates, change = _growth(items, given)
+    powers = torch.arange(1, p.coefficients.shape[-1] + 1).to(p.coefficients)
+    curvature, coefficients = p.curvature / growth, p.coefficients * growth[:, None] ** (1 - 2 * powers)
+    grown = p._replace(curvature=curvature, coefficients=coefficients)
+    thickness: list[Any] = []
+    for i, (value, rate) in enumerate(zip(p.thickness.unbind(-1), rates, strict=True)):
+        if rate is None:
+            (a, b), (c, d) = _heights(items, p, torch.ones_like(growth), i), _heights(items, grown, growth, i)
+            # The distance at the rims grows by the mount; that on the axis loses what the rims bend towards each other.
+            thickness.append(value + given.mount * change * (value + b - a) - (d - c - b + a))
+        else:
+            thickness.append(value * (1 + rate * change))
+    waves = wavelengths_of(system, p)
+    none = torch.zeros_like(waves)
+    columns = [_index_change(system.object_material, waves, system.unit, given, none)]
+    for item in items:
+        goes_on = item.reflects or is_break(item)
+        columns.append(columns[-1] if goes_on else _index_change(item.material, waves, system.unit, given, none))
+    return grown._replace(
+        thickness=torch.stack(torch.broadcast_tensors(*thickness), -1), index=p.index + torch.stack(columns, -1)
+    )
 
 
-def _heights(items, i: int) -> tuple:
+def _growth(items, given: Environment) -> tuple[torch.Tensor, list, torch.Tensor]:
+    """Return the factors by which surfaces grow, ``[S]``, the coefficients of the glasses behind, and the warming."""
+    change = torch.as_tensor(given.temperature, dtype=torch.float64).reshape(()) - given.nominal
+    rates: list[float | None] = []
+    for item in items:
+        rate = None
+        if isinstance(item.material, Material):
+            rate = thermal_of(item.material)[1] or 0.0
+        elif (item.reflects or is_break(item)) and rates:
+            # Behind a mirror or a break in glass, that glass goes on.
+            rate = rates[-1]
+        rates.append(rate)
+    grown = []
+    for i, item in enumerate(items):
+        around = [rate for rate in (rates[i - 1] if i else None, rates[i]) if rate is not None]
+        rate = given.mirror if item.reflects else sum(around) / len(around) if around else 0.0
+        grown.append(1 + (0.0 if _is_fixed(item) else rate) * change)
+    return torch.stack(grown), rates, change
+
+
+def _is_fixed(item) -> bool:
+    """Return whether a surface has a phase: its shape stays as it is."""
+    return item.own_phase is not None and not is_break(item)
+
+
+def _index_change(medium, waves: torch.Tensor, unit: str, given: Environment, none: torch.Tensor) -> torch.Tensor:
+    if not isinstance(medium, Material):
+        return none
+    there: Any = refractive_index(medium.at(given.temperature, given.pressure), waves, unit, medium="air")
+    return there - refractive_index(medium, waves, unit, medium="air")
+
+
+def _heights(items, p: Prescription, growth, i: int) -> tuple:
     """Return the heights of two neighbouring surfaces at their rims, zeros where a rim is not known."""
     pair: list[Any] = [items[i], items[i + 1] if i + 1 < len(items) else None]
     if any(item is None or is_break(item) or item.semi_diameter is None for item in pair):
         return 0.0, 0.0
-    return tuple(_height(item.shape, item.semi_diameter) for item in pair)
+    return tuple(_height(p, j, growth[j] * items[j].semi_diameter) for j in (i, i + 1))
 
 
-def _height(shape: Shape, radius: float):
-    place = torch.tensor([radius], dtype=torch.float64)
-    return shape.sag(0 * place, place).height[0]
+def _height(p: Prescription, i: int, radius: torch.Tensor):
+    shape = p.shape(i)
+    return shape.sag(0 * radius, radius).height
 
 
-def _rim_distance(items, i: int):
-    """Return the distance of two surfaces at their rims, or on the axis."""
-    first, second = _heights(items, i)
-    return items[i].thickness + second - first
+def shared_copy(module):
+    """Return a module that shares its parts with another until they are replaced."""
+    found = copy.copy(module)
+    for name in ("_parameters", "_buffers", "_modules"):
+        found.__dict__[name] = dict(module.__dict__[name])
+    return found
 
 
-def _rim_growth(items, copies, i: int):
-    """Return by how much the heights of the rims of two surfaces shorten the distance on the axis."""
-    (a, b), (c, d) = _heights(items, i), _heights(copies, i)
-    return (d - b) - (c - a)
+def replaced(item, name: str, value: torch.Tensor) -> None:
+    """Replace a number of a surface by a tensor of any graph."""
+    held = ("curvature_value", "radius_value") if name == "curvature" else (name,)
+    for old in held:
+        item._parameters.pop(old, None)
+        item._buffers.pop(old, None)
+    item._buffers["curvature_value" if name == "curvature" else name] = value

@@ -1141,6 +1141,7 @@ def _factors(values, count: int) -> tuple[tuple[float, ...], ...] | None:
 SETTINGS = {
     "surfaces": ("thickness", "curvature", "conic", "index", "semi_diameter", "material"),
     "system": ("aperture", "object_distance", "fields", "wavelengths", "image_heights", "real_image_heights"),
+    "environment": ("temperature", "pressure", "mount", "mirror"),
 }
 
 
@@ -1160,12 +1161,13 @@ def checked_settings(settings, count: int) -> tuple[tuple[str, int | None, tuple
     for entry in settings:
         if not isinstance(entry, (tuple, list)) or len(entry) != 3:
             raise ValueError(f"settings must be (name, place, values), got {entry!r:.80}")
-        name = _validate.one_of("name in settings", entry[0], SETTINGS["surfaces"] + SETTINGS["system"])
-        if name in SETTINGS["system"] and entry[1] is not None:
+        name = _validate.one_of("name in settings", entry[0], [one for names in SETTINGS.values() for one in names])
+        whole = name not in SETTINGS["surfaces"]
+        if whole and entry[1] is not None:
             raise ValueError(
                 f"place in settings must be None for {name}, which belongs to the system, got {entry[1]!r}"
             )
-        place = None if name in SETTINGS["system"] else _validate.place_in("place in settings", entry[1], count)
+        place = None if whole else _validate.place_in("place in settings", entry[1], count)
         values = entry[2].tolist() if hasattr(entry[2], "tolist") else entry[2]
         if isinstance(values, str) or not isinstance(values, Iterable):
             raise TypeError(f"values in settings must be a sequence, got {type(values).__name__}")
@@ -1187,7 +1189,8 @@ def _setting(name: str, value):
     if name == "object_distance":
         return float(number_or_infinity(f"{name} in settings", value))
     positive = name in ("aperture", "semi_diameter", "index")
-    return _validate.constant(f"{name} in settings", value, positive=positive)
+    least = {"temperature": -273.15, "pressure": 0.0}.get(name)
+    return _validate.constant(f"{name} in settings", value, positive=positive, least=least)
 
 
 def checked_weights(name: str, values, count: int) -> tuple[float, ...] | None:

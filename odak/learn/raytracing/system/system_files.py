@@ -192,14 +192,22 @@ def system_to_dict(system: optical_system) -> dict[Any, Any]:
 
 
 def _named_medium(medium: Any) -> Any:
-    """Return the name of a material, or an index."""
-    name = getattr(medium, "name", medium)
-    return " ".join(("model", *model_numbers(medium))) if str(name).startswith("model ") else name
+    """Return the name of a material, with where it is used if that is known, or an index."""
+    if not isinstance(medium, Material):
+        return medium
+    name = " ".join(("model", *model_numbers(medium))) if medium.name.startswith("model ") else medium.name
+    if medium.environment is None:
+        return name
+    temperature, pressure = map(float, medium.environment)
+    return f"{name} at {temperature!r} °C, {pressure!r} Pa"
 
 
 def _setting(name: str, place: int | None, values: tuple) -> list:
     """Return a setting of configurations in plain numbers and names; infinities are null."""
-    kept = [getattr(value, "name", None if value == math.inf else plain(value)) for value in values]
+    kept = [
+        _named_medium(value) if isinstance(value, Material) else None if value == math.inf else plain(value)
+        for value in values
+    ]
     return [name, place, kept]
 
 
@@ -287,12 +295,10 @@ def _from_fields(where: str, base: type, entry):
 
 
 def _medium(item: Any) -> dict:
-    medium = float(item.index.detach()) if item.material is None else getattr(item.material, "name", item.material)
+    medium = float(item.index.detach()) if item.material is None else _named_medium(item.material)
     entry = {"thickness": float(item.thickness.detach()), "material": medium}
     if not isinstance(item.material, Material):
         return entry
-    if item.material.name.startswith("model "):
-        entry["material"] = " ".join(("model", *model_numbers(item.material)))
     with suppress(ValueError):
         # A range that a file extended beyond that of the glass.
         if tuple(item.material.range) != tuple(_material(str(entry["material"])).range):
@@ -300,8 +306,22 @@ def _medium(item: Any) -> dict:
     return entry
 
 
+def _is_described(name: Any) -> bool:
+    """Return whether a name of a file is more than one of the catalogue."""
+    return isinstance(name, str) and (name.startswith("model ") or " at " in name)
+
+
 def _material(name: str) -> Material:
-    """Return a glass of the catalogue, or the model glass that "model" and its two or three numbers describe."""
+    """Return a glass of the catalogue, or the model glass that "model" and its two or three numbers describe.
+
+    Behind " at " follow the temperature in degrees Celsius and the pressure in pascal at which it is used.
+    """
+    name, used, weather = name.partition(" at ")
+    if used:
+        numbers = re.fullmatch(r"(\S+) °C, (\S+) Pa", weather)
+        if numbers is None:
+            raise ValueError(f"material must have ' at … °C, … Pa' behind its name, got {name + used + weather!r:.80}")
+        return _material(name).at(*map(float, numbers.groups()))
     if not name.startswith("model "):
         return material(name)
     words = name.split()[1:]
@@ -345,7 +365,7 @@ def system_from_dict(entry: dict[Any, Any]) -> optical_system:
     entry.pop("notes", None)
     if entry.get("object_distance", 0) is None:
         del entry["object_distance"]
-    if str(entry.get("object_material", "")).startswith("model "):
+    if _is_described(entry.get("object_material")):
         entry["object_material"] = _material(entry["object_material"])
     if isinstance(entry.get("settings"), list):
         entry["settings"] = [_setting_of(item) for item in entry["settings"]]
@@ -361,9 +381,7 @@ def _setting_of(entry):
         return entry
     name, place, values = entry
     if name == "material":
-        values = [
-            _material(value) if isinstance(value, str) and value.startswith("model ") else value for value in values
-        ]
+        values = [_material(value) if _is_described(value) else value for value in values]
     return name, place, [math.inf if value is None else value for value in values]
 
 
@@ -387,7 +405,7 @@ def _built(where: str, entry, keys) -> surface:
     radius = entry.pop("radius")
     with named_errors(where):
         glass, reach = entry.get("material"), entry.pop("material_range", None)
-        if isinstance(glass, str) and glass.startswith("model "):
+        if isinstance(glass, str) and _is_described(glass):
             entry["material"] = _material(glass)
         if reach is not None:
             low, high = map(float, _validate.several("material_range", reach, 2, positive=True))

@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from odak.catalog.materials import MICROMETRES, glass_makers, material, model_glass, nearest_materials
+from odak.catalog.materials import MICROMETRES, Material, glass_makers, material, model_glass, nearest_materials
 from odak.learn.raytracing.system.paraxial import first_order, matrix, signed_indices
 from odak.learn.raytracing.system.surfaces import (
     AIR,
     MIRROR,
+    SETTINGS,
     checked_system,
     coordinate_break,
     is_break,
@@ -37,6 +38,7 @@ from odak.learn.raytracing.system.system_files import (
     plain,
     within,
 )
+from odak.learn.raytracing.system.zooms import configurations
 from odak.raytracing.apertures import Aperture, CircularAperture, EllipticAperture, RectangularAperture
 from odak.raytracing.gradients import AxialGradient, Gradient, RadialGradient
 from odak.raytracing.interfaces import IdealLens, LinearGrating, Phase, PolynomialPhase, RadialPhase
@@ -178,6 +180,8 @@ _SURFACE_KEYS = frozenset(re.findall(r"\w+", _OF_SURFACES)) | {"ELOB"}
 _IDLE_OPERANDS = frozenset(("MOFF", "LTTL", "NCOM", "MNUM"))
 _OF_CONFIGURATIONS = "THIC CRVT CURV CONN SDIA APER GLSS XFIE YFIE WAVE PRAM TEMP PRES IGNR WLWT FLWT"
 _OPERANDS = _IDLE_OPERANDS | frozenset(_OF_CONFIGURATIONS.split())
+# Temperature in degrees Celsius and pressure in atmospheres: values where there is none, and the unit of ours.
+WEATHER = {"TEMP": (20.0, 1.0), "PRES": (1.0, 101325.0)}
 # Keys of surfaces without effect on rays.
 _INERT_KEYS = frozenset(
     ("DIAM", "MEMA", "OEMA", "FIMP", "COAT", "VDSZ", "VPAR", "PPAR", "UDAP", "UDOB", "UDAD", "SPID")
@@ -225,6 +229,8 @@ def read_zmx(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optic
     the object. The report names each of these. Image heights as fields become object angles or heights: paraxially, or
     by tracing chief rays through the centre of the stop (of the paraxial pupil where the file does not aim rays); a
     height that none of them reaches becomes the farthest field from which they arrive, which the report says.
+    Temperatures and pressures of configurations (TEMP, PRES) change the indices of glasses; lengths are what the other
+    operands say.
     Vignetting factors (VDX, VDY, VCX, VCY) and weights of fields and wavelengths are passed to
     :class:`optical_system`; factors of a field with an angle (VAN) are not used, and named.
 
@@ -363,6 +369,7 @@ def _settings(general, head, surfaces, form: str, context: Context) -> list[tupl
     )
     scale, unused = context.scale, set()
     held: dict[tuple[str, int], dict[int, Line]] = {}
+    weather: dict[str, list[float]] = {}
     for line in general:
         if line.key in _OPERANDS - _IDLE_OPERANDS and len(line.words) > 2 and 1 <= line.whole(1) <= count:
             held.setdefault((line.key, line.whole()), {})[line.whole(1)] = line
@@ -406,6 +413,8 @@ def _settings(general, head, surfaces, form: str, context: Context) -> list[tupl
         elif key == "WAVE" and 1 <= place <= len(context.waves):
             for row, value in zip(waves, values("", context.waves[place - 1] * 1e3, 1e-3), strict=True):
                 row[place - 1] = value
+        elif key in WEATHER:
+            weather[key] = [WEATHER[key][1] * value for value in values("", WEATHER[key][0])]
         elif key != "SDIA":
             unused.add(f"{key} {place}")
     if kind in (2, 3):
@@ -414,6 +423,8 @@ def _settings(general, head, surfaces, form: str, context: Context) -> list[tupl
         found.append(("fields", None, fields))
     if any(row != waves[0] for row in waves):
         found.append(("wavelengths", None, waves))
+    if weather:
+        found = _in_weather(found, surfaces, weather, count, context)
     if unused:
         context.notes.append(f"operands of configurations that are not used: {', '.join(sorted(unused))}")
     return found
@@ -430,6 +441,23 @@ def _glasses_of(place: int, surfaces, lines: dict, count: int, context: Context)
             glass = [Line(lines[i].number, "GLAS", (name,))] if name.upper() not in ("AIR", "") else []
             rows[place] = kept + glass
         found.append(_glass(place, rows, context))
+    return found
+
+
+def _in_weather(settings: list, surfaces, weather: dict, count: int, context: Context) -> list[tuple]:
+    """Return settings with the glasses at the temperatures and in air of the pressures of the configurations.
+
+    As in the program, lengths are what the other operands say: these two change indices only.
+    """
+    places = zip(*(weather.get(key, [scale * start] * count) for key, (start, scale) in WEATHER.items()), strict=True)
+    weathers = list(places)
+    given = {place: values for name, place, values in settings if name == "material"}
+    found = [entry for entry in settings if entry[0] != "material"]
+    for place in range(len(surfaces) - 2):
+        media = given.get(place) or [_glass(place + 1, surfaces, context)] * count
+        if any(isinstance(medium, Material) for medium in media) or place in given:
+            at = [m.at(*w) if isinstance(m, Material) else m for m, w in zip(media, weathers, strict=True)]
+            found.append(("material", place, at))
     return found
 
 
@@ -942,13 +970,16 @@ def _zmx_text(system) -> str:
 
 
 def _written_settings(system, scale: float, factor: float) -> list[str]:
-    """Return the operands of the configurations."""
+    """Return the operands of the configurations; those of temperatures with what they change."""
+    settings, weather = _resolved(system)
     lines = [f"MNUM {len(system.settings[0][2])} 1"] if system.settings else []
 
     def add(key: str, place: int, values) -> None:
         lines.extend(f"{key} {place} {i} {value} 0 0 0 1 1 1 0 0" for i, value in enumerate(values, start=1))
 
-    for name, place, values in system.settings:
+    for key, column in zip(WEATHER, zip(*weather, strict=True), strict=False):
+        add(key, 0, (repr(float(value) / WEATHER[key][1]) for value in column))
+    for name, place, values in settings:
         if name in ("thickness", "curvature", "conic"):
             key, unit = {"thickness": ("THIC", scale), "curvature": ("CRVT", 1 / scale), "conic": ("CONN", 1.0)}[name]
             add(key, place + 1, (repr(value * unit) for value in values))
@@ -975,6 +1006,36 @@ def _written_settings(system, scale: float, factor: float) -> list[str]:
         else:
             raise ValueError(f"settings of {name} have no form in the format, or differ in number")
     return lines
+
+
+def _resolved(system) -> tuple[list[tuple], list[tuple]]:
+    """Return settings without temperatures but with the lengths they change, and the weather of each configuration."""
+    settings = list(system.settings)
+    if any(name in SETTINGS["environment"] for name, _, _ in settings):
+        if system.object_material != AIR:
+            raise ValueError("settings of temperatures are not written with an object in another medium than air")
+        views = [configurations(system).view(i) for i in range(len(settings[0][2]))]
+        taken = (*SETTINGS["environment"], "thickness", "curvature", "material")
+        settings = [entry for entry in settings if entry[0] not in taken]
+        for i in range(len(own_surfaces(system))):
+            rows: list[Any] = [view.surfaces[i] for view in views]
+            if len({tuple(item.coefficients.tolist()) for item in rows}) > 1:
+                raise ValueError(f"settings of temperatures change the coefficients of surfaces[{i}]: not written")
+            if isinstance(rows[0].material, Material):
+                settings.append(("material", i, tuple(item.material for item in rows)))
+            for name in ("thickness", "curvature") if not is_break(rows[0]) else ("thickness",):
+                values = tuple(float(getattr(item, name).detach()) for item in rows)
+                if set(values) != {float(getattr(system.surfaces[i], name).detach())}:
+                    settings.append((name, i, values))
+    media = [values for name, _, values in settings if name == "material"]
+    weathers = [
+        {m.environment and tuple(map(float, m.environment)) for m in row if isinstance(m, Material)} or {None}
+        for row in zip(*media, strict=True)
+    ]
+    if any(len(row) > 1 for row in weathers):
+        raise ValueError("settings of materials have several temperatures in one configuration: not written")
+    found = [weather for (weather,) in weathers]
+    return settings, [weather or (20.0, 101325.0) for weather in found] if any(found) else []
 
 
 def _written_form(name: str, item, scale: float) -> list[str]:

@@ -1,14 +1,26 @@
 """Configurations of a system: zoom and focus positions, as one batch of numbers that gradients follow."""
 
-import copy
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
 
 from odak import _show, _validate
+from odak.learn.raytracing.system.environment import (
+    Environment,
+    expanded_system,
+    replaced,
+    shared_copy,
+    tell_unknown,
+)
 from odak.learn.raytracing.system.prescriptions import Prescription
-from odak.learn.raytracing.system.surfaces import Row, checked_settings, checked_system, optical_system
+from odak.learn.raytracing.system.surfaces import (
+    SETTINGS,
+    Row,
+    checked_settings,
+    checked_system,
+    optical_system,
+)
 from odak.learn.raytracing.system.system_files import fields_of_image_heights
 
 
@@ -27,7 +39,8 @@ class configurations(torch.nn.Module):
         has, from a file for example. Numbers of surfaces: "thickness", "curvature", "conic", "index", "semi_diameter",
         "material"; `place` is the number of the surface. Of the system, with `place` None: "aperture",
         "object_distance" (infinite for distant objects), "fields" (points of each configuration), "wavelengths",
-        "image_heights" and "real_image_heights" (points in the image, for which the fields are found).
+        "image_heights" and "real_image_heights" (points in the image, for which the fields are found); "temperature",
+        "pressure", "mount" and "mirror", as :func:`in_environment` has them: all other numbers hold at 20 °C.
 
     Attributes
     ----------
@@ -40,6 +53,12 @@ class configurations(torch.nn.Module):
     ------
     ValueError, TypeError
         If a setting has another form, or another number of values than the others, naming it.
+
+    Warns
+    -----
+    odak.AccuracyWarning
+        If the settings have a temperature or a pressure, and the expansion or dn/dT of a glass is not known: it is set
+        to 0.
 
     Examples
     --------
@@ -61,9 +80,12 @@ class configurations(torch.nn.Module):
             raise ValueError("settings must have at least one entry (name, place, values), got none")
         self.count = len(given[0][2])
         self._others: list[tuple[str, int | None, tuple]] = []
-        self._numbers: dict[tuple[str, int], str] = {}
+        self._numbers: dict[tuple[str, int | None], str] = {}
         for name, place, values in given:
-            if name in _NUMBERS and place is not None:
+            if name in SETTINGS["environment"]:
+                self._numbers[name, None] = name
+                self.register_buffer(name, torch.tensor(values, dtype=torch.float64))
+            elif name in _NUMBERS and place is not None:
                 item: Any = system.surfaces[place]
                 if name in ("curvature", "conic") and item.own_shape is not None:
                     raise ValueError(f"settings must not have the {name} of surfaces[{place}], whose shape is its own")
@@ -72,6 +94,9 @@ class configurations(torch.nn.Module):
                 self.register_buffer(key, torch.tensor(values, dtype=torch.float64))
             else:
                 self._others.append((name, place, values))
+        if any(place is None for _, place in self._numbers):
+            with torch.no_grad():
+                tell_unknown(self._view(i, False, False) for i in range(self.count))
 
     def _repr_html_(self) -> str:
         return _show.page(self, "odak.learn.raytracing.system.drawing:configurations_view")
@@ -84,27 +109,32 @@ class configurations(torch.nn.Module):
         numbers = [(name, place, tuple(getattr(self, key).tolist())) for (name, place), key in self._numbers.items()]
         return (*numbers, *self._others)
 
-    def vary(self, name: str, place: int) -> torch.nn.Parameter:
+    def vary(self, name: str, place: int | None = None) -> torch.nn.Parameter:
         """Make a parameter of the values of a setting, one for each configuration, and return it.
 
         Parameters
         ----------
         name : str
-            "thickness", "curvature", "conic" or "index".
-        place : int
-            Number of the surface.
+            "thickness", "curvature", "conic" or "index"; "temperature", "pressure", "mount" or "mirror".
+        place : int, optional
+            Number of the surface; None for what belongs to the whole system.
 
         Returns
         -------
         torch.nn.Parameter
             ``[C]``.
         """
-        name = _validate.one_of("name", name, _NUMBERS)
-        place = _validate.place_in("place", place, len(self.system.surfaces))
+        name = _validate.one_of("name", name, _NUMBERS + SETTINGS["environment"])
+        place = (
+            None if name in SETTINGS["environment"] else _validate.place_in("place", place, len(self.system.surfaces))
+        )
         key = self._numbers.get((name, place))
         if key is None:
-            held = ", ".join(f"{kind} of surface {i}" for kind, i in self._numbers) or "none"
-            raise ValueError(f"place must be that of a setting of the {name}, got {place}; the settings have {held}")
+            held = ", ".join(kind if i is None else f"{kind} of surface {i}" for kind, i in self._numbers) or "none"
+            what = (
+                "name must be that of a setting" if place is None else f"place must be that of a setting of the {name}"
+            )
+            raise ValueError(f"{what}, got {name if place is None else place}; the settings have {held}")
         if key in self._buffers:
             value: Any = self._buffers.pop(key)
             self.register_parameter(key, torch.nn.Parameter(value.clone()))
@@ -125,8 +155,13 @@ class configurations(torch.nn.Module):
         """
         return self._view(_validate.place_in("place", place, self.count), True)
 
-    def _view(self, place: int, fields: bool) -> optical_system:
-        """Return one configuration; with the fields of its image heights if `fields`."""
+    def _environment(self, place: int) -> Environment | None:
+        """Return the environment of one configuration; None if the settings have none."""
+        names = [name for name, i in self._numbers if i is None]
+        return Environment(**{name: getattr(self, name)[place] for name in names}) if names else None
+
+    def _view(self, place: int, fields: bool, warmed: bool = True) -> optical_system:
+        """Return one configuration; with the fields of image heights if `fields`, in its environment if `warmed`."""
         found = shared_copy(self.system)
         surfaces: list[Any] = list(self.system.surfaces)
         changed: dict[int, Any] = {}
@@ -137,7 +172,8 @@ class configurations(torch.nn.Module):
             return changed[i]
 
         for (name, i), key in self._numbers.items():
-            replaced(item(i), name, getattr(self, key)[place])
+            if i is not None:
+                replaced(item(i), name, getattr(self, key)[place])
         later: tuple[str, tuple] | None = None
         for name, i, values in self._others:
             value = values[place]
@@ -153,6 +189,9 @@ class configurations(torch.nn.Module):
         found.surfaces = Row(surfaces, found.object_material)
         found.settings = ()
         found.reference = min(found.reference, len(found.wavelengths) - 1)
+        given = self._environment(place) if warmed else None
+        if given is not None:
+            found = expanded_system(found, given)
         if later is not None and fields:
             with torch.no_grad():
                 found.fields = tuple(fields_of_image_heights(found, later[1], later[0].startswith("real"), "real"))
@@ -224,23 +263,6 @@ class configurations(torch.nn.Module):
 
 
 _NUMBERS = ("thickness", "curvature", "conic", "index")
-
-
-def shared_copy(module):
-    """Return a module that shares its parts with another until they are replaced."""
-    found = copy.copy(module)
-    for name in ("_parameters", "_buffers", "_modules"):
-        found.__dict__[name] = dict(module.__dict__[name])
-    return found
-
-
-def replaced(item, name: str, value: torch.Tensor) -> None:
-    """Replace a number of a surface by a tensor of any graph."""
-    held = ("curvature_value", "radius_value") if name == "curvature" else (name,)
-    for old in held:
-        item._parameters.pop(old, None)
-        item._buffers.pop(old, None)
-    item._buffers["curvature_value" if name == "curvature" else name] = value
 
 
 def _put_material(item, value) -> None:

@@ -7,14 +7,23 @@ from odak import AccuracyWarning
 from odak.catalog import material, refractive_index
 from odak.catalog.materials import thermal_of
 from odak.learn.raytracing.system import (
+    Operand,
+    Variable,
     axial_color,
+    configurations,
     coordinate_break,
     first_order,
     in_environment,
     load_system,
     optical_system,
+    read_zmx,
+    rms_spot,
     surface,
+    system_from_dict,
+    system_to_dict,
     trace_fields,
+    write_zmx,
+    zoom_design,
 )
 from odak.raytracing import Toroid
 
@@ -173,3 +182,123 @@ def test_an_eye_under_water_loses_the_power_of_its_cornea():
     water = float(refractive_index("water", 587.5618e-9, medium="air"))
     assert float(1 / dry.focal_length) == pytest.approx(0.336 / 7.8, rel=1e-12)
     assert float(1 / wet.focal_length) == pytest.approx((1.336 - water) / 7.8, rel=1e-9)
+
+
+WEATHERS = ((-20.0, 1e5), (20.0, 101325.0), (60.0, 0.0))
+SETTINGS = [
+    ("temperature", None, [t for t, _ in WEATHERS]),
+    ("pressure", None, [p for _, p in WEATHERS]),
+    ("mount", None, [23.6e-6] * 3),
+]
+
+
+def same(first, second, within=0.0):
+    """Compare the numbers of two prescriptions."""
+    pairs = [(a, b) for a, b in zip(first, second, strict=True) if isinstance(a, torch.Tensor)]
+    assert len(pairs) >= 5
+    assert all(torch.allclose(a, b, rtol=within, atol=0) for a, b in pairs)
+
+
+def one_by_one(lens):
+    return [in_environment(lens, t, p, mount=23.6e-6) for t, p in WEATHERS]
+
+
+def test_configurations_of_temperatures_are_the_systems_one_by_one():
+    lens = load_system("cooke_triplet")
+    zoom, alone = configurations(lens, SETTINGS), one_by_one(lens)
+    together = zoom.prescription()
+    for i, system in enumerate(alone):
+        same([v[i] if isinstance(v, torch.Tensor) and v.ndim > 1 else v for v in together], system.prescription())
+    with torch.no_grad():
+        traced = trace_fields(lens, "rings", 3, prescription=together, vignetting=False)
+        parts = [trace_fields(system, "rings", 3, vignetting=False) for system in alone]
+        assert torch.allclose(traced.y, torch.stack([part.y for part in parts]), rtol=0, atol=1e-12)
+        assert zoom.each(rms_spot).tolist() == torch.stack([rms_spot(system) for system in alone]).tolist()
+
+
+def test_temperatures_at_once_are_those_of_a_thin_athermal_achromat():
+    """Jamieson's sum of φγ, and its slope by the temperature and the mount, of the whole batch."""
+    lens, grows = doublet("N-BK7", "SF2")
+    temperatures = [10.0, 20.0, 30.0]
+    zoom = configurations(lens, [("temperature", None, temperatures), ("mount", None, [23.6e-6] * 3)])
+    warm, mount = zoom.vary("temperature"), zoom.vary("mount")
+    numbers = zoom.prescription()
+    defocus = first_order(lens, prescription=numbers).image_distance - numbers.thickness[:, -1]
+    rate = 100 * (grows - 23.6e-6)
+    assert defocus.tolist() == pytest.approx([rate * (t - 20) for t in temperatures], rel=5e-3, abs=1e-4)
+    slopes = torch.autograd.grad(defocus.sum(), [warm, mount])
+    assert slopes[0].tolist() == pytest.approx([rate] * 3, rel=2e-2)
+    assert slopes[1].tolist() == pytest.approx([-100 * (t - 20) for t in temperatures], rel=1e-3, abs=1e-9)
+    assert zoom.settings[0] == ("temperature", None, tuple(temperatures))
+
+
+def test_temperatures_travel_in_files(tmp_path):
+    lens = load_system("cooke_triplet")
+    wanted = configurations(lens, SETTINGS)
+    lens.settings = wanted.settings
+    assert system_from_dict(system_to_dict(lens)).settings == lens.settings
+    write_zmx(lens, tmp_path / "warm.zmx")
+    again, report = read_zmx(tmp_path / "warm.zmx")
+    assert not [note for note in report.notes if "not used" in note]
+    same(configurations(again).prescription(), wanted.prescription())
+    # Their glasses are at the temperature there, and stay so in the package's own files.
+    third = system_from_dict(system_to_dict(again))
+    same(configurations(third).prescription(), wanted.prescription())
+    same(system_from_dict(system_to_dict(wanted.view(0))).prescription(), wanted.view(0).prescription(), 1e-15)
+
+
+def test_operands_of_temperature_and_pressure_change_indices_only(tmp_path):
+    lines = "VERS 1\nMODE SEQ\nUNIT MM X\nGCAT SCHOTT\nENPD 10\nFTYP 0 0 1 1 0 0 0\nWAVM 1 0.5875618 1\nPWAV 1\n"
+    for i, medium in enumerate((None, "GLAS N-SF6 0 0", None, None)):
+        thickness = ("INFINITY", "3", "50", "0")[i]
+        lines += f"SURF {i}\n  TYPE STANDARD\n  CURV {0.01 if i == 1 else 0.0}\n  DISZ {thickness}\n"
+        lines += f"  {medium}\n" if medium else ""
+    lines += "MNUM 2 1\nTEMP 0 1 20 0 0 0 1 1 1 0 0\nTEMP 0 2 80 0 0 0 1 1 1 0 0\nPRES 0 2 0.5 0 0 0 1 1 1 0 0\n"
+    (tmp_path / "lens.zmx").write_text(lines)
+    found = configurations(read_zmx(tmp_path / "lens.zmx")[0]).prescription()
+    expected = [
+        refractive_index("N-SF6", 587.5618e-9, medium="air", temperature=t, pressure=101325.0 * p)
+        for t, p in ((20.0, 1.0), (80.0, 0.5))
+    ]
+    assert found.index[:, 0, 1].tolist() == pytest.approx(expected, rel=1e-15)
+    assert found.thickness.tolist() == [[3.0, 50.0]] * 2
+    assert found.curvature.tolist() == [[0.01, 0.0]] * 2
+
+
+def test_a_design_of_several_temperatures_varies_the_cold_numbers():
+    lens = load_system("cooke_triplet")
+    lens.surfaces[0].semi_diameter = lens.surfaces[1].semi_diameter = lens.surfaces[2].semi_diameter = 9.0
+    bends = [float(lens.surfaces[i].curvature) for i in (0, 5)]
+    zoom = configurations(lens, SETTINGS)
+    variables = [Variable("curvature", [0, 5]), Variable("thickness", -1)]
+    design = zoom_design(zoom, [Operand("spot")], variables, count=2)
+    assert design.values[:2].tolist() == bends
+    values = design.values * torch.tensor([1.001, 0.999, 1.0], dtype=torch.float64)
+    numbers = design.prescription(values)
+    design.apply(values)
+    assert [float(lens.surfaces[i].curvature) for i in (0, 5)] == values[:2].tolist()
+    for i, system in enumerate(one_by_one(lens)):
+        own = system.prescription()
+        for name in ("curvature", "thickness", "index"):
+            assert torch.allclose(getattr(numbers, name)[i], getattr(own, name), rtol=1e-14, atol=1e-15)
+
+
+def test_settings_of_temperatures_are_checked():
+    lens = load_system("cooke_triplet")
+    with pytest.raises(ValueError, match=r"temperature in settings must be at least -273.15, got -300"):
+        configurations(lens, [("temperature", None, [-300.0])])
+    with pytest.raises(ValueError, match="place in settings must be None for mount"):
+        configurations(lens, [("mount", 1, [0.0])])
+    zoom = configurations(lens, SETTINGS)
+    with pytest.raises(ValueError, match="name must be that of a setting, got mirror; the settings have temperature"):
+        zoom.vary("mirror")
+    with pytest.raises(ValueError, match="variables must not be glasses"):
+        zoom_design(zoom, ["spot"], Variable("glass", 0))
+    unknown = optical_system([surface(50.0, thickness=3.0, material="PMMA"), surface(-50.0)], 5.0)
+    with pytest.warns(AccuracyWarning, match="expansion or dn/dT of PMMA is not known") as told:
+        configurations(unknown, [("temperature", None, [0.0, 40.0])]).prescription()
+    assert len(told) == 1
+    bent = optical_system([surface(50.0, coefficients=[1e-6], thickness=3.0, material="N-BK7"), surface()], 5.0)
+    bent.settings = (("temperature", None, (0.0, 40.0)),)
+    with pytest.raises(ValueError, match=r"settings of temperatures change the coefficients of surfaces\[0\]"):
+        write_zmx(bent, "never.zmx")
