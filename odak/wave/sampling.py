@@ -282,7 +282,7 @@ def _propagated(field, axes, distance, name, tolerance):
     request = tf.Request((axes[0].pitch, axes[1].pitch), axes[0].wavelength, distance)
     size = tuple(2 * n for n in field.shape[-2:])
     kernel = request.transfer_function(transfer, size, xp, "cpu", xp.complex128)
-    return tf.convolve_plainly(field.astype(np.complex128), kernel)
+    return tf.convolve(field.astype(np.complex128), kernel)
 
 
 # What elements and beams ask of a grid. Each knows, from its numbers alone, its highest local frequency and the share

@@ -20,6 +20,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+import scipy.fft
 
 from odak import _array, _validate
 from odak._array import convolve_plainly, make_complex, numpy_namespace, phasor_of_cycles
@@ -779,7 +780,24 @@ def convolve(field, kernel):
         import odak.wave.torch_convolution as operator
 
         return operator.convolve(field, kernel)
-    return (convolve_in_chunks if _array.is_chunked(field) else convolve_plainly)(field, kernel)
+    if _array.is_chunked(field):
+        return convolve_in_chunks(field, kernel)
+    return (_convolve_arrays if type(field) is np.ndarray else convolve_plainly)(field, kernel)
+
+
+def _convolve_arrays(field, kernel):
+    """Return :func:`convolve` of NumPy arrays by the transforms of SciPy, which are quicker in single precision."""
+    fft, (rows, columns) = scipy.fft, field.shape[-2:]
+    spectrum = fft.fft(field, n=kernel.shape[-1], axis=-1)
+    spectrum = fft.fft(spectrum, n=kernel.shape[-2], axis=-2, overwrite_x=True)
+    if kernel.dtype == spectrum.dtype and kernel.ndim == 2:
+        spectrum *= kernel
+    else:
+        spectrum = spectrum * kernel
+    window = fft.ifft(spectrum, axis=-2, overwrite_x=True)[..., :rows, :]
+    window = fft.ifft(window, axis=-1)[..., :columns]
+    # A copy: a view would keep the rows of twice the length.
+    return window.astype(field.dtype)
 
 
 # What computes convolutions of Dask arrays in place of the graph below, see odak.wave.propagate_on_disk.

@@ -92,3 +92,17 @@ def test_incoherent_transfer_function_is_largest_at_zero(dx):
     spectrum = tf.angular_spectrum(grid)
     correlation = np.fft.fftn(abs(np.fft.ifftn(spectrum)) ** 2) / (abs(spectrum) ** 2).mean()
     np.testing.assert_allclose(found, correlation, atol=1e-12)
+
+
+@pytest.mark.parametrize("dtype", [np.complex64, np.complex128])
+@pytest.mark.parametrize(("batch", "kernels"), [((), ()), ((3,), ()), ((), (2,)), ((3, 1), (2,)), ((3, 2), (3, 1))])
+def test_arrays_are_filtered_as_by_whole_transforms(dtype, batch, kernels):
+    rng = np.random.default_rng(1)
+    draw = lambda *shape: (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)).astype(dtype)  # noqa: E731
+    field, kernel = draw(*batch, 12, 15), draw(*kernels, 24, 31)
+    held = field.copy(), kernel.copy()
+    found = tf.convolve(field, kernel)
+    expected = np.fft.ifft2(np.fft.fft2(field, s=(24, 31)) * kernel)[..., :12, :15]
+    assert found.dtype == dtype and found.flags.owndata and found.flags.c_contiguous
+    np.testing.assert_allclose(found, expected, rtol=0, atol=100 * np.finfo(dtype).eps)
+    assert (field == held[0]).all() and (kernel == held[1]).all()
