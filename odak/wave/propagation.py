@@ -140,8 +140,8 @@ def propagate_beam(
         if all(type(value) in _PLAIN for value in options):
             field = _array.to_complex(_validate.planes("field", field))
             transfer = _kernel_in_graphs(tuple(field.shape), field.dtype, str(field.device), *options)
-            if transfer is not None:
-                return _array.convolve_plainly(field, transfer)
+            if transfer:
+                return _array.convolve_plainly(field, transfer[0])
     if axes != (-2, -1) and axes != [-2, -1]:
         others = (kernel is None, type(aperture) in (int, float) and aperture == 1, scale == 1)
         if not all(others):
@@ -158,18 +158,25 @@ def propagate_beam(
 
 @_array.constant_in_graphs
 def _kernel_in_graphs(shape, dtype, device, *options):
-    """Return the kernel that is all a propagation of tensors does, for a graph of torch.compile to hold; else None."""
+    """Return the kernel that is all a propagation of tensors does, for a graph of torch.compile to hold; else nothing.
+
+    It is in a tuple, of which one graph can hold several.
+    """
     try:
         method, request, (pad, fine, crop), warnings, error = _cached_plan(shape, *options)
     except (ValueError, TypeError):
-        return None  # an error in a graph would be one of the compiler
+        return ()  # an error in a graph would be one of the compiler
     if fine or error > request.tolerance or budgets() or ((pad or crop) and not request.window):
-        return None
+        return ()
     import torch
+
+    from odak import _torch_private
 
     for message in warnings:
         warn(message, SamplingWarning)
-    return kernel_of(method, torch.empty(shape, dtype=dtype, device=device), request)
+    with _torch_private.outside_functional_transforms():
+        kernel = kernel_of(method, torch.empty(shape, dtype=dtype, device=device), request)
+    return () if kernel is None else (kernel,)
 
 
 def _propagate(

@@ -69,6 +69,8 @@ def convolve(field: torch.Tensor, kernel: torch.Tensor, workspace: Workspace | N
     to a workspace.
     """
     # What is kept between calls has no place in a graph of torch.compile.
+    if torch.compiler.is_compiling():
+        return convolve_plainly(field, kernel)
     return _array.outside_graphs(_convolve, field, kernel, workspace)
 
 

@@ -56,7 +56,7 @@ REASONS = {
         raytracing/nonsequential: __post_init__ _plain _reach polarized system_elements trace
         tools/matrix: quantize slice_rgbd_targets
         tools/transformation: quaternion_to_rotation_matrix
-        wave/displays: __init__ _amplitudes _checked_target _frames_alone _shares judge optimise starting_phases
+        wave/displays: __init__ _amplitudes _checked_target _frames_alone _frames_lit judge optimise starting_phases
         wave/eyebox: _of_each eyebox_hologram
         wave/gaussians/scene: chosen
         wave/gaussians/sets: prune

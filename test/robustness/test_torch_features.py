@@ -17,6 +17,7 @@ from torch.utils.data import DataLoader
 
 import odak
 from odak import SamplingWarning
+from odak.instruments import Lens
 from odak.learn import wave
 from odak.wave.propagation import propagate_beam, propagate_within_window
 
@@ -132,6 +133,47 @@ def test_a_step_of_gradient_descent_is_one_graph():
     found, expected = compiled(loss, "aot_eager", fullgraph=True)(phase), loss(phase)
     close(found, expected)
     close(*(torch.autograd.grad(value, phase)[0] for value in (found, expected)), 2e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings(f"ignore:{TORCHS_OWN[1]}")
+@pytest.mark.parametrize("kind", ["colours and planes", "lens", "two panels"])
+def test_a_step_of_a_display_is_one_graph(kind):
+    """Also of two displays in one graph, and of a second one where the first has been compiled."""
+    first = wave.AmplitudePanel(1e-4) if kind == "two panels" else None
+    panel, powers = wave.Modulator((16, 12), 8e-6, lit_through=first), torch.tensor([[1.0, 0.5], [0.0, 1.0]])
+    places = [Lens(1e-2), Lens(1e-2, after=1.3e-2)] if kind == "lens" else [[2e-3, 3e-3], [4e-3, 5e-3]]
+    displays = [wave.Display(panel, [639e-9, 515e-9], place, 2, powers) for place in places]
+    target, phase = torch.rand(displays[0].shape), 6 * torch.rand(2, 16, 12)
+
+    def loss(phase, display):
+        return (display(phase) - target).square().mean()
+
+    def both(phase):
+        return loss(phase, displays[0]) + 2 * loss(phase, displays[1])
+
+    step = compiled(torch.func.grad(loss), "aot_eager", fullgraph=True)
+    slopes = [torch.func.grad(loss)(phase, display) for display in displays]
+    assert distance(*slopes) > 0.1
+    for display, slope in zip(displays, slopes, strict=True):
+        close(step(phase, display), slope, 2e-5)
+    held = phase.clone().requires_grad_()
+    value = compiled(both, "aot_eager", fullgraph=True)(held)
+    close(value, both(phase))
+    close(torch.autograd.grad(value, held)[0], slopes[0] + 2 * slopes[1], 2e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings(f"ignore:{TORCHS_OWN[1]}")
+def test_two_propagations_and_their_gradient_in_one_graph():
+    def light(phase):
+        field = wave.unit_phasor(phase)
+        return sum(
+            wave.intensity(wave.propagate_beam(field, None, z, 8e-6, 532e-9)).square().mean() for z in (1e-3, 2e-3)
+        )
+
+    phase = 6 * torch.rand(16, 16)
+    close(compiled(torch.func.grad(light), "aot_eager", fullgraph=True)(phase), torch.func.grad(light)(phase), 2e-5)
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ computes the patterns that show a target on it, by one of several solvers, and r
 quality that another computation has judged.
 """
 
+import ast
 import copy
 import itertools
 import math
@@ -253,6 +254,8 @@ class Display(torch.nn.Module):
     >>> display = Display(Modulator((32, 48), 8e-6), [639e-9, 515e-9, 473e-9], [2e-3, 3e-3])
     >>> display(torch.zeros(3, 32, 48)).shape
     torch.Size([2, 3, 32, 48])
+    >>> display(torch.zeros(5, 3, 32, 48)).shape  # a batch of five
+    torch.Size([5, 2, 3, 32, 48])
     >>> display
     Display: 32 × 48 pixels of 8 µm (fill 0.9, 8 bits), 639, 515, 473 nm, 3 frames, planes at 2, 3 mm, one order
     """
@@ -303,6 +306,7 @@ class Display(torch.nn.Module):
                 "frames; give more frames, or powers"
             )
         self.register_buffer("powers", powers)
+        self._lit_frames = self._frames_lit()
         if profile is not None:
             profile = _validate.image("profile", floating("profile", profile)).detach()
             if profile.shape[-2:] != torch.Size(modulator.resolution) or profile.ndim > 3:
@@ -314,6 +318,12 @@ class Display(torch.nn.Module):
         self.register_buffer("profile", profile)
         self.samples = 2 * self._orders()
         self._kept: dict[Any, torch.Tensor] = {}
+        self._geometry = self._in_words()
+        rows, columns = modulator.resolution
+        # Rows and columns in which light is followed.
+        self._window = rows, columns
+        if self._first is not None:
+            self._window = next_fast_len(rows + 2 * _MARGIN), next_fast_len(columns + 2 * _MARGIN)
         # Who computes which part of the images where several devices or ranks do; see _shared_among.
         self._parts: list[tuple[Display, list[_Part]]] = []
         self._ranks: Ranks | None = None
@@ -428,6 +438,36 @@ class Display(torch.nn.Module):
         self._kept = {}
         return super()._apply(function, recurse)
 
+    def _load_from_state_dict(self, *arguments) -> None:
+        super()._load_from_state_dict(*arguments)
+        self._lit_frames = self._frames_lit()
+
+    def _frames_lit(self) -> tuple[tuple[int, ...], ...]:
+        """Return for each colour the frames in which its source is on."""
+        return tuple(tuple(f for f, power in enumerate(row) if power) for row in self.powers.T.tolist())
+
+    def _in_words(self) -> str:
+        """Return what the transfer functions depend on; see :func:`_of_geometry`."""
+
+        def stop(iris):
+            return (float(iris.radius), float(iris.focal_length)) if isinstance(iris, Iris) else iris
+
+        panel, first, lens = self.modulator, self._first, self.lens
+        before = None if first is None else (float(first.distance), float(first.fill), stop(first.iris))
+        behind = None if lens is None else tuple(float(getattr(lens, one.name)) for one in fields(lens))
+        pixels = tuple(panel.resolution), _pitch_pair(panel.pitch), float(panel.fill)
+        return repr((pixels, before, self.wavelengths, behind, self.distances, stop(self.iris), float(self.medium)))
+
+    def _once(self, make: str, *given):
+        """Return the tensor that a method makes from constants, which is kept until the display moves."""
+        if torch.compiler.is_dynamo_compiling():
+            return _of_geometry(self._geometry, str(self.powers.device), make, *given)[0]
+        key = make, *given
+        if key not in self._kept:
+            with torch.no_grad(), _torch_private.keeping():
+                self._kept[key] = getattr(self, make)(*given)
+        return self._kept[key]
+
     def _orders(self) -> int:
         """Return how many diffraction orders along each axis are computed: behind a lens, the others lie elsewhere."""
         if self.lens is not None:
@@ -441,30 +481,20 @@ class Display(torch.nn.Module):
         widest = max(iris.cutoff(w) for w in self.wavelengths) * max(_pitch_pair(self.modulator.pitch))
         return min(_ORDERS, max(1, math.ceil(2 * widest - 1e-9)))
 
-    @property
-    def _window(self) -> tuple[int, int]:
-        """Return rows and columns in which light is followed."""
-        rows, columns = self.modulator.resolution
-        if self._first is None:
-            return rows, columns
-        return next_fast_len(rows + 2 * _MARGIN), next_fast_len(columns + 2 * _MARGIN)
-
     def _kernels(self, colour: int, dtype: torch.dtype, planes: Sequence[int] | None = None) -> torch.Tensor:
         """Return the transfer functions to all points of a pixel on some planes, ``[planes·samples², 2m, 2n]``."""
-        planes = tuple(range(self.shape[0]) if planes is None else planes)
-        key = colour, dtype, planes
-        if key not in self._kept:
-            with torch.no_grad(), _torch_private.keeping():
-                rows, columns = self._window
-                # Column by column, which is the order that the propagation reads them in on a CPU.
-                shape = len(planes) * self.samples**2, 2 * columns, 2 * rows
-                kept = torch.empty(shape, dtype=dtype, device=self.powers.device).mT
-                kept = kept if kept.is_cpu else kept.contiguous()
-                each = (kernel for plane in planes for kernel in self._of_plane(colour, plane, dtype))
-                for place, kernel in zip(kept, each, strict=True):
-                    place.copy_(kernel)
-                self._kept[key] = kept
-        return self._kept[key]
+        return self._once("_of_planes", colour, dtype, tuple(range(self.shape[0]) if planes is None else planes))
+
+    def _of_planes(self, colour, dtype, planes):
+        rows, columns = self._window
+        # Column by column, which is the order that the propagation reads them in on a CPU.
+        shape = len(planes) * self.samples**2, 2 * columns, 2 * rows
+        kept = torch.empty(shape, dtype=dtype, device=self.powers.device).mT
+        kept = kept if kept.is_cpu else kept.contiguous()
+        each = (kernel for plane in planes for kernel in self._of_plane(colour, plane, dtype))
+        for place, kernel in zip(kept, each, strict=True):
+            place.copy_(kernel)
+        return kept
 
     def _of_plane(self, colour, plane, dtype):
         wavelength, panel, orders = self.wavelengths[colour] / self.medium, self.modulator, self._orders()
@@ -494,18 +524,16 @@ class Display(torch.nn.Module):
             yield from (torch.fft.fft2(response[down::count, across::count]) for down, across in points)
 
     def _through_both(self, light, amplitudes, colour, kernels):
-        """Return the fields ``[F, kernel, rows, columns]`` of the light of two panels, filtered by kernels.
+        """Return the fields ``[..., F, kernel, rows, columns]`` of the light of two panels, filtered by kernels.
 
         The modulator multiplies the light at its place, whose band is that of the orders that pass the first panel. The
         band that reaches the images takes those frequencies of the modulator that are up to an order beyond, and with
         one more sample in each pixel than orders pass no others fall upon them.
         """
-        key, finer = ("between", colour, light.dtype), 1 + self._passing(self._first.iris)  # type: ignore[union-attr]
+        finer = 1 + self._passing(self._first.iris)  # type: ignore[union-attr]
         window, pair = self._window, _pitch_pair(self.modulator.pitch)
-        if key not in self._kept:
-            with torch.no_grad(), _torch_private.keeping():
-                self._kept[key] = self._between(colour, finer, light.dtype) * finer**2
-        there = convolve(_comb(self._lit(amplitudes.to(light.dtype), colour), window, finer), self._kept[key])
+        between = self._once("_between", colour, finer, light.dtype)
+        there = convolve(_comb(self._lit(amplitudes.to(light.dtype), colour), window, finer), between)
         width = math.sqrt(self.modulator.fill)
         down, across = (
             torch.sinc(width * p * torch.fft.fftfreq(n * finer, p / finer, dtype=light.real.dtype, device=light.device))
@@ -516,7 +544,7 @@ class Display(torch.nn.Module):
         for axis, n in zip((-1, -2), window[::-1], strict=True):
             whole = torch.fft.fft(product, 2 * n * finer, axis) / finer
             product = torch.cat([whole.narrow(axis, 0, n), whole.narrow(axis, 2 * n * finer - n, n)], axis)
-        shown = torch.fft.ifft2(product[:, None] * kernels)
+        shown = torch.fft.ifft2(product[..., None, :, :] * kernels)
         for axis, n, m in zip((-2, -1), window, self.modulator.resolution, strict=True):
             shown = shown.narrow(axis, (n - m) // 2, m)
         return shown
@@ -531,7 +559,7 @@ class Display(torch.nn.Module):
         request = Request(divided_pitch(self.modulator.pitch, finer), self.wavelengths[colour], first.distance)
         shape = tuple(2 * n * finer for n in self._window)
         xp = _array.namespace(torch.empty(0))
-        return linear_kernel(transfer, cutoff)(request.grid(shape, xp, self.powers.device, dtype))
+        return linear_kernel(transfer, cutoff)(request.grid(shape, xp, self.powers.device, dtype)) * finer**2
 
     def fields(self, phases: torch.Tensor, amplitudes: torch.Tensor | None = None) -> torch.Tensor:
         """Return the fields at the middles of the pixels, of unit power of the sources.
@@ -539,22 +567,23 @@ class Display(torch.nn.Module):
         Parameters
         ----------
         phases : torch.Tensor
-            Phases ``[F, rows, columns]`` in radians, or ``[rows, columns]`` for a single frame.
+            Phases ``[..., F, rows, columns]`` in radians, or ``[rows, columns]`` for a single frame.
         amplitudes : torch.Tensor, optional
             Of the same shape, those of a panel in front of the modulator, as in :meth:`forward`.
 
         Returns
         -------
         torch.Tensor
-            Complex ``[F, D, C, rows, columns]``.
+            Complex ``[..., F, D, C, rows, columns]``.
         """
         light, amplitudes = self._light(phases), self._amplitudes(amplitudes)
+        colours = range(self.shape[1])
         if self.lens is not None:
-            return torch.stack([self._focused(self._lit(light, c)[:, None], c) for c in range(self.shape[1])], 2)
-        middles = [self._kernels(c, light.dtype)[:: self.samples**2] for c in range(self.shape[1])]
+            return torch.stack([self._focused(self._lit(light, c).unsqueeze(-3), c) for c in colours], -3)
+        middles = [self._kernels(c, light.dtype)[:: self.samples**2] for c in colours]
         if self._first is not None:
-            return torch.stack([self._through_both(light, amplitudes, c, k) for c, k in enumerate(middles)], 2)
-        return torch.stack([convolve(self._lit(light, c)[:, None], k) for c, k in enumerate(middles)], 2)
+            return torch.stack([self._through_both(light, amplitudes, c, k) for c, k in enumerate(middles)], -3)
+        return torch.stack([convolve(self._lit(light, c).unsqueeze(-3), k) for c, k in enumerate(middles)], -3)
 
     def forward(
         self, phases: torch.Tensor, powers: torch.Tensor | None = None, amplitudes: torch.Tensor | None = None
@@ -564,7 +593,8 @@ class Display(torch.nn.Module):
         Parameters
         ----------
         phases : torch.Tensor
-            Phases ``[F, rows, columns]`` in radians, or ``[rows, columns]`` for a single frame; differentiable.
+            Phases ``[F, rows, columns]`` in radians, or ``[rows, columns]`` for a single frame; differentiable. More
+            axes in front are a batch of patterns, each of which is shown by itself.
         powers : torch.Tensor, optional
             Other powers ``[F, C]`` than those of the display, differentiable, of the sources that are on there.
         amplitudes : torch.Tensor, optional
@@ -574,14 +604,14 @@ class Display(torch.nn.Module):
         Returns
         -------
         torch.Tensor
-            Real ``[D, C, rows, columns]``, in units of the light on the modulator.
+            Real ``[..., D, C, rows, columns]``, in units of the light on the modulator.
         """
         light, amplitudes = self._light(phases), self._amplitudes(amplitudes)
         powers = self.powers if powers is None else self._fitting(powers)
         if self._parts:
             return self._in_parts(light, powers)
-        parts = [_Part(colour, None, self._frames_of(colour)) for colour in range(self.shape[1])]
-        return torch.stack([self._image(light, part, powers, amplitudes) for part in parts], 1)
+        parts = [_Part(colour, None, frames) for colour, frames in enumerate(self._lit_frames)]
+        return torch.stack([self._image(light, part, powers, amplitudes) for part in parts], -3)
 
     def _shared_among(self, devices: Sequence[torch.device] | Ranks) -> "Display":
         """Return this display with its images computed in parts by several devices, or by the ranks of a group.
@@ -595,7 +625,7 @@ class Display(torch.nn.Module):
             (colour, plane, frame)
             for colour in range(self.shape[1])
             for plane in range(self.shape[0])
-            for frame in self._frames_of(colour)
+            for frame in self._lit_frames[colour]
         ]
         shares = shares_of(units, len(where) if ranks is None else ranks.size)
         shares = shares if ranks is None else [shares[ranks.rank]]
@@ -621,40 +651,41 @@ class Display(torch.nn.Module):
         for display, parts in self._parts:
             there, own = (values.to(display.powers.device, non_blocking=True) for values in (light, powers))
             # A rank without a part computes one that does not count, since all ranks take part in the gradient.
-            for part in parts or [_Part(0, (0,), self._frames_of(0)[:1])]:
+            for part in parts or [_Part(0, (0,), self._lit_frames[0][:1])]:
                 shown = display._image(there, part, own).to(light.device, non_blocking=True)
-                for plane, image in zip(part.planes or (), shown if parts else 0 * shown, strict=True):
+                for plane, image in zip(part.planes or (), (shown if parts else 0 * shown).unbind(-3), strict=True):
                     images[plane][part.colour] = images[plane][part.colour] + image
         if self._ranks is None:
-            return torch.stack([torch.stack(row) for row in images])
-        nothing = light.real.new_zeros(self.modulator.resolution)
-        return self._ranks.sum(torch.stack([torch.stack([nothing + image for image in row]) for row in images]))
+            return torch.stack([torch.stack(row, -3) for row in images], -4)
+        nothing = torch.zeros_like(light.real[..., 0, :, :])
+        return self._ranks.sum(torch.stack([torch.stack([nothing + one for one in row], -3) for row in images], -4))
 
     def _light(self, phases):
-        phases = floating("phases", phases)
+        return self.modulator.light(self._patterns("phases", floating("phases", phases)))
+
+    def _patterns(self, name: str, values: torch.Tensor) -> torch.Tensor:
+        """Return the values of pixels in each frame, ``[..., F, rows, columns]``, on the device of the display."""
         shape = (self.frames, *self.modulator.resolution)
-        if tuple(phases.shape) != shape and not (self.frames == 1 and tuple(phases.shape) == shape[1:]):
-            raise ValueError(f"phases must be [frames, rows, columns] = {list(shape)}, got {list(phases.shape)}")
-        return self.modulator.light(phases.reshape(shape).to(self.powers.device))
+        if self.frames == 1 and tuple(values.shape) == shape[1:]:
+            values = values[None]
+        if tuple(values.shape[-3:]) != shape:
+            raise ValueError(f"{name} must be [frames, rows, columns] = {list(shape)}, got {list(values.shape)}")
+        return values.to(self.powers.device)
 
     def _amplitudes(self, amplitudes):
-        """Return the amplitudes of the first of two panels ``[F, rows, columns]``; None where there is one alone."""
-        shape = (self.frames, *self.modulator.resolution)
+        """Return the amplitudes of the first of two panels ``[..., F, rows, columns]``; None where there is one."""
         if self._first is None:
             if amplitudes is not None:
                 raise ValueError("amplitudes must be None for a modulator without lit_through")
             return None
         if amplitudes is None:
-            return torch.ones(shape, dtype=self.powers.dtype, device=self.powers.device)
-        amplitudes = floating("amplitudes", amplitudes)
-        if tuple(amplitudes.shape) != shape and not (self.frames == 1 and tuple(amplitudes.shape) == shape[1:]):
-            raise ValueError(
-                f"amplitudes must be [frames, rows, columns] = {list(shape)}, got {list(amplitudes.shape)}"
-            )
+            return self.powers.new_ones(self.frames, *self.modulator.resolution)
+        amplitudes = self._patterns("amplitudes", floating("amplitudes", amplitudes))
         # Reading them would wait for the device at each step of an optimisation.
-        if not amplitudes.requires_grad and not bool(((amplitudes >= 0) & (amplitudes <= 1)).all()):
+        known = not (amplitudes.requires_grad or torch.compiler.is_compiling() or _torch_private.is_wrapped(amplitudes))
+        if known and not bool(((amplitudes >= 0) & (amplitudes <= 1)).all()):
             raise ValueError(f"amplitudes must be 0 … 1, got {float(amplitudes.min())} to {float(amplitudes.max())}")
-        return amplitudes.reshape(shape).to(self.powers.device)
+        return amplitudes
 
     def _fitting(self, powers):
         powers, shape = floating("powers", powers), [self.frames, len(self.wavelengths)]
@@ -665,25 +696,31 @@ class Display(torch.nn.Module):
     def _lit(self, light, colour):
         return light if self.profile is None else light * self.profile[colour].to(light.dtype)
 
-    def _frames_of(self, colour: int) -> tuple[int, ...]:
-        return tuple(f for f in range(self.frames) if self._shares()[f][colour])
-
     def _image(self, light, part: "_Part", powers, amplitudes=None):
+        """Return the means over pixels of a part, ``[..., planes, rows, columns]``."""
         colour, frames, power = part.colour, part.frames, powers[:, part.colour]
-        lit = light if len(frames) == self.frames else torch.stack([light[f] for f in frames])
-        light = self._lit(lit, colour)[:, None]
+
+        def shown_in(values):
+            return values if len(frames) == self.frames else torch.stack([values[..., f, :, :] for f in frames], -3)
+
+        lit = shown_in(light)
+        light = self._lit(lit, colour).unsqueeze(-3)
         if self._first is not None:
-            first = amplitudes if len(frames) == self.frames else torch.stack([amplitudes[f] for f in frames])
-            shown = self._through_both(lit, first, colour, self._kernels(colour, lit.dtype, part.planes))
+            kernels = self._kernels(colour, lit.dtype, part.planes)
+            shown = self._through_both(lit, shown_in(amplitudes), colour, kernels)
         elif self.lens is None:
             # One kernel for each plane and point of a pixel takes one transform back, but a single forward one.
             shown = convolve(light, self._kernels(colour, light.dtype, part.planes))
         else:
             quarters = itertools.product((0.0, 0.5), repeat=2)
-            shown = torch.cat([self._focused(light, colour, half) for half in quarters], 1)
+            shown = torch.cat([self._focused(light, colour, half) for half in quarters], -3)
         amplitudes = (torch.stack([power[f] for f in frames]) / power.sum()).sqrt()[:, None].to(shown.real.dtype)
-        points = exposure(shown[:, :, None], amplitudes)[:, 0]
-        return _over_areas(points.unflatten(0, (-1, self.samples, self.samples)))
+        # The patterns of a batch beside the planes: frames are summed up, and these are not.
+        batch, points = shown.shape[:-4], shown.movedim(-4, 0).flatten(1, -3)
+        areas = _over_areas(
+            exposure(points[:, :, None], amplitudes)[:, 0].unflatten(0, (-1, self.samples, self.samples))
+        )
+        return areas.reshape(*batch, -1, *areas.shape[-2:])
 
     def _focused(self, light, colour, beside=(0.0, 0.0)):
         """Return the field behind the lens, at the middles of the points of an image or a part of one beside them."""
@@ -699,20 +736,22 @@ class Display(torch.nn.Module):
 
     def _of_lens(self, colour, dtype, beside=(0.0, 0.0)):
         """Return the factors of the light on the panel and of the field behind the lens, which its pixels envelop."""
-        key = colour, dtype, beside
-        if key not in self._kept:
-            with torch.no_grad(), _torch_private.keeping():
-                cycles, frequencies = self._curvature(colour), []
-                for axis, (n, part) in enumerate(zip(self.modulator.resolution, beside, strict=True)):
-                    index = torch.arange(n, dtype=torch.float64) - n // 2
-                    turn = -part / n * index
-                    cycles = cycles + (turn[:, None] if axis == 0 else turn)
-                    frequencies.append((index + part) / n)
-                turn = 2 * math.pi * torch.remainder(cycles, 1)
-                before = torch.polar(torch.ones_like(turn), turn).to(self.powers.device, dtype)
-                behind = self._envelope(frequencies, colour)
-                self._kept[key] = before, behind.to(self.powers.device, before.real.dtype)  # type: ignore[assignment]
-        return self._kept[key]
+        return self._once("_before_lens", colour, dtype, beside), self._once("_behind_lens", colour, dtype, beside)
+
+    def _before_lens(self, colour, dtype, beside):
+        cycles = self._curvature(colour)
+        for axis, (n, part) in enumerate(zip(self.modulator.resolution, beside, strict=True)):
+            turn = -part / n * (torch.arange(n, dtype=torch.float64) - n // 2)
+            cycles = cycles + (turn[:, None] if axis == 0 else turn)
+        turn = 2 * math.pi * torch.remainder(cycles, 1)
+        return torch.polar(torch.ones_like(turn), turn).to(self.powers.device, dtype)
+
+    def _behind_lens(self, colour, dtype, beside):
+        frequencies = [
+            (torch.arange(n, dtype=torch.float64) - n // 2 + part) / n
+            for n, part in zip(self.modulator.resolution, beside, strict=True)
+        ]
+        return self._envelope(frequencies, colour).to(self.powers.device, dtype.to_real())
 
     def _curvature(self, colour) -> torch.Tensor:
         """Return the phase of the light on the panel that the lens leaves at a plane beside its focus, in cycles."""
@@ -732,11 +771,6 @@ class Display(torch.nn.Module):
         passed = torch.outer(down, across)
         passed = passed * (wavelength / self.medium * abs(lens.ray_matrix[1]) * radius >= lens.block)
         return passed * (radius <= self.iris.cutoff(wavelength)) if isinstance(self.iris, Iris) else passed
-
-    def _shares(self) -> list[list[float]]:
-        if "shares" not in self._kept:
-            self._kept["shares"] = self.powers.tolist()  # type: ignore[assignment]
-        return self._kept["shares"]  # type: ignore[return-value]
 
     @torch.no_grad()
     def judge(self, phases: torch.Tensor, amplitudes: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
@@ -759,6 +793,8 @@ class Display(torch.nn.Module):
             Means over the areas of pixels, and intensities at their middles, ``[D, C, rows, columns]`` each.
         """
         light, amplitudes = self._light(phases), self._amplitudes(amplitudes)
+        if light.ndim > 3:
+            raise ValueError(f"phases must be without a batch, [frames, rows, columns], got {list(light.shape)}")
         images = torch.stack([torch.zeros(self.shape, device=light.device, dtype=light.real.dtype)] * 2)
         for c, wavelength in enumerate(self.wavelengths):
             power = self.powers[:, c] / self.powers[:, c].sum()
@@ -859,6 +895,26 @@ class Display(torch.nn.Module):
         )
 
 
+@_array.constant_in_graphs
+def _of_geometry(geometry: str, device: str, make: str, *given) -> tuple[torch.Tensor]:
+    """Return what a display of some geometry keeps, for a graph of torch.compile to hold.
+
+    The compiler compares the words that it is called with, and so takes no constant of one display for that of another,
+    as it does with what a method returns; numbers it may take for variables. In a tuple several constants may be held.
+    """
+
+    def stop(iris):
+        return Iris(*iris) if isinstance(iris, tuple) else iris
+
+    (resolution, pitch, fill), before, wavelengths, lens, distances, iris, medium = ast.literal_eval(geometry)
+    with _torch_private.outside_functional_transforms(), torch.no_grad(), _torch_private.keeping():
+        first = None if before is None else AmplitudePanel(before[0], None, before[1], stop(before[2]))
+        modulator = Modulator(resolution, pitch, None, fill, lit_through=first)
+        distances = distances if lens is None else Lens(*lens)
+        display = Display(modulator, wavelengths, distances, iris=stop(iris), medium=medium)
+        return (getattr(display.to(device), make)(*given),)
+
+
 @dataclass(frozen=True)
 class _Part:
     """Part of the images of a display: the frames of one colour on some planes, on all of them by None."""
@@ -930,7 +986,8 @@ def _pitch_pair(pitch) -> tuple[float, float]:
     return rows, columns
 
 
-def _taps(samples: int) -> torch.Tensor:
+@_array.constant_in_graphs
+def _taps(samples: int) -> tuple[torch.Tensor]:
     """Return the weights of the mean over a pixel of an intensity that is known at some points of each pixel.
 
     The intensity has frequencies up to samples/2 cycles per pixel, at which its spectrum, an autocorrelation, falls to
@@ -943,7 +1000,7 @@ def _taps(samples: int) -> torch.Tensor:
     weight = (1 - cycles / (samples / 2))[:, None] ** 2 + 1e-4
     half = np.linalg.lstsq(columns * weight, np.sinc(cycles)[:, None] * weight, rcond=None)[0][:, 0]
     whole = np.concatenate([half[:0:-1], half])
-    return torch.from_numpy(whole / whole.sum())
+    return (torch.from_numpy(whole / whole.sum()),)
 
 
 @in_own_precision
@@ -951,7 +1008,7 @@ def _over_areas(points: torch.Tensor) -> torch.Tensor:
     """Return the means over pixels of intensities at their points ``[planes, samples, samples, rows, columns]``."""
     planes, samples, _, rows, columns = points.shape
     finer = points.permute(0, 3, 1, 4, 2).reshape(planes, 1, rows * samples, columns * samples)
-    taps, reach = _taps(samples).to(points), _REACH * samples
+    taps, reach = _taps(samples)[0].to(points), _REACH * samples
     padded = torch.nn.functional.pad(finer, (reach, reach, reach, reach), mode="replicate")
     across = torch.nn.functional.conv2d(padded, taps[None, None, None], stride=(1, samples))
     return torch.nn.functional.conv2d(across, taps[None, None, :, None], stride=(samples, 1))[:, 0]

@@ -8,7 +8,7 @@ import torch
 from torch.autograd.function import once_differentiable
 
 from odak import _array, _validate
-from odak._torch_private import operator
+from odak._torch_private import is_transformed, operator
 from odak.learn._face import torch_face
 from odak.learn._tensors import kind_of, tensor, trainable
 from odak.wave import fields
@@ -126,6 +126,9 @@ def exposure(
     _validate.one_device(field=field, power=power)
     if workspace is not None and not isinstance(workspace, Workspace):
         raise TypeError(f"workspace must be a Workspace or None, got {type(workspace).__name__}")
+    if is_transformed(field, power):
+        light = intensity(field) * power.square()[:, None, :, None, None]
+        return light[:, :, 0].transpose(0, 1) if one_each else light.sum(0)
     return _exposure(trainable(field.resolve_conj()), trainable(power), one_each, workspace)
 
 
