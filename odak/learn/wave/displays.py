@@ -27,7 +27,7 @@ from odak.learn._tensors import floating
 from odak.learn.tools.iterations import Run, minimise
 from odak.learn.wave.devices import DISTRIBUTED, Ranks, on_devices, shares_of, used_devices
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
-from odak.learn.wave.holograms import STARTS, best_scale, encode_double_phase, starting_phase
+from odak.learn.wave.holograms import STARTS, best_scale, encode_double_phase, named, network_on, starting_phase
 from odak.learn.wave.loss import FocalTargets, multiplane_loss
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.slm import TURN, even_levels, spatial_light_modulator
@@ -1332,34 +1332,38 @@ class Network:
 
     Parameters
     ----------
-    model : callable
-        ``model(target, wavelength, pitch, distance)`` returns the phase of an image ``[rows, columns]``.
+    model : callable, optional
+        ``model(target, wavelength, pitch, distance)`` returns the phase of an image ``[rows, columns]``. By default
+        :class:`odak.learn.models.hologram_network` with the weights included in odak.
 
     Examples
     --------
     >>> from odak.learn.models import hologram_network
     >>> from odak.learn.wave import Network
-    >>> Network(hologram_network(pretrained=True)).model.training
+    >>> fewer_steps = Network(hologram_network(refinements=4, pretrained=True))
+    >>> fewer_steps.model.training
     False
     """
 
-    model: Callable[..., Any]
+    model: Callable[..., Any] | None = None
 
     @torch.no_grad()
     def solve(self, problem: Problem) -> torch.Tensor:
         """Return the phases of a problem, ``[F, rows, columns]``."""
         display, phases = problem.display, problem.start.clone()
+        model = network_on(phases.device) if self.model is None else self.model
         for frame, plane, colour in _frames_alone(display, "a network"):
             wavelength, distance = display.wavelengths[colour] / display.medium, display.distances[plane]
-            phases[frame] = self.model(problem.target[plane, colour], wavelength, display.modulator.pitch, distance)
+            phases[frame] = model(problem.target[plane, colour], wavelength, display.modulator.pitch, distance)
         return phases
 
 
 SOLVERS: dict[str, Callable] = {
     "lbfgs": Descent,
     "adam": lambda: Descent("adam"),
-    "gerchberg-saxton": AlternatingProjections,
+    "gs": AlternatingProjections,
     "double phase": DoublePhase,
+    "network": Network,
 }
 
 
@@ -1543,11 +1547,11 @@ def optimise(
         ``loss(images, target)``, both ``[D, C, rows, columns]``; the mean squared error by default, for a picture with
         depth its :class:`odak.learn.wave.multiplane_loss`. One that takes a `generator` is given one.
     solver : str or object
-        "lbfgs", "adam", "gerchberg-saxton" or "double phase", or an object with a method
+        "lbfgs", "adam", "gs" (or "gerchberg-saxton"), "double phase" or "network", or an object with a method
         ``solve(problem) -> phases``, or phases and powers, such as :class:`Descent` or :class:`Network`.
     start : str or torch.Tensor
-        "gs", "quadratic", "flat", "random" or "double phase", see
-        :func:`odak.learn.wave.stochastic_gradient_descent`, or phases ``[F, rows, columns]`` in radians.
+        "gs", "double phase" or "network", a hologram by these methods, or "quadratic", "flat" or "random", see
+        :func:`odak.learn.wave.stochastic_gradient_descent`; or phases ``[F, rows, columns]`` in radians.
     run : Run, optional
         Iterations, progress, callback, checkpoint and seed.
     devices : sequence of torch.device, str or int, or "distributed", optional
@@ -1598,7 +1602,7 @@ def optimise(
     focal = target if isinstance(target, FocalTargets) else _focal_targets(display, target)
     target = _checked_target(display, target if focal is None else focal.targets)
     if isinstance(solver, str):
-        solver = SOLVERS[_validate.one_of("solver", solver, tuple(SOLVERS))]()
+        solver = SOLVERS[named("solver", solver, tuple(SOLVERS))]()
     if not callable(getattr(solver, "solve", None)):
         raise TypeError(f"solver must have a method solve(problem), got {type(solver).__name__}")
     if where is not None and isinstance(solver, (AlternatingProjections, DoublePhase, Network)):
@@ -1742,11 +1746,9 @@ def starting_phases(display, target, start, seed) -> torch.Tensor:
     if not isinstance(start, str):
         shapes = (shape, shape[1:]) if display.frames == 1 else (shape,)
         return started("start", start, shapes, target, torch.zeros, STARTS).reshape(shape)
-    name = _validate.one_of("start", start, STARTS)
-    if display.lens is not None and name == "double phase":
-        raise ValueError(
-            "start must be 'gs', 'quadratic', 'random', 'flat' or phases behind a lens, got 'double phase'"
-        )
+    name = named("start", start, STARTS)
+    if display.lens is not None and name in ("double phase", "network"):
+        raise ValueError(f"start must be 'gs', 'quadratic', 'random', 'flat' or phases behind a lens, got {name!r}")
     plane, phases = display.shape[0] // 2, torch.zeros(shape, dtype=target.dtype, device=target.device)
     brightest = display.powers.argmax(1).tolist()
     for colour in sorted(set(brightest)):

@@ -44,7 +44,9 @@ from odak.wave.transfer_functions import checked_pitch, convolve, pitches
 
 P = ParamSpec("P")
 R = TypeVar("R")
-STARTS = ("quadratic", "flat", "random", "double phase", "gs")
+# The last three are the names of solvers too; see displays.SOLVERS.
+STARTS = ("quadratic", "flat", "random", "double phase", "gs", "network")
+_SPELLINGS = {"gerchberg-saxton": "gs", "gerchberg–saxton": "gs", "double-phase": "double phase"}
 # Of the Nyquist frequency, reached at the edges of the hologram.
 _QUADRATIC_SHARE = 0.25
 # Iterations of the start "gs"; more would leave the descent less to gain than they take.
@@ -343,6 +345,21 @@ def best_scale(image: torch.Tensor, target: torch.Tensor, axes: tuple[int, ...] 
     return (image * target).sum(axes, keepdim=True) / norm
 
 
+def named(argument: str, name: str, names: Sequence[str]) -> str:
+    """Return the name of a start or a solver, which may be spelt in other ways."""
+    spelt = _SPELLINGS.get(name.strip().casefold(), name) if isinstance(name, str) else name
+    return _validate.one_of(argument, spelt, names)
+
+
+@functools.cache
+def network_on(device: torch.device) -> torch.nn.Module:
+    """Return the network that is named "network", with the weights included in odak."""
+    from odak.learn.models import hologram_network
+
+    with torch.inference_mode(False):
+        return hologram_network(pretrained=True).to(device)
+
+
 def _checked_target(target) -> torch.Tensor:
     if isinstance(target, torch.Tensor):
         _validate.planes("target", target)
@@ -366,7 +383,9 @@ def starting_phase(
     name : str
         "flat": zero. "random": uniform over a cycle. "quadratic": a weak lens, whose light moves by up to a quarter of
         the Nyquist frequency at the edges. "double phase": the double-phase encoding of the target propagated back with
-        a flat phase. "gs": ten accelerated iterations of Gerchberg–Saxton from the quadratic phase.
+        a flat phase. "gs", or "gerchberg-saxton": ten accelerated iterations of Gerchberg–Saxton from the quadratic
+        phase. "network": the phase of :class:`odak.learn.models.hologram_network` with the weights included in odak,
+        for square pixels.
     target : torch.Tensor
         Intensity ``[..., rows, columns]``.
     wavelength : float
@@ -387,7 +406,7 @@ def starting_phase(
     torch.Tensor
         Phase in radians, of the target's shape, ``[frames, …]`` with several frames.
     """
-    name = _validate.one_of("initial_phase", name, STARTS)
+    name = named("initial_phase", name, STARTS)
     generator = None if seed is None else generator_from(seed)
     shape = tuple(target.shape) if frames == 1 else (frames, *target.shape)
 
@@ -403,6 +422,9 @@ def starting_phase(
             target.clamp_min(0).sqrt() + 0j, -distance, dx, wavelength, propagation_type
         )
         phase = encode_double_phase(field)
+    elif name == "network":
+        with torch.no_grad():
+            phase = network_on(target.device)(target, wavelength, dx, distance)
     elif name != "flat":
         for axis, n in ((-2, target.shape[-2]), (-1, target.shape[-1])):
             place = torch.arange(n, dtype=target.dtype, device=target.device) - n // 2

@@ -25,6 +25,8 @@ from odak.learn.wave import (
     stochastic_gradient_descent,
     training,
 )
+from odak.learn.wave.displays import SOLVERS
+from odak.learn.wave.holograms import STARTS
 
 PITCH, WAVELENGTH = 8e-6, 532e-9
 QUIET = Run(iterations=25, progress=False)
@@ -229,13 +231,35 @@ def test_colours_planes_and_frames(disc):
     assert bool((found.psnr > worse.psnr + 2).all())
 
 
-@pytest.mark.parametrize("solver", ["adam", "gerchberg-saxton", Network(hologram_network(pretrained=True))])
+@pytest.mark.parametrize("solver", ["adam", "gs", "network"])
 def test_other_solvers_are_better_than_their_start(disc, solver):
     display = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3)
     found = optimise(display, disc, solver=solver, start="flat", run=QUIET)
     flat, _ = display.judge(torch.zeros(1, *disc.shape))
     scaled = flat * (flat * disc).sum() / flat.square().sum()
     assert found.psnr > -10 * torch.log10((scaled - disc).square().mean()) + 3
+
+
+def test_names_of_solvers_and_starts(disc):
+    display, brief = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3), Run(iterations=2, progress=False)
+    assert set(SOLVERS) & set(STARTS) == {"gs", "double phase", "network"}
+
+    def found(solver, start="flat"):
+        return optimise(display, disc, solver=solver, start=start, run=brief)
+
+    assert torch.equal(found("gs").phases, found("Gerchberg-Saxton").phases)
+    begun = found("lbfgs", "gerchberg-saxton")
+    assert torch.equal(begun.phases, found("lbfgs", "gs").phases) and begun.psnr > found("lbfgs").psnr + 3
+    computed = found("network")
+    assert torch.equal(computed.phases, found(Network(hologram_network(pretrained=True))).phases)
+    # Two steps of descent from the network's hologram gain on it.
+    assert found("lbfgs", "network").psnr > computed.psnr + 0.5
+    with pytest.raises(ValueError, match="solver must be one of 'lbfgs', 'adam', 'gs', 'double phase', 'network'"):
+        found("quadratic")
+    with pytest.raises(ValueError, match=r"start must be one of 'quadratic', 'flat', 'random', .*'gs', 'network'"):
+        found("lbfgs", "adam")
+    with pytest.raises(ValueError, match="behind a lens, got 'network'"):
+        optimise(Display(display.modulator, WAVELENGTH, Lens(0.2)), disc, start="network", run=brief)
 
 
 def test_double_phase_needs_its_iris(disc):
