@@ -67,16 +67,15 @@ def imports(root: Path = ROOT) -> dict[str, set[str]]:
                 found |= {home(_absolute(package, node), alias.name) for alias in node.names}
         # The table of moved names is what older scripts ask for, and nothing that the package itself asks for.
         if module != "odak._moved":
-            found |= named(tree(path), root.name)
+            found |= named(path.read_text(encoding="utf-8"), root.name)
         graph[module] = (found & set(known)) - {module, root.name}
     return graph
 
 
-def named(node: ast.AST, package: str) -> set[str]:
-    """Return the modules that strings in a tree name, and their parents: what importlib may be given."""
-    strings = {inner.value for inner in ast.walk(node) if isinstance(inner, ast.Constant)}
-    dotted = [text for text in strings if isinstance(text, str) and re.fullmatch(rf"{package}(\.\w+)+", text)]
-    return {text.rsplit(".", count)[0] for text in dotted for count in range(text.count("."))}
+def named(text: str, package: str) -> set[str]:
+    """Return the modules that strings in a source name, and their parents: what importlib may be given."""
+    dotted = re.findall(rf"""["']({package}(?:\.\w+)+)["']""", text)
+    return {name.rsplit(".", count)[0] for name in dotted for count in range(name.count("."))}
 
 
 def cycles(graph: dict[str, set[str]]) -> list[list[str]]:

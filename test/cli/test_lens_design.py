@@ -10,6 +10,7 @@ import pytest
 from odak.catalog import material_names, refractive_index
 from odak.cli import lens_design, main
 from odak.learn.raytracing.system import (
+    automatic,
     first_order,
     load_system,
     optical_system,
@@ -116,6 +117,7 @@ def test_a_lens_of_first_order_demands(full, tmp_path, monkeypatch):
     if not full:
         short = functools.partial(lens_design.automatic_design, stages=1, polish=0)
         monkeypatch.setattr(lens_design, "automatic_design", short)
+        monkeypatch.setattr(automatic, "SCREENINGS", 1)
     asked = ["--elements", "1", "--focal-length", "80mm", "--f-number", "10", "--field", "2", "--seed", "3"]
     files = []
     for name in ("a", "b"):

@@ -129,6 +129,6 @@ def test_a_failed_write_is_code_1_and_leaves_the_old_file(file, tmp_path, capsys
         raise OSError("disk full")
 
     monkeypatch.setattr(os, "replace", full)
-    assert main(["metamer", str(file), "--output", str(tmp_path), *VIEW, "--quiet"]) == 1
+    assert main(["metamer", str(file), "--output", str(tmp_path), *VIEW, "--iterations", "0", "--quiet"]) == 1
     assert "disk full" in capsys.readouterr().err
     assert (tmp_path / "metamer.png").read_text() == "old"

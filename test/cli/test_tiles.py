@@ -95,7 +95,7 @@ def test_strips_and_tiles_of_sixteen_bits(compressed, tmp_path):
         tiles.open_picture(tmp_path / "short.tif")[:, :]
 
 
-@pytest.mark.parametrize(("method", "bits"), [("sgd", 8), ("gs", 10)])
+@pytest.mark.parametrize(("method", "bits"), [("sgd", 8), pytest.param("gs", 10, marks=pytest.mark.slow)])
 def test_the_report_holds_for_the_pattern_that_was_saved(method, bits, colour, grey_file, tmp_path):
     out = tmp_path / "out"
     said = run(grey_file, "-o", out, *GEOMETRY, "--method", method, "--bits", bits, "--iterations", 6)

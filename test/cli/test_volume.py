@@ -34,7 +34,7 @@ def psnr(image, target, mask=True):
     ("method", "options"),
     [
         ("multiplane", DEEP),
-        ("multi-color", []),
+        pytest.param("multi-color", [], marks=pytest.mark.slow),
         pytest.param("multi-color", DEEP, marks=pytest.mark.slow),
         ("network", []),
     ],

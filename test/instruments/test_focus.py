@@ -63,7 +63,7 @@ def distance_found(wrong, shape, bits=8, distance=0.1, **options):
 
 def test_distance_of_a_panel_whose_depth_of_focus_is_narrow():
     """The focus of all pixels is 0.4 % deep; a sweep in steps of 4 % finds that of a small part of them first."""
-    assert distance_found(-0.12, (480, 640), samples=9, captures=1) == pytest.approx(1, abs=2e-4)
+    assert distance_found(-0.12, (240, 320), distance=0.025, samples=9, captures=1) == pytest.approx(1, abs=2e-4)
 
 
 @pytest.mark.slow

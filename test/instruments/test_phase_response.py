@@ -30,7 +30,7 @@ def test_a_response_that_falls_with_the_level(wrong):
     assert np.abs(found - table.phases).max() < 0.01
 
 
-@pytest.mark.parametrize(("fringing", "bound"), [(0.2, 0.03), (0.4, 0.1)])
+@pytest.mark.parametrize(("fringing", "bound"), [pytest.param(0.2, 0.03, marks=pytest.mark.slow), (0.4, 0.1)])
 def test_fringing_fields_spoil_the_phase_response_with_notice(fringing, bound):
     """The bounds are 0.5 % and 5 % of the largest phase; more than a tenth of a radian comes with a warning."""
     table = instruments.SimulatedTable(

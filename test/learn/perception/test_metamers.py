@@ -49,6 +49,7 @@ def test_local_range_is_that_of_squares():
     assert torch.equal(metamers.local_range(picture, 0 * levels)[0], picture)
 
 
+@pytest.mark.slow
 def test_metamers_beat_noise_and_keep_to_local_colours(photograph):
     """White noise of the same squared error is ten times as far by the statistics; no colour is outside its region."""
     view = {"alpha": 0.2, "real_image_width": 0.6, "real_viewing_distance": 0.7}

@@ -82,8 +82,8 @@ def test_a_beam_splitter_for_both_polarisations_of_dispersive_media():
     found = needle_design(start, ["N-LASF9", 1.46], ("air", "N-BK7"), waves, target, 45.0, 8, "m")
     assert 2 < len(found.coating.media) <= 8
     assert found.merit < found.history[0][1] / 3
-    again = needle_design(start, ["N-LASF9", 1.46], ("air", "N-BK7"), waves, target, 45.0, 8, "m")
-    assert again.history == found.history
+    first, again = (needle_design(start, [2.1, 1.46], ("air", 1.52), waves[:3], 0.5, films=4, unit="m") for _ in "ab")
+    assert first.history == again.history
 
 
 @pytest.mark.parametrize(

@@ -255,12 +255,12 @@ def test_a_linear_focus_is_the_best_one_in_two_or_three_traces(monkeypatch):
         return trace_fields(*arguments, **options)
 
     monkeypatch.setattr(optimise, "trace_fields", counted)
-    found = tolerance(lens, off, 4, compensators=[("thickness", -1)])
-    assert 2 <= sum(batch == (4,) for batch in calls) <= 3
+    found = tolerance(lens, off, 2, compensators=[("thickness", -1)])
+    assert 2 <= sum(batch == (2,) for batch in calls) <= 3
     torch.testing.assert_close(rms_spot(lens, prescription=found.prescription), found.merit, rtol=1e-12, atol=0)
-    p = tolerance(lens, off, 4).prescription
+    p = tolerance(lens, off, 2).prescription
     shifts = torch.linspace(-0.5, 0.5, 201, dtype=F64)
-    for row in range(4):
+    for row in range(2):
         one = p.select(row)
         thickness = one.thickness + shifts[:, None] * torch.eye(6, dtype=F64)[-1]
         best = rms_spot(lens, prescription=one._replace(thickness=thickness)).square().sum(-1).min().sqrt()

@@ -539,6 +539,7 @@ def test_fields_beyond_90_degrees_are_those_of_rays_traced_back(slope):
         assert found.x[lens.reference].flatten().tolist() == pytest.approx([0.0, run], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_rays_and_paths_are_smooth_across_90_degrees():
     chief = torch.zeros(1, 2, dtype=torch.float64)
     heights = [

@@ -131,7 +131,10 @@ def test_light_of_aberrated_lens_propagates_to_its_fourier_image(field):
         assert np.abs(profile.numpy() - np.interp(line, place, expected))[near].max() < 0.03 * strehl
 
 
-@pytest.mark.parametrize(("field", "plane", "distance"), [(0, "axis", None), (1, "chief", None), (1, "axis", 9.0)])
+@pytest.mark.parametrize(
+    ("field", "plane", "distance"),
+    [(0, "axis", None), (1, "chief", None), pytest.param(1, "axis", 9.0, marks=pytest.mark.slow)],
+)
 def test_rays_of_the_field_are_the_rays_that_made_it(field, plane, distance):
     """Waves to rays: directions and places again, and all of them to the same image points."""
     system = singlet(wavelength=1e-3, fields=[(0.0, 0.0), (1.0, 3.0)])
