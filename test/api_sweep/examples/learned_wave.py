@@ -300,7 +300,7 @@ BY_CALL = {
     "odak.learn.wave.Display.forward": {"phases": tensor(32, 48)},
     "odak.learn.wave.Display.judge": {"phases": tensor(32, 48)},
     "odak.learn.wave.Display.lit_by": {"powers": tensor(1, 1)},
-    "odak.learn.wave.optimise": {"target": tensor(24, 32), "run": Run(iterations=3, progress=False)},
+    "odak.learn.wave.optimise": {"target": tensor(48, 64), "run": Run(iterations=3, progress=False)},
     "odak.learn.wave.propagator": {"distances": tensor(1) * 1e-3},
     "odak.learn.wave.propagator.init_distances": {"distances": tensor(1) * 1e-3},
     "odak.learn.wave.eyebox_hologram": {
