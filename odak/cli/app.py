@@ -991,11 +991,12 @@ def simulate(
     """Simulate a bench; see :mod:`odak.cli.simulate`."""
     with _messages():
         from odak.cli import simulate as bench
+        from odak.wave import bench_schema
 
         if schema:
             import json
 
-            typer.echo(json.dumps(bench.schema(), indent=2))
+            typer.echo(json.dumps(bench_schema(), indent=2))
             return
         if config is None:
             raise InputError("CONFIG is missing: the TOML or JSON file of a bench; --schema prints its schema")

@@ -23,6 +23,9 @@ from .bench import filter_in_focal_plane as filter_in_focal_plane
 from .bench import lens_fourier_transform as lens_fourier_transform
 from .bench import optical_bench as optical_bench
 from .bench import propagate_abcd as propagate_abcd
+from .bench_files import BenchStep as BenchStep
+from .bench_files import bench_schema as bench_schema
+from .bench_files import simulate_bench as simulate_bench
 from .coherence import disk_source as disk_source
 from .coherence import gaussian_spectrum as gaussian_spectrum
 from .coherence import propagate_partially_coherent as propagate_partially_coherent

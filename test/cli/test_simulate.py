@@ -8,7 +8,8 @@ from PIL import Image
 from scipy.special import j1
 
 from odak.cli import main
-from odak.cli.simulate import KINDS, schema
+from odak.wave import bench_schema
+from odak.wave.bench_files import KINDS
 
 WAVELENGTH, PITCH, SIDE = 532e-9, 8e-6, 256
 HEAD = f"""
@@ -225,7 +226,7 @@ def test_toml_and_json_say_the_same_and_a_report_repeats_itself(tmp_path):
 def test_the_schema_covers_every_kind(capsys):
     assert main(["simulate", "--schema"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    assert printed == json.loads(json.dumps(schema()))
+    assert printed == json.loads(json.dumps(bench_schema()))
     kinds = {part["properties"]["kind"]["const"] for part in printed["properties"]["elements"]["items"]["oneOf"]}
     assert kinds == set(KINDS)
 

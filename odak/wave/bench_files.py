@@ -1,0 +1,534 @@
+"""Optical benches that a file describes: sources, apertures, lenses, modulators and propagations.
+
+The description, in TOML or JSON, holds a table ``bench`` (wavelength, resolution, pixel pitch) and a list ``elements``,
+which the field passes in order. Lengths are numbers of metres, or texts with a unit such as ``"15cm"``.
+"""
+
+import json
+import math
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from odak import _validate
+from odak._validate import did_you_mean, parse_length
+from odak.tools.file import read_levels, white_level
+from odak.wave.beams import gaussian_beam
+from odak.wave.bench import CircularAperture, FreeSpace, Light, Mask, RectangularAperture, ThinLens
+from odak.wave.elements import hyperbolic_lens
+from odak.wave.fields import generate_complex_field, power_budget, wavenumber
+from odak.wave.methods import PROPAGATION_TYPES
+from odak.wave.sampling import Weaker, sampled_axes, warn_beyond_nyquist, warn_of_tilt
+from odak.wave.transfer_functions import pitches
+
+BENCH, ELEMENTS = "bench", "elements"
+MOST_SAMPLES = 16384
+
+
+class Parameter(NamedTuple):
+    """A parameter of the bench or of an element: its type, its default, and its meaning."""
+
+    kind: str  # length, positive length, pitch, number, name, file, method, pair of lengths, pair of counts, angle
+    default: Any
+    meaning: str
+
+
+REQUIRED = object()
+_OFFSET = Parameter("pair of lengths", (0.0, 0.0), "Position of the centre (rows, columns).")
+BENCH_PARAMETERS = {
+    "wavelength": Parameter("positive length", REQUIRED, "Wavelength of the light."),
+    "resolution": Parameter("pair of counts", REQUIRED, "Rows and columns of the field."),
+    "pixel_pitch": Parameter("pitch", REQUIRED, "Distance between samples of the field."),
+}
+KINDS: dict[str, dict[str, Parameter]] = {
+    "plane_wave": {
+        "amplitude": Parameter("number", 1.0, "Amplitude."),
+        "tilt": Parameter("pair of angles", (0.0, 0.0), "Angles to the axis in degrees (rows, columns)."),
+    },
+    "gaussian_beam": {
+        "waist": Parameter("positive length", REQUIRED, "Radius of the waist, where the amplitude is 1/e."),
+        "distance": Parameter("length", 0.0, "Distance behind the waist."),
+        "power": Parameter("number", 1.0, "Power of the beam."),
+        "offset": _OFFSET,
+    },
+    "point_source": {
+        "distance": Parameter("positive length", REQUIRED, "Distance from the point to the field."),
+        "amplitude": Parameter("number", 1.0, "Amplitude on the axis."),
+        "offset": _OFFSET,
+    },
+    "circular_aperture": {
+        "diameter": Parameter("positive length", REQUIRED, "Diameter of the opening."),
+        "offset": _OFFSET,
+    },
+    "rectangular_aperture": {
+        "size": Parameter("pair of lengths", REQUIRED, "Height and width of the opening."),
+        "offset": _OFFSET,
+    },
+    "lens": {
+        "focal_length": Parameter("length", REQUIRED, "Focal length; positive converges."),
+        "diameter": Parameter("positive length", None, "Diameter; without it, the lens is as large as the field."),
+        "offset": _OFFSET,
+    },
+    "slm": {
+        "pattern": Parameter("file", REQUIRED, "Grey picture of the phase, pixel by pixel: 0 is 0, white + 1 is 2 pi."),
+    },
+    "mask": {
+        "picture": Parameter("file", REQUIRED, "Grey picture of the transmitted intensity, 0 to 1, pixel by pixel."),
+    },
+    "propagate": {
+        "distance": Parameter("length", REQUIRED, "Distance; negative goes back."),
+        "method": Parameter("method", "auto", "Propagation method."),
+        "pixel_pitch": Parameter("pitch", None, "Distance between samples behind; without it, that in front."),
+        "resolution": Parameter("pair of counts", None, "Rows and columns behind; without it, those in front."),
+    },
+    "record": {
+        "name": Parameter("name", REQUIRED, "Name of the files that hold the field at this place."),
+    },
+}
+SOURCES = ("plane_wave", "gaussian_beam", "point_source")
+_TYPES: dict[str, dict] = {
+    "length": {"type": ["number", "string"], "description": "metres, or a number with a unit"},
+    "positive length": {"type": ["number", "string"], "description": "metres, or a number with a unit; positive"},
+    "pitch": {
+        "oneOf": [
+            {"type": ["number", "string"]},
+            {"type": "array", "items": {"type": ["number", "string"]}, "minItems": 2, "maxItems": 2},
+        ],
+        "description": "metres, or a number with a unit; positive; one, or a pair (rows, columns)",
+    },
+    "number": {"type": "number"},
+    "name": {"type": "string", "pattern": "^[A-Za-z0-9][A-Za-z0-9_-]*$"},
+    "file": {"type": "string"},
+    "method": {"enum": list(PROPAGATION_TYPES)},
+    "pair of lengths": {"type": "array", "items": {"type": ["number", "string"]}, "minItems": 2, "maxItems": 2},
+    "pair of counts": {
+        "type": "array",
+        "items": {"type": "integer", "minimum": 1, "maximum": MOST_SAMPLES},
+        "minItems": 2,
+        "maxItems": 2,
+    },
+    "pair of angles": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
+}
+
+
+class BenchStep(NamedTuple):
+    """One element of a bench that a file describes, and the light behind it.
+
+    Attributes
+    ----------
+    kind : str
+        Kind of the element.
+    power : float
+        Sum of the intensity behind it over the samples times their area.
+    share_of_source : float or None
+        The power over that behind the last source; None without light.
+    lost : dict or None
+        Shares of the power in front that are lost beyond the band of the method, at apertures and beside the window;
+        None where nothing of the kind can be lost.
+    name : str or None
+        Name of a record, None of other elements.
+    field : numpy.ndarray or None
+        Field of a record, complex ``[rows, columns]``.
+    pitch : float or sequence of float
+        Distance between its samples in metres, one number or a pair (rows, columns).
+
+    Examples
+    --------
+    >>> from odak.wave import simulate_bench
+    >>> bench = {"wavelength": "532nm", "resolution": [32, 32], "pixel_pitch": "8um"}
+    >>> elements = [{"kind": "plane_wave"}, {"kind": "record", "name": "here"}]
+    >>> source, record = simulate_bench({"bench": bench, "elements": elements})
+    >>> record.name, record.field.shape, source.field is None
+    ('here', (32, 32), True)
+    """
+
+    kind: str
+    power: float
+    share_of_source: float | None
+    lost: dict[str, float] | None
+    name: str | None
+    field: np.ndarray | None
+    pitch: Any
+
+
+def simulate_bench(config: dict[str, Any] | str | os.PathLike[str]) -> list[BenchStep]:
+    """Return the steps of light through an optical bench that a file describes, with the fields that it records.
+
+    Use it for a bench that is written down rather than programmed, and read by others; `odak simulate` runs the same
+    files. For elements of your own, gradients or several wavelengths, use :class:`optical_bench`.
+
+    Parameters
+    ----------
+    config : dict, str or os.PathLike
+        TOML or JSON file, or its content: a table ``bench`` and a list ``elements``, whose schema :func:`bench_schema`
+        returns. Sources come first, whose fields are added; the last element is a record. Paths of pictures are
+        relative to the file, those in a dict to the working directory.
+
+    Returns
+    -------
+    list of BenchStep
+        One for each element.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the file cannot be read or does not conform to the schema; the message names the element.
+
+    See Also
+    --------
+    optical_bench : Benches of objects.
+
+    Examples
+    --------
+    The focus of a lens of 1.2 mm and 10 cm, whose peak is (area/(wavelength·focal length))² times the incident light:
+
+    >>> import numpy as np
+    >>> from odak.wave import simulate_bench
+    >>> bench = {"wavelength": "532nm", "resolution": [256, 256], "pixel_pitch": "8um"}
+    >>> elements = [
+    ...     {"kind": "plane_wave"},
+    ...     {"kind": "lens", "focal_length": "10cm", "diameter": "1.2mm"},
+    ...     {"kind": "propagate", "distance": "10cm"},
+    ...     {"kind": "record", "name": "focus"},
+    ... ]
+    >>> *_, focus = simulate_bench({"bench": bench, "elements": elements})
+    >>> peak = (np.pi * 0.6e-3**2 / (532e-9 * 0.1)) ** 2
+    >>> round(float(abs(focus.field[128, 128]) ** 2 / peak), 2)
+    1.0
+    """
+    return list(steps_of(*load_bench(config)))
+
+
+def load_bench(config: Any) -> tuple[dict, list[dict]]:
+    """Return bench and elements of a file or its content; see :func:`checked`."""
+    if isinstance(config, dict):
+        return checked(config, Path())
+    if not isinstance(config, (str, os.PathLike)):
+        raise TypeError(f"config must be a dict or the path of a file, got {type(config).__name__}")
+    path = Path(os.path.expanduser(config))
+    return checked(read_config(path), path.resolve().parent)
+
+
+def steps_of(bench: dict, elements: Sequence[dict]) -> Iterator[BenchStep]:
+    """Yield the steps of a bench that has been checked."""
+    light = Light(np.zeros(bench["resolution"], complex), bench["pixel_pitch"])
+    of_source, before = 0.0, 0.0
+    for element in elements:
+        kind = element["kind"]
+        if kind in SOURCES:
+            light = replace(light, field=light.field + SOURCE[kind](bench, element))
+        with power_budget() as budget:
+            for part in PASSAGE[kind](light, element) if kind in PASSAGE else ():
+                light = light.through(part, bench["wavelength"])
+        power = float(np.sum(np.abs(light.field) ** 2) * math.prod(pitches(light.pitch)))
+        of_source = power if kind in SOURCES else of_source
+        lost = None
+        if budget.steps and before > 0:
+            lost = {name: round(getattr(budget, name), 9) for name in ("band", "aperture", "window")}
+        before = power
+        field = light.sampled(bench["wavelength"]) if kind == "record" else None
+        share = power / of_source if of_source > 0 else None
+        yield BenchStep(kind, power, share, lost, element.get("name"), field, light.pitch)
+
+
+def bench_schema() -> dict[str, Any]:
+    """Return the JSON schema of the files that :func:`simulate_bench` and `odak simulate` read.
+
+    Returns
+    -------
+    dict
+        Schema of the draft 2020-12: kinds of elements, their parameters, and what they mean.
+
+    Examples
+    --------
+    >>> from odak.wave import bench_schema
+    >>> elements = bench_schema()["properties"]["elements"]["items"]["oneOf"]
+    >>> [one["properties"]["kind"]["const"] for one in elements][:3]
+    ['plane_wave', 'gaussian_beam', 'point_source']
+    """
+
+    def described(parameters: dict[str, Parameter], **more: dict) -> dict:
+        properties = {
+            name: {**_TYPES[parameter.kind], "title": parameter.meaning} for name, parameter in parameters.items()
+        }
+        required = [name for name, parameter in parameters.items() if parameter.default is REQUIRED]
+        return {
+            "type": "object",
+            "properties": {**more, **properties},
+            "required": [*more, *required],
+            "additionalProperties": False,
+        }
+
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Optical bench of odak simulate",
+        "type": "object",
+        "properties": {
+            BENCH: described(BENCH_PARAMETERS),
+            ELEMENTS: {
+                "type": "array",
+                "minItems": 1,
+                "items": {"oneOf": [described(parameters, kind={"const": kind}) for kind, parameters in KINDS.items()]},
+            },
+        },
+        "required": [BENCH, ELEMENTS],
+        "additionalProperties": False,
+    }
+
+
+def read_config(path: Path) -> dict:
+    """Return the content of a TOML or JSON file; raise ValueError where there is none."""
+    if not path.exists():
+        raise ValueError(f"config not found: {str(path)!r}")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"config cannot be read: {str(path)!r} ({' '.join(str(error).split())})") from None
+    if path.suffix.lower() == ".json":
+        try:
+            return json.loads(text)
+        except (json.JSONDecodeError, RecursionError) as error:
+            place = f"line {error.lineno}" if isinstance(error, json.JSONDecodeError) else "it is nested too deeply"
+            raise ValueError(f"config {str(path)!r} is not valid JSON: {place}") from None
+    if path.suffix.lower() != ".toml":
+        raise ValueError(f"config must end in .toml or .json, got {str(path)!r}")
+    try:
+        import tomllib as toml
+    except ModuleNotFoundError:  # Python 3.10
+        import tomli as toml  # type: ignore[import-not-found,no-redef]
+    try:
+        return toml.loads(text)
+    except (toml.TOMLDecodeError, RecursionError) as error:
+        raise ValueError(f"config {str(path)!r} is not valid TOML: {error}") from None
+
+
+def checked(config: Any, folder: Path) -> tuple[dict, list[dict]]:
+    """Return bench and elements with their defaults and with lengths in metres.
+
+    Parameters
+    ----------
+    config : dict
+        Content of the file.
+    folder : Path
+        Folder that paths of pictures are relative to.
+
+    Raises
+    ------
+    ValueError
+        If the content does not conform to the schema; the message names the element.
+    """
+    if not isinstance(config, dict):
+        raise TypeError(f"config must be a table with {BENCH!r} and {ELEMENTS!r}, got {type(config).__name__}")
+    _check_names("config", config, (BENCH, ELEMENTS), (BENCH, ELEMENTS))
+    if not isinstance(config[BENCH], dict):
+        raise ValueError(f"{BENCH} must be a table, got {type(config[BENCH]).__name__}")
+    if not isinstance(config[ELEMENTS], list) or not config[ELEMENTS]:
+        raise ValueError(f"{ELEMENTS} must be a list of at least one element")
+    bench = _filled(BENCH, config[BENCH], BENCH_PARAMETERS, folder)
+    elements = []
+    passed = False
+    recorded: set[str] = set()
+    for number, given in enumerate(config[ELEMENTS], 1):
+        if not isinstance(given, dict) or "kind" not in given:
+            raise ValueError(f"element {number} must be a table with a 'kind': {', '.join(KINDS)}")
+        kind = given["kind"]
+        if kind not in KINDS:
+            near = did_you_mean(str(kind), KINDS)
+            raise ValueError(f"element {number} must have a kind of {', '.join(KINDS)}; got {kind!r}.{near}")
+        where = f"element {number} ({kind})"
+        rest = {name: value for name, value in given.items() if name != "kind"}
+        element = {"kind": kind, **_filled(where, rest, KINDS[kind], folder)}
+        if kind in SOURCES and passed:
+            raise ValueError(f"{where}: sources come first; the fields of several add up")
+        if number == 1 and kind not in SOURCES:
+            raise ValueError(f"{where}: the first element must be a source: {', '.join(SOURCES)}")
+        passed = passed or kind not in SOURCES
+        if kind == "record" and element["name"].casefold() in recorded | {"report"}:
+            raise ValueError(f"{where}: name {element['name']!r} is already used")
+        recorded.add(str(element.get("name", "")).casefold())
+        elements.append(element)
+    if elements[-1]["kind"] != "record":
+        raise ValueError(
+            f"the last element must be a record, otherwise no result is saved; got {elements[-1]['kind']!r}"
+        )
+    return bench, elements
+
+
+def _check_names(where: str, given: dict, known, required) -> None:
+    for name in given:
+        if name not in known:
+            raise ValueError(
+                f"{where} has no parameter {name!r}; accepted: {', '.join(known)}.{did_you_mean(str(name), known)}"
+            )
+    missing = [name for name in required if name not in given]
+    if missing:
+        raise ValueError(f"{where} needs {', '.join(missing)}")
+
+
+def _filled(where: str, given: dict, parameters: dict[str, Parameter], folder: Path) -> dict:
+    _check_names(where, given, parameters, [name for name, one in parameters.items() if one.default is REQUIRED])
+    values = {}
+    for name, parameter in parameters.items():
+        try:
+            values[name] = _value(parameter.kind, given[name], folder) if name in given else parameter.default
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{where}: {name} must be {_wanted(parameter.kind)}, got {given[name]!r:.80}") from error
+    return values
+
+
+def _wanted(kind: str) -> str:
+    texts = {
+        "length": "a length such as 0.15 (metres) or '15cm'",
+        "positive length": "a positive length such as 8e-6 (metres) or '8um'",
+        "pitch": "a positive length such as 8e-6 (metres) or '8um', or a pair [rows, columns] of them",
+        "number": "a finite number",
+        "name": "a name of letters, digits, '-' and '_'",
+        "file": "the path of a picture that exists",
+        "method": f"one of {', '.join(_TYPES['method']['enum'])}",
+        "pair of lengths": "two lengths [rows, columns]",
+        "pair of counts": f"two whole numbers [rows, columns] from 1 to {MOST_SAMPLES}",
+        "pair of angles": "two angles in degrees [rows, columns], below 90",
+    }
+    return texts[kind]
+
+
+def _value(kind: str, value: Any, folder: Path) -> Any:
+    """Return a value of one of the types of the schema; raise ValueError or TypeError otherwise."""
+    if kind in ("length", "positive length", "number"):
+        if isinstance(value, bool) or not isinstance(value, (int, float) if kind == "number" else (int, float, str)):
+            raise TypeError
+        number = float(value if kind == "number" else parse_length(value))
+        if not math.isfinite(number) or (kind == "positive length" and number <= 0):
+            raise ValueError
+        return number
+    if kind == "pitch" and not isinstance(value, list):
+        return _value("positive length", value, folder)
+    if kind == "pitch" or kind.startswith("pair"):
+        if not isinstance(value, list) or len(value) != 2:
+            raise ValueError
+        if kind == "pair of counts":
+            if not all(type(count) is int and 1 <= count <= MOST_SAMPLES for count in value):
+                raise ValueError
+            return value
+        single = {"pair of angles": "number", "pitch": "positive length"}.get(kind, "length")
+        pair = [_value(single, part, folder) for part in value]
+        if kind == "pair of angles" and max(map(abs, pair)) >= 90:
+            raise ValueError
+        return pair
+    if not isinstance(value, str):
+        raise TypeError
+    if kind == "file":
+        path = folder / os.path.expanduser(value)
+        if not path.is_file():
+            raise ValueError
+        return str(path)
+    if kind == "method":
+        return _validate.one_of(kind, value, _TYPES["method"]["enum"])
+    if not value or not value.isascii() or not value.replace("-", "").replace("_", "").isalnum() or value[0] in "-_":
+        raise ValueError
+    return value
+
+
+# --- Sources, which return fields, and elements, which change them
+
+
+def positions(resolution: Sequence[int], pitch: Any, offset: Any = (0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
+    """Return the positions of the samples in metres, ``[rows, 1]`` and ``[1, columns]``, relative to an offset."""
+    rows, columns = (
+        (np.arange(count) - count // 2) * step - shift
+        for count, step, shift in zip(resolution, pitches(pitch), offset, strict=True)
+    )
+    return rows[:, None], columns[None, :]
+
+
+def _plane_wave(bench: dict, element: dict) -> np.ndarray:
+    rows, columns = positions(bench["resolution"], bench["pixel_pitch"])
+    k = wavenumber(bench["wavelength"])
+    for step, angle in zip(pitches(bench["pixel_pitch"]), element["tilt"], strict=True):
+        warn_of_tilt("plane_wave", step, k, angle)
+    tilt = [math.sin(math.radians(angle)) for angle in element["tilt"]]
+    return np.asarray(generate_complex_field(element["amplitude"], k * (tilt[0] * rows + tilt[1] * columns)))
+
+
+def _gaussian_beam(bench: dict, element: dict) -> np.ndarray:
+    result = gaussian_beam(
+        bench["resolution"],
+        bench["pixel_pitch"],
+        bench["wavelength"],
+        element["waist"],
+        element["distance"],
+        power=element["power"],
+        offset=element["offset"],
+    )
+    return np.asarray(result)
+
+
+def _point_source(bench: dict, element: dict) -> np.ndarray:
+    pitch, numbers = bench["pixel_pitch"], (element["distance"], bench["wavelength"])
+    axes = sampled_axes(bench["resolution"], pitches(pitch), element["offset"])
+    further = Weaker(0, 1, "a distance of at least {:.3g} m")
+    warn_beyond_nyquist("point_source", hyperbolic_lens, axes, numbers, further)
+    rows, columns = positions(bench["resolution"], pitch, element["offset"])
+    distance = np.sqrt(rows**2 + columns**2 + element["distance"] ** 2)
+    phase = wavenumber(bench["wavelength"]) * (distance - element["distance"])
+    return np.asarray(generate_complex_field(element["amplitude"] * element["distance"] / distance, phase))
+
+
+def _circular_aperture(light: Light, element: dict) -> list:
+    return [CircularAperture(element["diameter"] / 2, element["offset"])]
+
+
+def _rectangular_aperture(light: Light, element: dict) -> list:
+    height, width = element["size"]
+    return [RectangularAperture(height, width, element["offset"])]
+
+
+def _lens(light: Light, element: dict) -> list:
+    lens = ThinLens(element["focal_length"], element["offset"])
+    return [lens] if element["diameter"] is None else [lens, *_circular_aperture(light, element)]
+
+
+def _slm(light: Light, element: dict) -> list:
+    levels = read_levels(element["pattern"])
+    grey = _fitting(levels, light, element["pattern"])
+    depth = 256 if levels.dtype == np.uint8 else 65536
+    return [Mask(generate_complex_field(1.0, np.round(grey * (depth - 1)) * (2 * math.pi / depth)))]
+
+
+def _mask(light: Light, element: dict) -> list:
+    return [Mask(np.sqrt(_fitting(read_levels(element["picture"]), light, element["picture"])))]
+
+
+def _fitting(levels: np.ndarray, light: Light, path: str) -> np.ndarray:
+    """Return a grey picture, 0 to 1, of the resolution of the field."""
+    values, wanted = levels / white_level(levels), light.field.shape
+    values = values[..., :3].mean(-1) if values.ndim == 3 else values
+    if values.shape != wanted:
+        raise ValueError(
+            f"{path!r} must have the resolution of the field, {wanted[0]} x {wanted[1]} pixels; "
+            f"got {values.shape[0]} x {values.shape[1]}"
+        )
+    return values
+
+
+def _propagate(light: Light, element: dict) -> list:
+    return [FreeSpace(element["distance"], element["method"], element["resolution"], element["pixel_pitch"])]
+
+
+SOURCE: dict[str, Callable[[dict, dict], np.ndarray]] = {
+    "plane_wave": _plane_wave,
+    "gaussian_beam": _gaussian_beam,
+    "point_source": _point_source,
+}
+PASSAGE: dict[str, Callable[[Light, dict], list]] = {
+    "circular_aperture": _circular_aperture,
+    "rectangular_aperture": _rectangular_aperture,
+    "lens": _lens,
+    "slm": _slm,
+    "mask": _mask,
+    "propagate": _propagate,
+}
