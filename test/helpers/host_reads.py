@@ -96,6 +96,7 @@ REASONS = {
         raytracing/boundary: _picked
         raytracing/system/fused: _intersect _newton _on_sheet _run blocks work
         raytracing/mesh: embree_scene nearest_faces_by_embree
+        raytracing/system/pupils: _key
         tools/matrix: _gaussian_lines
         wave/propagators: holograms
     """,
@@ -109,7 +110,7 @@ REASONS = {
         raytracing/system/design: _take_glasses best_of restarts
         raytracing/system/eye: accommodation_response
         raytracing/system/optimise: _linearly_compensated _seeing_limits least_squares tolerances_for_yield
-        raytracing/system/pupils: _continuation _differences _solve aimed solve_pairs
+        raytracing/system/pupils: _chief_rays _continuation _differences _solve aimed solve_pairs
         raytracing/system/sequence: _adjoint axis_signs
         raytracing/system/waves: _peak
         wave/display_models: _match_brightness _numbers misfit with_gaps

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 
 from odak import _show, _validate
-from odak._array import is_readable
+from odak._array import is_readable, is_wrapped
 from odak.learn._tensors import checked_device, checked_dtype
 from odak.learn.raytracing.system.paraxial import entrance_pupil
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
-from odak.learn.raytracing.system.surfaces import checked_system
+from odak.learn.raytracing.system.surfaces import checked_system, is_break
 from odak.learn.raytracing.system.tracing import Rays, Traced, in_surface_frame, trace
 
 PATTERNS = ("rings", "grid", "x", "y", "random", "gauss")
@@ -24,6 +24,11 @@ ROUNDS, MARCHES = 8, 60
 WIDE, BEFORE = 80.0, 20.0
 # Newton's method ends with steps this small relative to that of its differences; one more follows.
 CLOSE = 1e-6
+# The same on the way of a continuation, and steps tried at once there.
+NEAR, SHARES = 1e-2, 16
+# Chief rays that were found last, by all that they depend on: an analysis aims the same fields many times.
+KEPT = 8
+_CHIEF_RAYS: dict[tuple, tuple[torch.Tensor, ...]] = {}
 # Spokes of the Gaussian quadrature for each of its rings. Steps along a spoke in which its clear parts are looked for,
 # and halvings by which their ends are found.
 SPOKES, STEPS, HALVINGS = 4, 48, 13
@@ -193,10 +198,7 @@ def pupil_quadrature(
     order = torch.where(changes, torch.arange(STEPS, device=device), STEPS).sort(-1).values[..., :slots]
     low, high = line[order], line[(order + 1).clamp(max=STEPS)]
     inside = flags.gather(-1, order)
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        same = clear(middle) == inside
-        low, high = torch.where(same, middle, low), torch.where(same, high, middle)
+    low, high = _changes(clear, low, high, inside, HALVINGS)
     first = torch.where(flags[..., :1], 0.0, 1.0).to(low)
     ends = torch.cat([first, (low + high) / 2, first.new_ones(*first.shape[:-1], 1 + slots % 2)], -1)
     start, stop = ends.sort(-1).values.square().unflatten(-1, (-1, 2))[..., None].unbind(-2)
@@ -206,6 +208,20 @@ def pupil_quadrature(
     points = (square.sqrt()[..., None] * spoke[:, None, None]).flatten(1, -2)
     used = (weights > 0).any(0)
     return PupilQuadrature(points[:, used], weights[:, used])
+
+
+def _changes(clear: Callable, low: torch.Tensor, high: torch.Tensor, inside: Any, halvings: int) -> tuple:
+    """Return intervals ``[..., R]`` in which rays stop to be as they are at `low`; one trace does up to 4 halvings."""
+    for left in range(halvings, 0, -4):
+        parts = 2 ** min(4, left)
+        shares = torch.arange(1, parts, device=low.device).to(low) / parts
+        tries = low[..., None] + (high - low)[..., None] * shares
+        here = inside[..., None] if isinstance(inside, torch.Tensor) else inside
+        same = clear(tries.flatten(-2)).unflatten(-1, tries.shape[-2:]) == here
+        size = (high - low) / parts
+        low = low + size * same.long().cumprod(-1).sum(-1)
+        high = low + size
+    return low, high
 
 
 def _legendre(count: int, device=None) -> tuple[torch.Tensor, torch.Tensor]:
@@ -348,10 +364,7 @@ def vignetting_factors(system: Any, fields: Any = None, *, aim: str = "paraxial"
             first = (flags if side > 0 else flags.flip(-1)).to(torch.uint8).argmax(-1, keepdim=True)
             low = line[first] if side > 0 else line.flip(0)[first]
             beyond = (low - side / STEPS).clamp(-1, 1)
-            for _ in range(HALVINGS + 5):
-                middle = (low + beyond) / 2
-                good = clear_at(middle)
-                low, beyond = torch.where(good, middle, low), torch.where(good, beyond, middle)
+            low, _ = _changes(clear_at, low, beyond, True, HALVINGS + 5)
             found.append(torch.where(flags.any(-1, keepdim=True), low, torch.nan))
         return found[0], found[1]
 
@@ -526,98 +539,170 @@ def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: to
 
     Notes
     -----
-    Newton's method from the paraxial pupil. Where it fails, as for the outer fields of wide lenses, whose pupils lie
-    far from the paraxial one, the chief ray is followed from the axis to the field in steps of adaptive length, and
-    then the rays of the pupil from the chief ray outwards.
+    The chief ray of each field first, by Newton's method from the paraxial pupil. Where that fails, as for the outer
+    fields of wide lenses, whose pupils lie far from the paraxial one, it is followed from the axis to the field. The
+    other rays start as the chief ray and its derivatives say; those that fail are followed from it outwards.
     """
     radius = pupil.stop_radius[..., None, None, None]
     step = 1e-4 * pupil.reach[..., None, None, None]
 
-    def errors(px, py, share=1.0, part=1.0):
-        points_now = fields if isinstance(share, float) else fields * share[..., None]
-        rays = through_places(system, points_now, pupil, px, py, wide)
-        x, y, kept = at_stop(system, numbers, rays)
-        return x - part * radius * points[..., 0], y - part * radius * points[..., 1], kept
+    def errors(px, py, goals, where=fields):
+        """Return by how much rays of fields miss points of the stop, and whether they exist."""
+        x, y, kept = at_stop(system, numbers, through_places(system, where, pupil, px, py, wide))
+        return x - radius * goals[..., 0], y - radius * goals[..., 1], kept
 
     with torch.no_grad():
-        start = torch.broadcast_tensors(*places_of(pupil, points))
-        shape = errors(*start)[0].shape
-        x, y = (value.expand(shape).clone() for value in start)
-        x, y, found = _solve(errors, x, y, step, radius)
-        if not bool(found.all()):
-            x, y, found = _continued(system, errors, places_of(pupil, 0 * points), x, y, found, step, radius)
+        centre = torch.zeros_like(points[..., :1, :])
+        batch = (*pupil.reach.shape, 1, len(fields), 1)
+        shape = torch.broadcast_shapes(batch, (*numbers.batch, 1, 1, 1), points.shape[:-1])
+        goals = points.expand(*shape, 2)
+        known = _key(system, numbers, fields, wide)
+        held = None if known is None else _CHIEF_RAYS.pop(known, None)
+        if held is None:
+            held = _chief_rays(errors, places_of(pupil, centre), centre.expand(*shape[:-1], 1, 2), fields, step, radius)
+        if known is not None:
+            _CHIEF_RAYS[known] = held
+            if len(_CHIEF_RAYS) > KEPT:
+                del _CHIEF_RAYS[next(iter(_CHIEF_RAYS))]
+        cx, cy, reached = held
+        (ex, ey, _), jacobian = _differences(errors, cx, cy, step, centre)
+        dx, dy = _newton((ex - radius * goals[..., 0], ey - radius * goals[..., 1]), jacobian)
+        near = reached & torch.isfinite(dx + dy)
+        x, y = (
+            torch.where(near, c - d, own)
+            for c, d, own in zip((cx, cy), (dx, dy), places_of(pupil, points), strict=True)
+        )
+        x, y, found = _solve(errors, x, y, step, radius, goals)
+        lost = reached & ~found
+        if bool(lost.any()):
+            # Those lost in any system of a batch, as fields of one ray each.
+            some = lost.flatten(0, -3).any(0)
+            fx, fy = (value.expand(shape)[..., some, None] for value in (cx, cy))
+            ends, which = goals[..., some, :][..., None, :], fields.expand(*shape[-2:], 2)[some][:, None]
+            px, py, met = _continuation(errors, fx, fy, step, radius, lambda s: (s[..., None] * ends, which))
+            px, py, met = (value[..., 0] for value in (px, py, met))
+            better = met & lost[..., some]
+            x[..., some], y[..., some] = (
+                torch.where(better, px, x[..., some]),
+                torch.where(better, py, y[..., some]),
+            )
+            found[..., some] = found[..., some] | better
     safe = [torch.where(found, value, 0.0) for value in (x, y)]
 
-    def missed(px, py):
-        ex, ey, kept = errors(px, py)
-        return [torch.where(kept & found, value, 0.0) for value in (ex, ey)]
-
-    x, y = newton_step(missed, safe[0], safe[1], step)
+    with torch.no_grad():
+        # One more step with a graph carries the gradient; its Jacobian, by central differences, has none.
+        (px, py), (nx, ny) = safe, [value - step for value in safe]
+        sides = _side_by_side(errors, [(px + step, py), (nx, py), (px, py + step), (px, ny)], goals)
+        jacobian = [
+            [torch.where(found & a[2] & b[2], (a[i] - b[i]) / (2 * step), 0.0) for i in range(2)]
+            for a, b in (sides[:2], sides[2:])
+        ]
+    ex, ey, kept = errors(safe[0], safe[1], points)
+    dx, dy = _newton([torch.where(kept & found, value, 0.0) for value in (ex, ey)], jacobian)
+    x, y = safe[0] - dx, safe[1] - dy
     return torch.where(found, x, torch.inf), torch.where(found, y, torch.inf)
 
 
-def _solve(errors, x, y, step, radius, *way, rounds: int = 12):
+def _key(system, numbers: Prescription, fields: torch.Tensor, wide: bool) -> tuple | None:
+    """Return all that chief rays depend on, None where it is more than can be compared at once."""
+    values: list[Any] = [value for value in (*numbers, fields) if value is not None]
+    if not all(
+        isinstance(value, torch.Tensor) and value.device.type == "cpu" and is_readable(value) for value in values
+    ):
+        return None
+    if any(map(is_wrapped, values)):
+        return None
+    kinds = tuple((item.reflects, is_break(item), item.order) for item in system.surfaces)
+    whole = system.stop, system.object_distance, system.telecentric, wide, kinds
+    return *whole, tuple((tuple(v.shape), v.detach().contiguous().numpy().tobytes()) for v in values)
+
+
+def _chief_rays(errors, middle, centre, fields, step, radius):
+    """Return coordinates of the rays through the centre of the stop, ``[..., F, 1]``, and which were found."""
+    middle = [value.expand(centre.shape[:-1]) for value in middle]
+    x, y, found = _solve(errors, *middle, step, radius, centre)
+    if not bool(found.all()):
+        # From the axis to the field.
+        px, py, met = _continuation(errors, *middle, step, radius, lambda s: (centre, s[..., None] * fields))
+        done = met & ~found
+        x, y, found = torch.where(done, px, x), torch.where(done, py, y), found | done
+    return x, y, found
+
+
+def _solve(errors, x, y, step, radius, *goals, rounds: int = 8, close: float = CLOSE):
     """Return coordinates after Newton's method for each ray, and which of them reach their points."""
-    for _ in range(rounds):
-        ex, ey, kept = errors(x, y, *way)
-        (ax, ay), (bx, by) = _differences(errors, x, y, step, (ex, ey), *way)
-        dx, dy = _newton((ex, ey), ((ax, ay), (bx, by)))
+    before = torch.inf
+    for i in range(rounds):
+        (ex, ey, kept), jacobian = _differences(errors, x, y, step, *goals)
+        dx, dy = _newton((ex, ey), jacobian)
         usable = kept & torch.isfinite(dx + dy)
         x, y = x - torch.where(usable, dx, 0.0), y - torch.where(usable, dy, 0.0)
-        small = (torch.maximum(dx.abs(), dy.abs()) <= CLOSE * step.abs()) | ~usable
-        if bool(small.all()):
+        # Ended are steps that are small, and after some those that come no nearer: at rounding, or astray.
+        error = torch.maximum(ex.abs(), ey.abs())
+        ended = (torch.maximum(dx.abs(), dy.abs()) <= close * step.abs()) | ~usable
+        if bool((ended | (error > before / 2) if i > 2 else ended).all()):
             break
-    ex, ey, kept = errors(x, y, *way)
-    met = kept & (torch.maximum(ex.abs(), ey.abs()) <= 1e-7 * radius)
+        before = error
+    ex, ey, kept = errors(x, y, *goals)
+    met = kept & (torch.maximum(ex.abs(), ey.abs()) <= 1e-7 * close / CLOSE * radius)
     return x, y, met
 
 
-def _differences(errors, x, y, step, here, *way):
-    """Return the derivatives of both errors by x and by y, from differences on either side where a ray exists."""
-    found = []
-    for ahead, behind in (((x + step, y), (x - step, y)), ((x, y + step), (x, y - step))):
-        ex, ey, kept = errors(*ahead, *way)
-        if not bool(kept.all()):
-            fx, fy, _ = errors(*behind, *way)
-            found.append([torch.where(kept, a - c, c - b) / step for a, b, c in ((ex, fx, here[0]), (ey, fy, here[1]))])
-        else:
-            found.append([(a - c) / step for a, c in zip((ex, ey), here, strict=True)])
-    return found
+def _differences(errors, x, y, step, goals, *where):
+    """Return the errors, and their derivatives by x and by y, from differences on either side where a ray exists."""
+    here, *ahead = _side_by_side(errors, [(x, y), (x + step, y), (x, y + step)], goals, *where)
+    if all(bool((kept | ~here[2]).all()) for _, _, kept in ahead):
+        return here, [[(a - c) / step for a, c in zip(there[:2], here[:2], strict=True)] for there in ahead]
+    behind = _side_by_side(errors, [(x - step, y), (x, y - step)], goals, *where)
+    return here, [
+        [torch.where(there[2], a - c, c - b) / step for a, b, c in zip(there[:2], back[:2], here[:2], strict=True)]
+        for there, back in zip(ahead, behind, strict=True)
+    ]
 
 
-def _continued(system, errors, middle, x, y, found, step, radius):
-    """Return coordinates found by continuation for the rays that Newton's method from the paraxial pupil lost."""
-    zero = torch.zeros_like(x)
-    cx, cy = (value.expand(x.shape).clone() for value in middle)
-    # From the axis to the field, with the point in the stop at its centre; then from the centre to the point.
-    cx, cy, reached = _continuation(errors, cx, cy, found, step, radius, lambda s: (s, zero))
-    px, py, reached = _continuation(errors, cx, cy, found | ~reached, step, radius, lambda s: (1.0 + zero, s))
-    done = ~found & reached
-    return torch.where(done, px, x), torch.where(done, py, y), found | done
+def _side_by_side(errors, places: list, goals, *where) -> list[tuple]:
+    """Return the errors of several places of each ray from one trace: few rays cost what its calls do."""
+    x, count = places[0][0], len(places)
+    where = tuple(value.expand(*torch.broadcast_shapes(value.shape[:-1], x.shape[-2:]), 2) for value in where)
+    px, py = (torch.cat([place[i] for place in places], -1) for i in range(2))
+    parts = errors(px, py, *(torch.cat([value] * count, -2) for value in (goals.expand(*x.shape, 2), *where)))
+    return list(zip(*(part.chunk(count, -1) for part in parts), strict=True))
 
 
-def _continuation(errors, x, y, idle, step, radius, way):
-    """Return coordinates followed from s = 0 to s = 1 in steps that adapt to each ray, and which rays were found."""
+def _continuation(errors, x, y, step, radius, way):
+    """Return coordinates ``[..., N, 1]`` followed from s = 0 to s = 1, and which rays were found.
+
+    Each march tries several steps along the tangent at once and takes those up to the first that fails.
+    """
     s, length = torch.zeros_like(x), torch.full_like(x, 0.25)
     x, y, good = _solve(errors, x, y, step, radius, *way(s))
-    idle = idle | ~good
-    before, sb = (x, y), s.clone()
+    idle = ~good
+    shares = torch.arange(1, SHARES + 1).to(x) / SHARES
     for _ in range(MARCHES):
         active = ~idle & (s < 1)
         if not bool(active.any()):
             break
-        target = torch.where(active, (s + length).clamp(max=1.0), s)
-        # Linear extrapolation of the previous steps.
-        ahead = torch.where(s > sb, (target - s) / torch.where(s > sb, s - sb, 1.0), 0.0)
-        tx, ty = (a + ahead * (a - b) for a, b in zip((x, y), before, strict=True))
-        tx, ty, met = _solve(errors, tx, ty, step, radius, *way(target), rounds=6)
-        taken = active & met
-        before = tuple(torch.where(taken, a, b) for a, b in zip((x, y), before, strict=True))
-        sb = torch.where(taken, s, sb)
-        x, y, s = torch.where(taken, tx, x), torch.where(taken, ty, y), torch.where(taken, target, s)
-        length = torch.where(taken, 1.7 * length, torch.where(active, length / 3, length))
-        idle = idle | (length < 1e-5)
-    return x, y, s >= 1
+        here, jacobian = _differences(errors, x, y, step, *way(s))
+        further = errors(x, y, *way(s + 1e-4))
+        tangent = _newton([(b - a) * 1e4 for a, b in zip(here[:2], further[:2], strict=True)], jacobian)
+        target = torch.where(active, (s + length * shares).clamp(max=1.0), s)
+        tries = (
+            a - torch.where(torch.isfinite(b), b, 0.0) * (target - s) for a, b in zip((x, y), tangent, strict=True)
+        )
+        # Rays on the way need not be exact; those at its end are solved once more.
+        tx, ty, met = _solve(errors, *tries, step, radius, *way(target), rounds=3, close=NEAR)
+        count = met.long().cumprod(-1).sum(-1, keepdim=True)
+        last = (count - 1).clamp(min=0)
+        taken = active & (count > 0)
+        x, y, s = (torch.where(taken, a.gather(-1, last), b) for a, b in zip((tx, ty, target), (x, y, s), strict=True))
+        rate = torch.where(count == SHARES, 4.0, torch.where(count > 0, 2 / SHARES, 1 / SHARES))
+        length = torch.where(active, rate * length, length)
+        idle = idle | (length < 2e-4)
+    done = s >= 1
+    if bool(done.any()):
+        x, y, met = _solve(errors, x, y, step, radius, *way(s))
+        done = done & met
+    return x, y, done
 
 
 def at_stop(system, numbers: Prescription, rays):

@@ -621,8 +621,11 @@ def fields_of_image_heights(
             if aim == "paraxial":
                 found, met = _by_secants(system, found, size, unit, scale)
             found = found * math.copysign(1.0, scale)
-            for i in (~met & (size > 0)).nonzero().flatten().tolist():
-                found[i] = _from_axis(system, float(size[i]), unit[i], notes)
+            ways: dict[tuple, Any] = {}
+            for i in sorted((~met & (size > 0)).nonzero().flatten().tolist(), key=lambda i: float(size[i])):
+                # Fields of one direction go on from the one before.
+                direction = tuple(unit[i].tolist())
+                found[i], ways[direction] = _from_axis(system, float(size[i]), unit[i], ways.get(direction), notes)
     else:
         found = found * math.copysign(1.0, scale)
     return tuple((float(a) + 0.0, float(b) + 0.0) for a, b in _as_fields(system, found[:, None] * unit))
@@ -649,8 +652,8 @@ def _by_secants(system, found, size, unit, scale: float) -> tuple[torch.Tensor, 
     return torch.where(met | (size == 0), found.nan_to_num(), 0.0), met
 
 
-def _from_axis(system, size: float, unit, notes: list | None) -> float:
-    """Return the tangent or height of the field whose chief ray lands at a distance from the axis.
+def _from_axis(system, size: float, unit, way: Any, notes: list | None) -> tuple[float, tuple]:
+    """Return the tangent or height of the field whose chief ray lands at a distance from the axis, and the way to it.
 
     Fields are continued from the axis in steps of adaptive length: for each, Newton's method finds the field and the
     place in the entrance pupil at which a ray passes the centre of the stop and lands at the distance. The farthest
@@ -692,9 +695,11 @@ def _from_axis(system, size: float, unit, notes: list | None) -> float:
         return None
 
     here, share, step = torch.zeros(2, dtype=torch.float64), 0.0, 1.0
-    near = solved(here, 1e-3 * size)
-    rate = here if near is None else near / 1e-3
-    while near is not None and share < 1 and step > 2e-3:
+    if way is None:
+        near = solved(here, 1e-3 * size)
+        way = here, 0.0, None if near is None else near / (1e-3 * size)
+    here, share, rate = way[0], way[1] / size, None if way[2] is None else way[2] * size
+    while rate is not None and share < 1 and step > 2e-3:
         target = min(1.0, share + step)
         found = solved(here + rate * (target - share), target * size)
         outwards = found is not None and float(found[0].abs()) > float(here[0].abs())
@@ -709,7 +714,8 @@ def _from_axis(system, size: float, unit, notes: list | None) -> float:
             f"a field by real image height, {size:g} mm, is out of reach: chief rays arrive up to "
             f"{share * size:.4g} mm, from {where}, which is taken"
         )
-    return math.tan(float(here[0])) if system.at_infinity else float(here[0])
+    way = here, share * size, None if rate is None else rate / size
+    return math.tan(float(here[0])) if system.at_infinity else float(here[0]), way
 
 
 def _as_fields(system, tangents: torch.Tensor) -> torch.Tensor:

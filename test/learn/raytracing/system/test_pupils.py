@@ -15,6 +15,7 @@ from odak.learn.raytracing.system import (
     load_system,
     optical_system,
     pupil_samples,
+    pupils,
     read_zmx,
     rms_spot,
     spot_diagram,
@@ -565,3 +566,22 @@ def test_fields_beyond_90_degrees_need_real_rays_and_an_axis():
     for field in ((10.0, 95.0), (0.0, 180.0)):
         with pytest.raises(ValueError, match="below 180 along x or y alone"):
             dome([field])
+
+
+def test_wide_fields_are_aimed_in_few_traces(monkeypatch):
+    """Chief rays that are kept start what follows, and belong to the numbers they were found for."""
+    traced = []
+    monkeypatch.setattr(pupils, "trace", lambda *a, **b: (traced.append(1), trace(*a, **b))[1])
+    pupils._CHIEF_RAYS.clear()
+    lens, points = wide("160"), pupil_samples("rings", 2)
+    first = launch(lens, points, aim="real")
+    counted = len(traced)
+    again = launch(lens, points, aim="real")
+    assert counted < 80 and len(traced) - counted < 20
+    assert all(torch.equal(a, b) for a, b in zip(first, again, strict=True))
+    with torch.no_grad():
+        lens.surfaces[0].radius_value.mul_(1.001)
+    bent = launch(lens, points, aim="real")
+    pupils._CHIEF_RAYS.clear()
+    assert all(torch.equal(a, b) for a, b in zip(bent, launch(lens, points, aim="real"), strict=True))
+    assert not torch.equal(bent.y, first.y)
