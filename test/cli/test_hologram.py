@@ -93,7 +93,7 @@ def test_the_network_makes_the_pattern_in_one_pass(picture, grey_file, tmp_path)
     assert report["psnr_db"] == pytest.approx(shown, abs=1e-3) and shown > 15
 
 
-@pytest.mark.parametrize("method", ["sgd", "gs", "multi-color"])
+@pytest.mark.parametrize("method", ["sgd", "gs", pytest.param("multi-color", marks=pytest.mark.slow)])
 def test_pixels_are_squares_and_pictures_their_areas(method, picture, grey_file, tmp_path):
     """A panel drawn with eight by eight samples per pixel, six by six of them lit, behind a stop for one order."""
     run(grey_file, "--output", tmp_path, "--method", method, "--quiet", *SMALL[:-4], "--fill-factor", 9 / 16,

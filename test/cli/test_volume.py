@@ -129,7 +129,7 @@ def test_planes_choose_the_method_and_the_scene_its_depth(tmp_path):
 def test_colours_share_frames_on_one_plane(frames, files, tmp_path):
     options = [] if frames is None else ["--frames", frames]
     volume = [part for part in VOLUME if part not in ("--volume-depth", "2e-3")]
-    run(files[0], "--method", "multi-color", "--iterations", 20, *options, "--output", tmp_path, *volume)
+    run(files[0], "--method", "multi-color", "--iterations", 10, *options, "--output", tmp_path, *volume)
     report = read_report(tmp_path)
     count = frames or 3
     assert report["pattern"]["files"] == [f"hologram_frame{k + 1}.png" for k in range(count)]
@@ -137,7 +137,7 @@ def test_colours_share_frames_on_one_plane(frames, files, tmp_path):
     assert report["psnr_db"] > 12
     assert not (tmp_path / "focal_stack.png").exists()
     first = pixels(tmp_path / "hologram_frame1.png")
-    run(files[0], "--method", "multi-color", "--iterations", 20, *options, "--output", tmp_path / "b", *volume)
+    run(files[0], "--method", "multi-color", "--iterations", 10, *options, "--output", tmp_path / "b", *volume)
     assert np.array_equal(first, pixels(tmp_path / "b" / "hologram_frame1.png"))
 
 

@@ -92,7 +92,7 @@ def test_the_time_constant_of_a_table_with_all_faults_is_found(seed):
     assert found.phase.shape == (8,) and abs(found.phase[-1] - 0.9 * np.pi) < 0.1
 
 
-@pytest.mark.parametrize("seed", [6, 7])
+@pytest.mark.parametrize("seed", [6, pytest.param(7, marks=pytest.mark.slow)])
 def test_the_axis_of_the_modulator_is_found(seed):
     table = instruments.SimulatedTable(fresh_seed(seed), **SMALL, polarisation=True, aberration=0.05)
     phase = spots.lens_phase(table.modulator, 532e-9, 4e-3)

@@ -25,7 +25,7 @@ def same(one, other, rounding=0.0):
     torch.testing.assert_close(one.display.powers, other.display.powers, rtol=rounding, atol=rounding)
 
 
-@pytest.mark.parametrize("count", [3, 9])
+@pytest.mark.parametrize("count", [3, pytest.param(9, marks=pytest.mark.slow)])
 def test_planes_colours_and_frames_of_one_picture_are_shared(count):
     target, display = pictures(1)[0], colour_display()
     whole = optimise(display, target, run=BRIEF, solver=Descent(powers=True))

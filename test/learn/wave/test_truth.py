@@ -152,7 +152,7 @@ def test_several_frames_average():
     for frames, bits in ((1, None), (4, None), (1, 1), (8, 1)):
         slm = None if bits is None else wave.spatial_light_modulator(bits=bits)
         hologram, image = wave.stochastic_gradient_descent(
-            target, COLOURS[1], distance, PITCH, n_iteration=60, scale=True, initial_phase="random", frames=frames,
+            target, COLOURS[1], distance, PITCH, n_iteration=30, scale=True, initial_phase="random", frames=frames,
             slm=slm, seed=0, progress=False,
         )  # fmt: skip
         assert hologram.shape == image.shape == ((frames, *SIZE) if frames > 1 else SIZE)
@@ -197,7 +197,7 @@ def test_colours_and_planes(kind, options):
     made = wave.multi_color_hologram_optimizer(
         COLOURS, SIZE, targets, display, 3, 2, learning_rate=0.2, optimize_peak_amplitude=True, progress=False, seed=0
     )
-    _, phases, images, powers, _, _ = made.optimize(40, {"eyebox": 0, "light": 0})
+    _, phases, images, powers, _, _ = made.optimize(15, {"eyebox": 0, "light": 0})
     for plane, distance in enumerate(display.distances.tolist()):
         for colour, wavelength in enumerate(COLOURS):
             fields = [powers[frame, colour] * torch.polar(torch.ones(SIZE), phases[frame]) for frame in range(3)]
