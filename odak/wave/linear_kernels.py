@@ -15,10 +15,13 @@ from typing import Any
 import numpy as np
 
 from odak import _array, _validate
-from odak.wave.quadrature import Axis, Rule, plain_rule, rule_for
+from odak._warnings import SamplingWarning, warn
+from odak.wave.quadrature import SAFETY, Axis, Rule, plain_rule, rule_for
 from odak.wave.transfer_functions import Grid, alias_free_weight
 
 TOLERANCE = 1e-4
+# Relative error of a field above which a warning is issued.
+_DOUBTFUL = 0.05
 # Samples computed at a time, of 4 MB in double precision: larger parts take more memory and no less time.
 _SLAB = 1 << 18
 # Widths of diffraction beside the geometric shadow at which a taper ends.
@@ -115,7 +118,16 @@ class LinearGrid(Grid):
             # Of the other axis there is the frequency zero alone.
             rule = rule_for(replace(axes[self.axes[0]], transverse=0.0), self.tolerance)
             return (rule, Rule(1)) if self.axes == (-2,) else (Rule(1), rule)
-        return rule_for(axes[0], self.tolerance), rule_for(axes[1], self.tolerance)
+        found = rule_for(axes[0], self.tolerance), rule_for(axes[1], self.tolerance)
+        error = SAFETY * math.hypot(*(rule.error for rule in found))
+        if error > _DOUBTFUL:
+            warn(
+                f"the light of {sizes[0]} × {sizes[1]} samples, {max(dy, dx):.3g} m apart, at a distance of "
+                f"{abs(distance):.3g} m is known to about {100 * min(error, 1):.0f} % only: give a shorter distance, "
+                "the focal plane of a lens, or the propagation type 'auto' or 'Rayleigh-Sommerfeld' where there is one",
+                SamplingWarning,
+            )
+        return found
 
     def _weights(self, rule: Rule, axis: int):
         """Return a rule's weights along an axis; for negative distances, at which all phases change sign, conjugate."""

@@ -13,7 +13,7 @@ by a reference (a far finer rule, or its closed form) and the squares of the dif
 import functools
 import math
 from collections.abc import Callable
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, field, replace
 
 import numpy as np
 import scipy.fft
@@ -34,7 +34,7 @@ _SLAB = 1 << 22
 # A slab that stays in the processor's cache.
 _BLOCK = 1 << 16
 # Frequencies per lag above which a direct sum over them takes less time than a transform.
-_FEW_LAGS = 256
+_FEW_LAGS, _FREQUENCIES_PER_LAG = 32, 256
 # More frequencies along an axis are not summed (at five times the samples there may be more): seconds, and 1 GB.
 _MOST_FREQUENCIES = 12288
 # Estimates are means over few transverse frequencies: twice their value bounds the error.
@@ -97,11 +97,14 @@ class Rule:
         distance; none for the plain sum.
     tapered : bool
         True if frequencies that would fold back are faded out.
+    error : float
+        Relative error on fields of flat spectrum, where it was asked for.
     """
 
     count: int
     corrections: tuple[complex, ...] = ()
     tapered: bool = False
+    error: float = field(default=0.0, compare=False)
 
     def weights(self) -> np.ndarray:
         """Return the weights of the non-negative frequencies, complex128 ``[count // 2 + 1]``, for z > 0."""
@@ -148,11 +151,12 @@ def _rule_for(axis: Axis, tolerance: float) -> Rule:
         rule = Rule(count, end_corrections(round(low, 3), round(min(max(high, low + 1.0), -low), 3)))
         tried[rule] = white_error(axis, rule)
         if tried[rule] < tolerance / 4:
-            return rule
+            return replace(rule, error=tried[rule])
     # Where the whole band takes too many frequencies, those that leave the grid are left out.
     faded = Rule(_even_fast(max(4 * axis.samples, _SHORTEST)), (), True)
     tried[faded] = white_error(axis, faded)
-    return min(tried, key=tried.__getitem__)
+    best = min(tried, key=tried.__getitem__)
+    return replace(best, error=tried[best])
 
 
 def _even_fast(least: float) -> int:
@@ -208,7 +212,7 @@ def response(axis: Axis, transverse, rule: Rule | None) -> np.ndarray:
         deviation = min(math.sqrt(axis.wavelength * axis.distance / (2 * math.pi)), half / 6)
         weights = weights * scipy.special.ndtr((half - axis.distance * tangent) / deviation)
     found = np.empty((len(transverse), axis.samples), dtype=np.complex128)
-    few = axis.samples * _FEW_LAGS <= rule.count
+    few = axis.samples <= min(_FEW_LAGS, rule.count // _FREQUENCIES_PER_LAG)
     if few:
         # The first lags alone, by real weights: the spectrum is even.
         turns = np.arange(len(frequency))[:, None] * np.arange(axis.samples) % rule.count / rule.count

@@ -1,6 +1,7 @@
 """Sampling criteria of propagations, elements and beams, and the method of propagation that they recommend."""
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -281,7 +282,10 @@ def _propagated(field, axes, distance, name, tolerance):
     transfer = tf.rayleigh_sommerfeld if name == SAMPLED else linear_kernel(tf.angular_spectrum, tolerance=tolerance)
     request = tf.Request((axes[0].pitch, axes[1].pitch), axes[0].wavelength, distance)
     size = tuple(2 * n for n in field.shape[-2:])
-    kernel = request.transfer_function(transfer, size, xp, "cpu", xp.complex128)
+    with warnings.catch_warnings():
+        # A method that turns out to be wrong here is not the one that is taken.
+        warnings.simplefilter("ignore", SamplingWarning)
+        kernel = request.transfer_function(transfer, size, xp, "cpu", xp.complex128)
     return tf.convolve(field.astype(np.complex128), kernel)
 
 

@@ -21,7 +21,7 @@ from scipy.fft import next_fast_len
 from odak import _array, _show, _torch_private, _validate
 from odak._bars import tqdm
 from odak._torch_private import differentiates, in_own_precision
-from odak._warnings import AccuracyWarning, warn
+from odak._warnings import AccuracyWarning, ArgumentWarning, warn
 from odak.instruments import Calibration, Lens, load_calibration
 from odak.learn._tensors import floating
 from odak.learn.tools.iterations import Run, minimise
@@ -661,6 +661,11 @@ class Display(torch.nn.Module):
         return self._ranks.sum(torch.stack([torch.stack([nothing + one for one in row], -3) for row in images], -4))
 
     def _light(self, phases):
+        if "int" in str(getattr(phases, "dtype", "")) and _array.is_readable(phases) and phases.max() > 7:
+            raise ValueError(
+                f"phases must be in radians, got integers up to {int(phases.max())}: levels of the panel? Their phases "
+                "are 2π·level/2^bits"
+            )
         return self.modulator.light(self._patterns("phases", floating("phases", phases)))
 
     def _patterns(self, name: str, values: torch.Tensor) -> torch.Tensor:
@@ -1273,7 +1278,7 @@ class AlternatingProjections:
                 display.modulator.pitch,
                 display.wavelengths[colour] / display.medium,
                 TURN,
-                "Angular Spectrum",
+                "Bandlimited Angular Spectrum",
                 phases[frame],
                 problem.run.seed,
                 fill=display.modulator.fill,
@@ -1737,6 +1742,11 @@ def _checked_target(display, target):
         )
     if float(target.max()) > 2:
         raise ValueError(f"target must be intensities of 0 … 1, got up to {float(target.max()):.4g}: divide by 255?")
+    if not bool(target.any()):
+        warn(
+            "target is black: a modulator of phases leaves its light somewhere, and the quality means nothing",
+            ArgumentWarning,
+        )
     return target.reshape(display.shape).to(display.powers.device)
 
 
@@ -1760,6 +1770,7 @@ def starting_phases(display, target, start, seed) -> torch.Tensor:
             wavelength,
             distance,
             display.modulator.pitch,
+            "Bandlimited Angular Spectrum",
             seed=seed,
             frames=len(frames),
         )

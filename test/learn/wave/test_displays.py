@@ -8,6 +8,7 @@ import pytest
 import torch
 from emulated_device import NAME, EmulatedDevice, reads
 
+from odak import ArgumentWarning, SamplingWarning
 from odak.instruments import Calibration, Lens, SimulatedTable, save_calibration
 from odak.learn.models import hologram_network
 from odak.learn.wave import (
@@ -306,6 +307,35 @@ def test_what_does_not_fit_is_named(disc, arguments, message):
     display = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3)
     with pytest.raises((ValueError, TypeError), match=message):
         optimise(display, **{"target": disc, **arguments})
+
+
+def test_levels_are_no_phases_and_black_is_no_target(disc):
+    display = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3)
+    levels = torch.full(disc.shape, 128, dtype=torch.int32)
+    for given in (levels, levels.numpy(), levels.to(torch.uint8)):
+        with pytest.raises(ValueError, match="phases must be in radians, got integers up to 128: levels of the panel"):
+            display(given)
+    assert torch.equal(display(0 * levels), display(torch.zeros(disc.shape)))
+    with pytest.warns(ArgumentWarning, match="target is black"):
+        optimise(display, torch.zeros_like(disc), start="flat", run=Run(1, progress=False))
+
+
+def test_planes_too_far_for_the_panel_are_named(phases):
+    """Against one-dimensional sums with Fresnel's phases, of which light of so few pixels is made at such distances."""
+    cycles = (np.arange(100_000) + 0.5) / 100_000 - 0.5
+    light = np.exp(1j * phases[0].numpy())
+    for distance, known in ((1.0, True), (3.0, False)):
+        display = Display(Modulator((24, 20), PITCH, bits=None, fill=1.0), WAVELENGTH, distance)
+        if known:
+            found = display.fields(phases)[0, 0, 0].numpy()
+        else:
+            with pytest.warns(SamplingWarning, match=r"24 × 20 samples, 8e-06 m apart, at a distance of 3 m is known"):
+                found = display.fields(phases)[0, 0, 0].numpy()
+        chirp = np.sinc(cycles) * np.exp(-1j * np.pi * WAVELENGTH * distance * (cycles / PITCH) ** 2)
+        response = np.array([np.mean(chirp * np.cos(2 * np.pi * cycles * lag)) for lag in range(24)])
+        down, across = (response[np.abs(np.arange(n)[:, None] - np.arange(n))] for n in (24, 20))
+        exact = np.abs(down @ light @ across)
+        assert (np.abs(np.abs(found) - exact).max() < 0.02 * exact.max()) == known
 
 
 def test_displays_that_cannot_be_are_named():
