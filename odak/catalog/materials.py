@@ -1172,7 +1172,11 @@ def _check_range(found: Material, wide, extrapolate: bool) -> None:
         raise ValueError(f"wavelength must be positive and finite, got {low:g} … {high:g} µm")
     # A float32 wavelength at the very limit is not an error.
     if not extrapolate and (low < found.range[0] * (1 - 1e-6) or high > found.range[1] * (1 + 1e-6)):
+        got = f"{low:g} µm" if low == high else f"{low:g} … {high:g} µm"
+        if low > 1e4:
+            meant = _validate.likely_length(low * 1e-6, 1e-7, 2e-5, "nm")
+            got = f"{low * 1e-6:g} m: wavelengths are in metres; did you mean {meant}?"
         raise ValueError(
             f"wavelength must be within {found.range[0]:g} … {found.range[1]:g} µm for {found.name} "
-            f"(or extrapolate=True), got {low:g} … {high:g} µm"
+            f"(or extrapolate=True), got {got}"
         )

@@ -420,3 +420,9 @@ def test_dn_dt_and_expansion_of_glass_catalogues(tmp_path):
     hot = [catalog.refractive_index(name, 0.6, "um", "air", temperature=80.0) for name in (found, "N-BK7")]
     assert hot[0] == hot[1] == catalog.refractive_index(found.at(80.0), 0.6, "um", "air")
     assert hot[0] > catalog.refractive_index(found, 0.6, "um")
+
+
+@pytest.mark.parametrize("wavelength", [532.0, 0.532])
+def test_a_wavelength_in_another_unit_is_named(wavelength):
+    with pytest.raises(ValueError, match=f"got {wavelength:g} m: wavelengths are in metres; did you mean 532nm"):
+        catalog.refractive_index("N-BK7", wavelength)
