@@ -170,7 +170,7 @@ class Ranks:
         return _shared(value, self.group)
 
     def sum(self, value: torch.Tensor) -> torch.Tensor:
-        """Return the sum over all ranks; the gradient is that of each."""
+        """Return the sum over all ranks; each rank receives the gradient."""
         return _Sum.apply(value, self.group)
 
     def any(self, flag: bool, device: torch.device) -> bool:
@@ -326,7 +326,7 @@ class _Share(torch.autograd.Function):
 
 
 class _Gather(torch.autograd.Function):
-    """The parts of all processes in order; the gradient of the own part is that of this process."""
+    """The parts of all processes in order; of the gradient, each process receives its own part."""
 
     @staticmethod
     def forward(ctx, part: torch.Tensor, count: int, group) -> torch.Tensor:

@@ -58,8 +58,8 @@ CURVED, CERTAIN = 8000, 2
 FILLS, GAPS = (0.97, 0.94, 0.9, 0.85, 0.8), ((0.0, 0.0), (1.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5))
 # Samples of the intensity for the cycle of its highest frequency.
 OVER = 3.0
-# Pixels of the camera by which its image may move while a model is fitted, and samples beside the image that those of
-# its rim depend on.
+# Pixels of the camera by which its image may move while a model is fitted, and samples beside the image on which the
+# samples of its rim depend.
 MARGIN, REACH = 16, 16
 # Diffraction orders along each axis that are computed, at most.
 ORDERS = 3
@@ -68,12 +68,13 @@ ORDERS = 3
 class display_model(torch.nn.Module):
     r"""Differentiable model of a display and a camera: source, modulator, light path and sensor.
 
-    The phase of a level is that of a look-up table, times a factor that varies over the panel. Fringing fields smooth
-    it, gaps between the pixels and a reflection add light, and the amplitude and the aberration of the source multiply
-    it. Pixels are squares, whose light falls off with the angle, in the orders of diffraction that reach the camera, up
-    to three along each axis. The light passes an iris and propagates to the camera by the angular spectrum method. Each
-    pixel of the camera averages over its area at a place that a homography and a radial distortion give. What is left
-    may be learned by maps of amplitude and phase of free form, and by a small network that adds to the image.
+    The phase of a level is read from a look-up table and multiplied by a factor that varies over the panel. Fringing
+    fields smooth it, gaps between the pixels and a reflection add light, and the amplitude and the aberration of the
+    source multiply it. Pixels are squares, whose light falls off with the angle, in the orders of diffraction that
+    reach the camera, up to three along each axis. The light passes an iris and propagates to the camera by the angular
+    spectrum method. Each pixel of the camera averages over its area at a place that a homography and a radial
+    distortion give. What is left may be learned by maps of amplitude and phase of free form, and by a small network
+    that adds to the image.
 
     All parameters are deviations from what the model starts with; :func:`fit_display` fits them to captures.
 
@@ -273,7 +274,7 @@ class display_model(torch.nn.Module):
         camera_pitch : float or sequence of float
             Distance between pixels of the camera in metres, one number or (rows, columns).
         wavelength : float, optional
-            Another wavelength than that of the calibration; phases and aberration change as its inverse.
+            Wavelength in metres, if it differs from the calibrated one; phases and aberration scale with its inverse.
         **options
             Parameters of :class:`display_model`.
 
@@ -336,7 +337,7 @@ class display_model(torch.nn.Module):
         return image + scale * self.residual(flat).reshape(image.shape)
 
     def table(self) -> torch.Tensor:
-        """Return the phase of each level in radians, that of level 0 being 0, ``[levels]``."""
+        """Return the phase of each level in radians relative to level 0, ``[levels]``."""
         return self._phases + self._spline @ self.lut
 
     def response_map(self) -> torch.Tensor:
@@ -550,8 +551,8 @@ class display_model(torch.nn.Module):
             if self.samples_per_pixel is None:
                 width = n * pitch / 2 + spread + max(far, n * pitch / 2)
             sizes.append(_fast(s * (max(math.ceil(width / pitch), n) + 16)))
-        # An intensity has twice the frequencies of its field, of which those of three orders are weak, but no more than
-        # the panel is wide, seen from the camera.
+        # An intensity has twice the frequencies of its field. Frequencies of three orders are weak, and none is above
+        # the width of the panel as seen from the camera.
         self._sizes = self._counts = sizes
         self._fine = [-(-FINER // s) * size for size in sizes]
         if self.samples_per_pixel is None:
@@ -750,7 +751,7 @@ class display_model(torch.nn.Module):
         return homography.to(self._dtype), self._start.distortion + self.alignment[8] / rim
 
     def _places(self, of_image: bool = False) -> list[np.ndarray]:
-        """Return the places of the modulator's rows and columns in metres, or of those of images."""
+        """Return the places in metres of the rows and columns of the modulator, or of images."""
         steps: Sequence[float] = self._pitches
         if of_image and self.lens is not None:
             steps = [FINER * step for step in self._focal_steps(self.lens.ray_matrix[1])]
@@ -785,11 +786,11 @@ class DisplayFit:
         Mean of the squared residuals over the variance of their noise: 1 for a model without errors.
     uncertainties : dict
         Standard deviation of each physical parameter by its name, of the parameter's shape and unit, from the inverse
-        of the Gauss–Newton matrix, that of a few captures on the scale of all; multiplied by the root of
+        of the Gauss–Newton matrix of a few captures, scaled to the number of all; multiplied by the root of
         `chi_squared` where that is above 1.
     history : list of float
-        `chi_squared` after each step of the fit of the physical parameters, of the captures that the step uses, then of
-        that of the free forms.
+        `chi_squared` after each step: first of the fit of the physical parameters, over the captures that the step
+        uses, then of the fit of the free forms.
     noise : tuple of float
         Slope and offset of the variance of a capture in counts.
 
@@ -832,10 +833,10 @@ def fit_display(
     """Fit a model of a display to captures of any patterns.
 
     The physical parameters are found by Levenberg and Marquardt's method, with the priors of each parameter, on pixels
-    of the camera that are drawn at random: first to some thousands of them, then to those of all captures, with the
-    matrix of a few, which is corrected by the changes of the gradient. Then, where the model has them, the maps of free
-    form and the network are fitted by Adam on all pixels. Residuals are divided by the standard deviation of their
-    noise.
+    of the camera that are drawn at random: first on some thousands of them, then on the pixels of all captures, with
+    the matrix of a few captures, which is corrected by the changes of the gradient. Then, where the model has them, the
+    maps of free form and the network are fitted by Adam on all pixels. Residuals are divided by the standard deviation
+    of their noise.
 
     Parameters
     ----------
@@ -966,8 +967,8 @@ def display_hologram(
     Returns
     -------
     torch.Tensor
-        uint8 or int32 levels ``[rows, columns]``. The squared error that is minimised is that of s·image, s being
-        the best brightness, the same for all positions.
+        uint8 or int32 levels ``[rows, columns]``. The squared error of s·image is minimised, where s is the best
+        brightness, the same for all positions.
 
     Examples
     --------
@@ -1110,7 +1111,7 @@ class _Data:
 
 @torch.no_grad()
 def _match_brightness(model: display_model, data: _Data, chosen: list[torch.Tensor]) -> None:
-    """Set the overall scale of a model to that of the captures."""
+    """Set the overall scale of a model so that it fits the captures."""
     sums = []
     for k, pixels in enumerate(chosen):
         seen, weight = model(data.levels[k], data.positions[k], pixels), data.deviations[k, pixels] ** -2
@@ -1185,7 +1186,7 @@ def _fit_physical(model, data, chosen, iterations, chunk, random) -> tuple[list[
 
     @torch.no_grad()
     def with_gaps(vector: torch.Tensor, k: int) -> torch.Tensor:
-        """Return a vector with those of some widths and lights of the gaps that a capture deviates least from."""
+        """Return a vector with the width and the light of the gaps, among a few, that fit a capture best."""
         width, light = (sum(sizes[: names.index(name)]) for name in ("fill", "gap"))
         least, found, seen_there = math.inf, vector, data.counts[k, chosen[k]] / data.deviations[k, chosen[k]]
         for fill, gap in [(None, None), *itertools.product(FILLS, GAPS)]:

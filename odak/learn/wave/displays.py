@@ -228,7 +228,7 @@ class Display(torch.nn.Module):
         Patterns F that are shown one after another, faster than an eye tells apart; one for each source by default.
     powers : torch.Tensor, optional
         Power of each source in each frame, ``[F, C]``; by default frame f is lit by source f mod C alone. Images are
-        those of one unit of power of each source, shared out among its frames.
+        normalised to one unit of power of each source, shared out among its frames.
     profile : torch.Tensor, optional
         Amplitude of the light on the modulator, ``[rows, columns]`` or ``[C, rows, columns]``; one by default.
     iris : Iris or str, optional
@@ -526,9 +526,9 @@ class Display(torch.nn.Module):
     def _through_both(self, light, amplitudes, colour, kernels):
         """Return the fields ``[..., F, kernel, rows, columns]`` of the light of two panels, filtered by kernels.
 
-        The modulator multiplies the light at its place, whose band is that of the orders that pass the first panel. The
-        band that reaches the images takes those frequencies of the modulator that are up to an order beyond, and with
-        one more sample in each pixel than orders pass no others fall upon them.
+        The modulator multiplies the light of the first panel, which holds the diffraction orders that pass its stop.
+        Frequencies of the modulator up to one order beyond these reach the images, and with one sample more in each
+        pixel than orders pass, no other frequencies are aliased onto them.
         """
         finer = 1 + self._passing(self._first.iris)  # type: ignore[union-attr]
         window, pair = self._window, _pitch_pair(self.modulator.pitch)
@@ -569,7 +569,7 @@ class Display(torch.nn.Module):
         phases : torch.Tensor
             Phases ``[..., F, rows, columns]`` in radians, or ``[rows, columns]`` for a single frame.
         amplitudes : torch.Tensor, optional
-            Of the same shape, those of a panel in front of the modulator, as in :meth:`forward`.
+            Amplitudes of a panel in front of the modulator, of the same shape, as in :meth:`forward`.
 
         Returns
         -------
@@ -596,7 +596,8 @@ class Display(torch.nn.Module):
             Phases ``[F, rows, columns]`` in radians, or ``[rows, columns]`` for a single frame; differentiable. More
             axes in front are a batch of patterns, each of which is shown by itself.
         powers : torch.Tensor, optional
-            Other powers ``[F, C]`` than those of the display, differentiable, of the sources that are on there.
+            Powers ``[F, C]`` of the sources, in place of the display's own; differentiable. A source that is off in a
+            frame of the display stays off.
         amplitudes : torch.Tensor, optional
             Amplitudes 0 … 1 of the panel that the modulator is lit through, of the shape of the phases; differentiable.
             One by default.
@@ -782,15 +783,15 @@ class Display(torch.nn.Module):
         """Return the images of patterns by another computation than :meth:`forward`, and those at points.
 
         Each pixel is a comb of samples, propagated by the method that :func:`odak.wave.sampling_report` recommends on a
-        grid of twice the size that :meth:`forward` takes, and its spectrum that of a square; the mean over the area of
-        a pixel is a product of spectra. It shares neither transfer functions nor weights with :meth:`forward`.
+        grid of twice the size that :meth:`forward` takes, and multiplied by the spectrum of a square; the mean over the
+        area of a pixel is a product of spectra. It shares neither transfer functions nor weights with :meth:`forward`.
 
         Parameters
         ----------
         phases : torch.Tensor
             Phases ``[F, rows, columns]`` in radians.
         amplitudes : torch.Tensor, optional
-            Of the same shape, those of a panel in front of the modulator, as in :meth:`forward`.
+            Amplitudes of a panel in front of the modulator, of the same shape, as in :meth:`forward`.
 
         Returns
         -------
@@ -904,8 +905,9 @@ class Display(torch.nn.Module):
 def _of_geometry(geometry: str, device: str, make: str, *given) -> tuple[torch.Tensor]:
     """Return what a display of some geometry keeps, for a graph of torch.compile to hold.
 
-    The compiler compares the words that it is called with, and so takes no constant of one display for that of another,
-    as it does with what a method returns; numbers it may take for variables. In a tuple several constants may be held.
+    The compiler recognises the constant by the text of the geometry. By the object alone it would not: what a method of
+    one display returns, it takes for all displays; and numbers may become variables of the graph. The result is in a
+    tuple because one graph can hold several tuples, but only one tensor from each function.
     """
 
     def stop(iris):
@@ -1028,8 +1030,8 @@ def mean_over_areas(shown: torch.Tensor, shape: Sequence[int], orders: int = 1) 
     """Return the mean intensity over the area of each pixel of a window in the middle of a field.
 
     The intensity has twice the band of the field, so that samples at half steps describe it; its mean over squares is a
-    product of spectra: exact, but for what the grid wraps around. The samples between those of the field are computed
-    one shift after the other, which takes a quarter of the memory of a finer grid.
+    product of spectra: exact, but for what the grid wraps around. The samples at half steps are computed one
+    shift after the other, which takes a quarter of the memory of a finer grid.
 
     Parameters
     ----------
@@ -1123,7 +1125,7 @@ class Problem:
         phases : torch.Tensor
             Phases ``[F, rows, columns]`` in radians.
         powers : torch.Tensor, optional
-            Powers ``[F, C]`` of the sources; those of the display by default.
+            Powers ``[F, C]`` of the sources; by default the display's own.
         amplitudes : torch.Tensor, optional
             Amplitudes ``[F, rows, columns]`` of the panel that the modulator is lit through; one by default.
 
@@ -1163,7 +1165,7 @@ class Descent:
     learning_rate : float
         Step of Adam in radians, which falls to a half along a cosine.
     powers : bool
-        Find the powers of the sources in each frame too, beginning with those of the display; a source that is off in
+        Find the powers of the sources in each frame too, beginning with the display's own; a source that is off in
         a frame stays off. With ``powers=torch.ones(F, C)`` in the display all colours share all frames (Kavaklı et al.,
         Multi-color holograms improve brightness in holographic displays, SIGGRAPH Asia 2023).
     graph : bool
@@ -1560,7 +1562,7 @@ def optimise(
     run : Run, optional
         Iterations, progress, callback, checkpoint and seed.
     devices : sequence of torch.device, str or int, or "distributed", optional
-        Devices that share the work, such as ``["cuda:0", "cuda:1"]``; by default that of the display alone. Of a list,
+        Devices that share the work, such as ``["cuda:0", "cuda:1"]``; by default the display's own device. Of a list,
         each picture is computed by one device; of a single picture the planes, colours and frames are shared out, for
         solvers that descend along a gradient. "distributed" shares out in the same way among the processes of
         `torch.distributed`, each on the device of its display: all call this with the same arguments.
@@ -1751,7 +1753,7 @@ def _checked_target(display, target):
 
 
 def starting_phases(display, target, start, seed) -> torch.Tensor:
-    """Return the phases to start from: by name those of each frame's brightest colour, for its middle plane."""
+    """Return the phases to start from; a named start is computed for the brightest colour of each frame."""
     shape = (display.frames, *display.modulator.resolution)
     if not isinstance(start, str):
         shapes = (shape, shape[1:]) if display.frames == 1 else (shape,)

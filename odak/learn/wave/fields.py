@@ -76,7 +76,7 @@ def intensity(field: torch.Tensor) -> torch.Tensor:
 
 
 def mean_intensity(field: torch.Tensor, frames: int) -> torch.Tensor:
-    """Return the intensity of a field, that of several frames ``[frames, ...]`` averaged over them."""
+    """Return the intensity of a field, averaged over frames where there are several, ``[frames, ...]``."""
     return intensity(field) if frames == 1 else intensity(field).mean(0)
 
 

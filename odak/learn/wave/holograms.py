@@ -399,7 +399,7 @@ def starting_phase(
     seed : int, optional
         Makes what is random reproducible.
     frames : int
-        Number of frames. To those of the deterministic starts normal noise of 0.5 rad is added.
+        Number of frames. Several frames of a deterministic start differ by normal noise of 0.5 rad.
 
     Returns
     -------

@@ -93,8 +93,8 @@ def geometric_targets(
     pixel_pitch : sequence of float
         Pixel pitch of the picture along rows and columns, in metres.
     numerical_aperture : float, optional
-        That of the iris or of the eye; by default that of the modulator along each axis, λ/(2·pixel_pitch), for each
-        colour: the disc is an ellipse where the pitches differ.
+        Numerical aperture of the iris or of the eye; by default λ/(2·pixel_pitch) of the modulator along each axis and
+        for each colour: the disc is an ellipse where the pitches differ.
 
     Returns
     -------
@@ -146,7 +146,7 @@ def _sines(wavelength: float, pixel_pitch: Sequence[float], numerical_aperture: 
 class FocalTargets(nn.Module):
     """Targets and masks of the planes of a picture with depth; base of the losses of several planes.
 
-    Arguments are those of :class:`odak.learn.wave.loss.multiplane_loss`.
+    It takes the same arguments as :class:`odak.learn.wave.loss.multiplane_loss`.
     """
 
     target_image: torch.Tensor
@@ -296,7 +296,7 @@ class FocalTargets(nn.Module):
                 raise ValueError(f"plane_id must be None or 0 to {len(masks) - 1}, got {plane_id}")
             masks = masks[plane_id]
         if image.ndim == 2:
-            # The mask is that of every colour.
+            # The mask is the same for every colour.
             masks = masks[..., 0, :, :]
         fits = image.ndim <= 3 if plane_id is not None else image.ndim <= 4
         if not fits or image.shape != masks.shape[masks.ndim - image.ndim :]:
@@ -667,9 +667,9 @@ class perceptual_multiplane_loss(FocalTargets):
         1 by default, and 0 for those that a dict leaves out.
     additional_loss_weights : dict, optional
         Weights of any of "cvvdp", "fvvdp", "lpips", "psnr", "ssim" and "msssim"; by default 1 for "cvvdp" where its
-        package is installed, and none with a :class:`~odak.MissingPackageWarning` where it is not. What counts
-        is how far a quality is from that of equal images: 10 − JOD, 1 − SSIM; of "psnr", which has no largest value,
-        its negative, −∞ for equal images.
+        package is installed, and none with a :class:`~odak.MissingPackageWarning` where it is not. Each
+        term is the difference from the quality of equal images: 10 − JOD, 1 − SSIM; "psnr", which has no largest value,
+        is negated, −∞ for equal images.
     reduction : {"mean", "sum"}
         How pixels are combined in the six terms.
     return_components : bool, default: False
@@ -786,7 +786,7 @@ class perceptual_multiplane_loss(FocalTargets):
                 name = term.format(norm)
                 if weight := self.base_loss_weights.get(name, 0.0):
                     components[name] = weight * difference(*pair, reduction=self.reduction)
-        # Quality is that of the picture as it should be, without noise.
+        # The quality is judged against the picture without noise.
         whole = [picture if picture.ndim > 2 else picture[None] for picture in pairs[0]]
         for name, measure in self.measures.items():
             components[name] = self.additional_loss_weights[name] * _MEASURES[name][1](measure(*whole))

@@ -285,7 +285,7 @@ class spatial_light_modulator(torch.nn.Module):
         return target + (phase - phase.detach())
 
     def _with_gaps(self, light):
-        """Return the field with the part of each sample that lies in a gap replaced by that of the unmodulated area."""
+        """Return the field with the light of the unmodulated area in the part of each sample that lies in a gap."""
         s = self.samples_per_pixel
         real = light.real.dtype
         fill = torch.as_tensor(self.fill_factor, dtype=real, device=light.device).clamp(0, 1)
@@ -519,7 +519,7 @@ def on_samples(name: str, value: torch.Tensor, shape: Sequence[int], samples_per
     value : torch.Tensor
         ``[..., rows, columns]`` of the pixels or of the samples; an axis of length 1 holds for all.
     shape : sequence of int
-        Shape whose last two axes are those of the samples.
+        Shape whose last two axes are the rows and columns of samples.
     samples_per_pixel : int
         Samples along each side of a pixel.
 
@@ -583,7 +583,7 @@ def _checked_phase(phase):
 
 def _covered(fill, s):
     """Return the share of each of the `s` samples across a pixel that its active part of area `fill` covers."""
-    # The derivative of the root is infinite at zero; where edges coincide it is that of the active part.
+    # The derivative of the root is infinite at zero; where edges coincide, the derivative of the active part is used.
     side = torch.where(fill > 0, fill.where(fill > 0, 1).sqrt(), fill) * s / 2
     start = torch.arange(s, dtype=fill.dtype, device=fill.device)
     low, high = s / 2 - side, s / 2 + side
@@ -609,7 +609,7 @@ def pixel_fill_of(slm, has_iris: bool) -> float | None:
 
 
 def checked_fill(pixel_fill: float | None, slm, has_iris: bool) -> float | None:
-    """Return the share of a pixel's area that emits: the one given, or that of a modulator; None for points."""
+    """Return the share of a pixel's area that emits, given or taken from a modulator; None for points."""
     if pixel_fill is None:
         return pixel_fill_of(slm, has_iris)
     return checked_pixel_fill(pixel_fill)

@@ -127,8 +127,8 @@ def check_brightness(name: str, targets: torch.Tensor, reachable: float | torch.
     targets : torch.Tensor
         Intensities ``[..., rows, columns]``.
     reachable : float or torch.Tensor
-        Mean intensity of the light on the modulator, that of its frames added up; fits ``[...]``. Infinite where the
-        scale of the targets is free: those of 0 … 255 are still named.
+        Mean intensity of the light on the modulator, added up over its frames; fits ``[...]``. Infinite where the
+        scale of the targets is free: targets of 0 … 255 are still named.
     remedy : str
         What else may be done, after "or".
     """

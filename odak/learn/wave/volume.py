@@ -35,7 +35,7 @@ class LightPath:
         Name of a method that has a transfer function.
     relayed : bool
         The net distance is the difference of a way to a relay and back. Its kernel is then never sampled as an impulse
-        response, which net distances of millimetres do not allow; those of linear convolution never are.
+        response, which net distances of millimetres do not allow; kernels of linear convolution never are.
     scale : int
         Samples per pitch along each axis (impulse-response methods).
     samples : tuple of int
@@ -115,7 +115,7 @@ def _linear_kernel(name: str, cutoff: float | None, pixel_fill: float | None, gr
 
 
 def plane_distances(distances, volume_depth: float, count: int, offset: float) -> torch.Tensor:
-    """Return the distances given, or those of `count` planes that divide a volume evenly about its centre.
+    """Return the given distances, or the distances of `count` planes that divide a volume evenly about its centre.
 
     Parameters
     ----------
@@ -170,11 +170,11 @@ class display_volume(torch.nn.Module):
     samples_per_pixel : int
         Samples per pixel that the modulator's model gives.
     aperture_samples : sequence of int
-        Points across source and target apertures of the impulse-response methods. Averages over the source are those of
+        Points across source and target apertures of the impulse-response methods. Averages over the source are over
         square pixels without gaps, up to the edge of the band. Averages over the target are of the field, not of the
         intensity that a camera sees: an AccuracyWarning says how much of the light they lose.
     padding : int
-        Factor from the field's size to that of the grid on which it is propagated.
+        Factor from the size of the field to the size of the grid on which it is propagated.
     linear : bool
         With a padding of two, use transfer functions of linear convolution, so that nothing wraps around.
     pixel_fill : float, optional
@@ -357,7 +357,7 @@ class display_volume(torch.nn.Module):
     def kernels(self) -> torch.Tensor:
         """Transfer functions without the aperture, complex64 ``[D, C, 2ms, 2ns]``, centred.
 
-        They are kept as those of :meth:`transfer` are.
+        They are kept between calls, as :meth:`transfer` keeps its own.
         """
         if self._kernels is not None:
             return self._kernels
@@ -504,7 +504,7 @@ class display_volume(torch.nn.Module):
         channel_id, depth_id : int
             Colour and plane.
         zero_padding_size : sequence of int, optional
-            Rows and columns to pad to; twice those of the field by default.
+            Rows and columns to pad to; twice the size of the field by default.
 
         Returns
         -------

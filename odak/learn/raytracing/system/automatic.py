@@ -62,9 +62,9 @@ BEAM_FRACTIONS = (0.5, 0.7, 0.85, 1.0, 1.1)
 # Weights of edges while the aperture grows and at the end, and weight of the distortion, in focal lengths, while it
 # grows. A design may violate soft limits for some steps on its way to a better one.
 SOFT_EDGES, FIRM_EDGES, SOFT_DISTORTION = 0.4, 4.0, 0.044
-# Steepest slope of a surface, that of 50 degrees; it can still be moulded.
+# Steepest slope of a surface, tan 50°, which can still be moulded.
 LARGEST_SLOPE = 1.2
-# Largest sine of the angle between a ray and the normal, that of 53 degrees: 1 is total reflection.
+# Largest sine of the angle between a ray and the normal, of 53 degrees: 1 is total reflection.
 LARGEST_SINE = 0.8
 # Distance from the centroid, in focal lengths, at which a lost ray counts: large beside any spot.
 LOST_DISTANCE = 0.1
@@ -344,7 +344,7 @@ def standard_design(
     system : optical_system
         The lens, centred, with the aperture and the fields that it is designed for.
     focal_length : float, optional
-        Focal length that is held, negative for lenses that diverge; by default that of the system.
+        Focal length that is held, negative for lenses that diverge; by default the focal length of the system.
     limits : mapping, optional
         "track", largest distance from the first vertex to the image; "back", least one from the last vertex, by default
         a tenth of the focal length or what it is; "distortion", by default 0.02 or what it is; "axial_color", largest
@@ -564,7 +564,7 @@ class _Problem:
         edges : float
             Weight of thicknesses.
         distortion : float, optional
-            Weight of the distortion; by default that of the requirements.
+            Weight of the distortion; by default the weight in the requirements.
         margin : float
             How much further lengths are limited, since least squares exceed limits a little.
         """
@@ -577,7 +577,7 @@ class _Problem:
         ]
         if wanted.half_field:
             weight = wanted.distortion_weight if distortion is None else distortion
-            # A tenth remains for the fields between those of the operand.
+            # A tenth remains for the fields between the fields of the operand.
             bound = 0.9 * wanted.distortion
             found.append(Operand("distortion", weight=weight, lower=-bound, upper=bound))
         if wanted.axial_color is not None:
@@ -674,7 +674,7 @@ def _with_equal_spots(problem: _Problem, design_of, design: lens_design, run, va
     run : callable
         Takes a design and values of its variables; returns optimised values and their merits.
     values : torch.Tensor or None
-        Values of several designs; by default those of the system.
+        Values of several designs; by default the values of the system.
     polish : int
         Number of runs.
     """
@@ -838,7 +838,7 @@ def _pupil_of_fields(fields: int, rings: int) -> torch.Tensor:
     """
     arms = 5
     ring, arm = torch.arange(1.0, rings + 1, dtype=torch.float64)[:, None], torch.arange(arms, dtype=torch.float64)
-    # The golden section spreads the offsets evenly; that of the largest field is 0: rings of equal area.
+    # The golden section spreads the offsets evenly; the largest field has offset 0: rings of equal area.
     offset = (0.618034 * torch.arange(fields - 1, -1, -1, dtype=torch.float64))[:, None, None] % 1
     radius = ((ring - 0.95 * offset) / rings).sqrt()
     radius[:, -1] = 1.0
@@ -937,8 +937,8 @@ def _optimised(
 ):
     """Return optimised values of several starts, their merits and dampings; None if rays are lost in all of them.
 
-    The run is divided into parts, before each of which the radii of the beam are computed anew. Steep aspheres are
-    those of which many lose all rays on their way: such starts are dropped.
+    The run is divided into parts, before each of which the radii of the beam are computed anew. Starts with
+    steep aspheres often lose all rays on their way: such starts are dropped.
     """
     aspheres = "coefficients" in design.places
     parts = max(1, iterations // 3) if aspheres else 2

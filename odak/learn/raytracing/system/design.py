@@ -47,7 +47,7 @@ class Variable(NamedTuple):
     lower, upper : float or sequence of float, optional
         Bounds, one or one for each term; of glass for n_d and V_d, by default (1.44, 20) and (1.95, 85).
     terms : sequence of int, optional
-        Which coefficients (0 is that of r²) or which of x, y (and z); all by default.
+        Which coefficients (0 is the coefficient of r²) or which of x, y (and z); all by default.
 
     Examples
     --------
@@ -65,7 +65,7 @@ class Variable(NamedTuple):
 
 
 class Pickup(NamedTuple):
-    """A number that follows that of another surface: scale·number + offset.
+    """A number that follows the number of another surface: scale·number + offset.
 
     Attributes
     ----------
@@ -171,8 +171,8 @@ class lens_design:
         Solves, applied in order after the pickups: a solve for the focal length precedes one
         for the image distance.
     pupil : str or torch.Tensor
-        Pattern of :func:`pupil_samples` for spots and wavefronts, or points ``[P, 2]``, or ``[F, P, 2]``, those of each
-        field: surfaces of many coefficients then cannot wave between the rays.
+        Pattern of :func:`pupil_samples` for spots and wavefronts, or points ``[P, 2]``, or points for each
+        field ``[F, P, 2]``: surfaces of many coefficients then cannot wave between the rays.
     count : int
         Count of :func:`pupil_samples`.
     aim : str
@@ -421,7 +421,7 @@ class lens_design:
         return values.double()
 
     def _glass_indices(self, index, chosen, places):
-        """Return the indices with those of model glasses in the columns of some surfaces."""
+        """Return refractive indices in which the columns of some surfaces are replaced by model glasses."""
         squared = self.micrometres**2
         for j in range(0, len(places), 2):
             a, b, c = cauchy_through(chosen[..., j, None], chosen[..., j + 1, None])
@@ -454,7 +454,7 @@ class lens_design:
         return linearised_forward(self.residuals, self._checked(values))
 
     def _deviations(self, values: torch.Tensor) -> tuple[torch.Tensor, list[bool]]:
-        """Return the residuals, those of bounds negative within them, and which are of bounds."""
+        """Return the residuals and which of them are of bounds; a bound that is kept has a negative one."""
         return merit_deviations(self.operands, self.view(values))
 
     def _linearised_with_limits(self, values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -582,8 +582,8 @@ class lens_design:
         count : int
             Number of starts; the first is the system as it is.
         spread : float
-            Standard deviation of the starts, relative to the numbers: those within bounds on both sides are spread over
-            their range, others by their own size or, if larger, the mean of those of their kind.
+            Standard deviation of the starts, relative to the range of a number with bounds on both sides, otherwise to
+            its size or, if larger, to the mean size of the numbers of its kind.
         seed : int
             Of the random numbers: the same seed gives the same result.
         iterations : int
@@ -800,8 +800,9 @@ class zoom_design(lens_design):
 
     Notes
     -----
-    Fields, apertures and distances of the object may differ between the configurations. The columns of the variables
-    in `values` are those of the first configuration, each of its own ones followed by those of the others. Where the
+    Fields, apertures and distances of the object may differ between the configurations. The columns of
+    `values` are in the order of the first configuration; a variable that each configuration has for itself is followed
+    by the same variable of the others. Where the
     settings have temperatures, variables, pickups and solves are of the numbers at 20 °C, and operands are evaluated
     at the temperature. Glasses, whose dn/dT would be unknown, are then no variables.
 
