@@ -75,6 +75,7 @@ ArrayT = TypeVar("ArrayT", bound=Array)
 numpy_namespace: Any = array_api_compat.numpy
 _PLAIN = (int, float, complex, bool, str, list, tuple, type(None))
 _COMPLEX = ("torch.complex64", "torch.complex128", "complex64", "complex128")
+_NUMPY_COMPLEX = (numpy_namespace.dtype("complex64"), numpy_namespace.dtype("complex128"))
 
 
 def is_array(value) -> bool:
@@ -283,7 +284,9 @@ def real_dtype(value):
 
 def to_complex(field):
     """Return `field` as complex64 or complex128, after its own precision."""
-    if str(field.dtype) in _COMPLEX:
+    dtype = field.dtype
+    # NumPy takes longer to write a dtype down than to compare it.
+    if dtype in _NUMPY_COMPLEX if isinstance(dtype, numpy_namespace.dtype) else str(dtype) in _COMPLEX:
         return field
     xp = namespace(field)
     dtype = complex_dtype(field)

@@ -56,7 +56,7 @@ def is_transformed(*tensors: torch.Tensor) -> bool:
 
     Operators with a custom autograd.Function, and cached values, cannot be used there.
     """
-    return torch.compiler.is_compiling() or in_forward_mode() or is_wrapped(*tensors)
+    return (has_compiler() and torch.compiler.is_compiling()) or in_forward_mode() or is_wrapped(*tensors)
 
 
 def operator(function: type[torch.autograd.Function]) -> Callable:

@@ -116,7 +116,16 @@ def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None, 
         if name in converted or through is not None
     }
 
+    # Where nothing but defaults is to be changed, a call passes through.
+    plain = not (fixed or converted or units or through or "device" in keywords)
+    places = [(n, positional.index(n) if n in positional else len(named), value) for n, value in preset.items()]
+
     def face(*args, **options):
+        if plain and len(args) <= len(positional) and keywords.issuperset(options):
+            for name, place, value in places:
+                if place >= len(args):
+                    options.setdefault(name, value)
+            return core(*args, **options)
         given = {**dict(zip(positional, args, strict=False)), **options}
         if len(given) != len(args) + len(options) or not keywords.issuperset(options):
             unknown = [name for name in options if name not in named]
