@@ -10,17 +10,18 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.mark.parametrize("full", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_readme_code_makes_a_hologram(full, tmp_path, monkeypatch):
-    """As printed with the slow tests, in a quarter of the iterations otherwise."""
+    """As printed with the slow tests, in fewer iterations otherwise."""
     from odak.tools import load_image
 
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     if not full:
-        assert code.count("n_iteration=100,") == 1
-        code = code.replace("n_iteration=100,", "n_iteration=25,")
+        assert code.count("Run(iterations=20)") == 1
+        code = code.replace("Run(iterations=20)", "Run(iterations=8)")
     monkeypatch.chdir(tmp_path)
     names = {}
     exec(compile(code, "README.md", "exec"), names)
-    assert 32.4 < float(names["hologram"].psnr) < 32.8  # the README prints 32.6
+    # The README prints 32.6; after eight iterations it is 29.2.
+    assert abs(float(names["hologram"].psnr) - (32.6 if full else 29.2)) < 0.2
     pattern, picture = (load_image(str(tmp_path / name)) for name in ("hologram.png", "reconstruction.png"))
     assert pattern.shape == picture.shape == (400, 600)
     assert pattern.max() - pattern.min() > 200
