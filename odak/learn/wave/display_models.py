@@ -48,6 +48,8 @@ PRIORS = {
     "aperture": 0.1,
     "offset": 20.0,
 }
+# Standard deviation of the phases of a calibration that is taken at least, in radians.
+LEAST_DOUBT = 1e-4
 # Samples of the intensity along a pixel of the modulator, at least, and parts of a pixel along each side in which
 # fringing fields vary its phase.
 FINER = 3
@@ -245,6 +247,7 @@ class display_model(torch.nn.Module):
         sizes |= {"gap": 2} if samples_per_pixel is None else {}
         sizes |= {"iris": 1} if iris is not None else {}
         self.physical = [name for name in PRIORS if name in sizes]
+        self._priors = dict(PRIORS)
         # Gaps reflect with phase 0. Fringing fields act within square pixels too: a model that nothing is known of has
         # next to none.
         fill, fringing = (1.0, 0.1) if samples_per_pixel is None else (0.95, 0.4)
@@ -270,7 +273,8 @@ class display_model(torch.nn.Module):
         Parameters
         ----------
         calibration : odak.instruments.Calibration, str or os.PathLike
-            From :func:`odak.instruments.calibrate_table`, or the file of one, as `odak calibrate` writes it.
+            From :func:`odak.instruments.calibrate_table`, or the file of one, as `odak calibrate` writes it. A fit to
+            captures keeps its phases within their uncertainty where it states one.
         camera_pitch : float or sequence of float
             Distance between pixels of the camera in metres, one number or (rows, columns).
         wavelength : float, optional
@@ -295,7 +299,12 @@ class display_model(torch.nn.Module):
         }
         shape, camera_shape = calibration.amplitude.shape, calibration.registration.shape
         there = (shape, calibration.pitch, wavelength, calibration.distance, camera_shape, camera_pitch)
-        return cls(*there, **(known | options))
+        model = cls(*there, **(known | options))
+        # Captures of patterns with few pixels of the lowest levels determine all phases less well than a calibration.
+        doubt = calibration.uncertainty.get("phases")
+        if doubt is not None and "phases" not in options:
+            model._priors["lut"] = max(scale * doubt, LEAST_DOUBT)
+        return model
 
     def forward(self, levels: torch.Tensor, position: float = 0.0, pixels: torch.Tensor | None = None) -> torch.Tensor:
         """Return the counts of the camera, without dark counts and noise.
@@ -1133,7 +1142,7 @@ def _fit_physical(model, data, chosen, iterations, chunk, random) -> tuple[list[
     sizes = [getattr(model, name).numel() for name in names]
     begin = torch.cat([getattr(model, name).detach().flatten() for name in names]).double()
     precision = torch.cat(
-        [torch.full((n,), PRIORS[name] ** -2.0) for name, n in zip(names, sizes, strict=True)]
+        [torch.full((n,), model._priors[name] ** -2.0) for name, n in zip(names, sizes, strict=True)]
     ).double()
     order = torch.randperm(len(chosen), generator=random).tolist()
     few, several = order[: -(-CURVED // len(chosen[0]))], order[: max(CERTAIN, -(-CURVED // len(chosen[0])))]

@@ -178,6 +178,24 @@ def test_calibration_of_a_table_is_refined_by_a_fit_to_captures(shape, distance,
         assert abs(after[name]) < abs(before[name]) or abs(before[name]) < bound, name
 
 
+def test_captures_of_few_pixels_at_a_level_keep_the_phases_of_a_calibration():
+    """Within the uncertainty that the calibration states, at another wavelength in proportion; without it they move."""
+    table = Laboratory((16, 16), distance=2e-3, camera_shape=(24, 24), camera_pitch=4e-6)
+    table.camera.exposure = 0.2
+    levels = np.random.default_rng(0).integers(100, 120, size=(3, 16, 16))
+    captures = record_captures(table.modulator, table.camera, levels, 532e-9, captures=4, dark=30 * 4095 / 20000)
+    known = instruments.Calibration.nominal(table.modulator, table.camera, 532e-9, 2e-3)
+    sure = dataclasses.replace(known, uncertainty={"phases": 1e-3})
+    moved = []
+    for calibration in (known, sure):
+        model = display_model.from_calibration(calibration, 4e-6)
+        begun = model.table().detach()
+        fit_display(model, captures, iterations=3)
+        moved.append(float((model.table().detach() - begun).abs().max()))
+    assert moved[1] < 2e-3 < 0.02 < moved[0]
+    assert display_model.from_calibration(sure, 4e-6, wavelength=266e-9)._priors["lut"] == pytest.approx(2e-3)
+
+
 def test_a_tuned_laser_is_a_model_of_scaled_phases():
     table = SimulatedTable(3, shape=(24, 24), distance=2e-3, camera_shape=(30, 30), camera_pitch=8e-6, fringing=0.5)
     table.laser.wavelength = 639e-9
