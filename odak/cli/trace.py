@@ -34,7 +34,13 @@ from odak.learn.raytracing.system import (
     tolerance_figure,
     tolerances_for_yield,
 )
-from odak.learn.raytracing.system.drawing import MICROMETRES, field_label, image_aperture, modulation_frequencies
+from odak.learn.raytracing.system.drawing import (
+    MICROMETRES,
+    field_label,
+    image_aperture,
+    modulation_frequencies,
+    projection_of,
+)
 from odak.learn.raytracing.system.environment import replaced
 from odak.learn.raytracing.system.system_files import load_materials
 from odak.raytracing.intersections import RayStatus
@@ -49,7 +55,8 @@ DEFINITIONS = {
     "best_focus": "Distance along z from the image surface as drawn to the plane in which the mean over the fields of "
     "the mean square spots is least.",
     "largest_spot": "Largest distance from the centroid, of the rays of the rings.",
-    "distortion": "Chief ray's image height at the reference wavelength over the paraxial one, less 1.",
+    "distortion": "Chief ray's image height at the reference wavelength over the paraxial one, less 1; where a "
+    "field reaches 90 degrees, over f·θ.",
     "wavefront_rms": "Standard deviation of the path to the reference sphere over the area of the pupil, at the "
     "reference wavelength.",
     "strehl": "Peak of the diffraction image at the reference wavelength over that of the same pupil without "
@@ -205,7 +212,7 @@ def run(
 def describe(system, rings: int, aim: str, quality: FieldQuality) -> dict:
     """Return the entries of the report on a system."""
     spots = spot_diagram(system, "rings", rings, aim=aim)
-    bent = distortion(system, aim=aim)
+    bent = distortion(system, projection=projection_of(system), aim=aim)
     place, modulation, frequencies = system.reference, None, []
     if image_aperture(system) and not system.afocal:
         frequencies = modulation_frequencies(system)

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from odak import _show, _validate
+from odak._array import is_readable
 from odak._torch_private import differentiates
 from odak.learn.raytracing.system.paraxial import (
     check_media,
@@ -363,6 +364,8 @@ def distortion_grid(
     largest = max(math.hypot(*field) for field in checked_system(system).fields)
     if not largest:
         raise ValueError("system must have a field off the axis")
+    if system.at_infinity and largest >= 90:
+        raise ValueError(f"system must have fields below 90 degrees for a grid of tangents, got {largest:g}")
     half = (math.tan(math.radians(largest)) if system.at_infinity else largest) / math.sqrt(2)
     line = torch.linspace(-half, half, points, dtype=torch.float64)
     y, x = torch.meshgrid(line, line, indexing="ij")
@@ -736,7 +739,9 @@ def encircled_energy(
     return radii, inside / (grown[..., -1:] if whole is None else whole[..., None])
 
 
-def distortion(system: Any, prescription: Prescription | None = None, **options: Any) -> torch.Tensor:
+def distortion(
+    system: Any, prescription: Prescription | None = None, projection: str = "tangent", **options: Any
+) -> torch.Tensor:
     """Return the deviation of the chief ray from the paraxial one in the image, over the paraxial image height.
 
     Parameters
@@ -745,6 +750,9 @@ def distortion(system: Any, prescription: Prescription | None = None, **options:
         The system.
     prescription : Prescription, optional
         Numbers in place of the system's own.
+    projection : str
+        To what paraxial heights are proportional: "tangent" of the field's angle, or its "angle", f·θ, for fisheye
+        lenses, fields at 90 degrees and beyond, and a distant object.
     **options
         Of :func:`trace_fields`.
 
@@ -753,6 +761,11 @@ def distortion(system: Any, prescription: Prescription | None = None, **options:
     torch.Tensor
         ``[..., W, F]``, along the paraxial image point's direction; 0 for a field on the axis. The paraxial height
         is computed at the reference wavelength, in the image plane.
+
+    Raises
+    ------
+    ValueError
+        If a field has no tangent, or a near object no angles.
 
     Notes
     -----
@@ -769,7 +782,7 @@ def distortion(system: Any, prescription: Prescription | None = None, **options:
     """
     options.setdefault("vignetting", False)
     chief = trace_fields(system, CENTRE, prescription=prescription, **options)
-    ideal = paraxial_points(system, prescription, options.get("fields"))
+    ideal = paraxial_points(system, prescription, options.get("fields"), projection)
     return relative_deviation(torch.stack([chief.x[..., 0], chief.y[..., 0]], -1), ideal[..., None, :, :])
 
 
@@ -783,16 +796,31 @@ def relative_deviation(points: torch.Tensor, ideal: torch.Tensor) -> torch.Tenso
     return torch.where(off, (points * ideal).sum(-1) / torch.where(off, size, 1.0) - 1, 0.0)
 
 
-def paraxial_points(system, prescription: Prescription | None = None, fields=None) -> torch.Tensor:
+def paraxial_points(
+    system, prescription: Prescription | None = None, fields=None, projection: str = "tangent"
+) -> torch.Tensor:
     """Return the points of the paraxial chief rays in the image plane, ``[..., F, 2]``, at the reference wavelength."""
+    projection = _validate.one_of("projection", projection, ("tangent", "angle"))
     numbers = (system.prescription() if prescription is None else prescription).at(system.reference)
     check_media(system, numbers)
     index = signed_indices(system, numbers)
     whole = matrix(numbers, index, 0, len(system.surfaces), gap=True)
     pupil = entrance_pupil(system, prescription=numbers)
     points = field_points(system, fields).to(index.device)
+    if projection == "angle" and not system.at_infinity:
+        raise ValueError(f'projection must be "tangent" for an object at {system.object_distance:g}, got "angle"')
     if system.at_infinity:
-        slope = torch.tan(torch.deg2rad(points))
+        angle, beyond = torch.deg2rad(points), (points.abs() >= 90).any(-1, keepdim=True)
+        if projection == "tangent" and is_readable(points) and bool(beyond.any()):
+            raise ValueError(
+                'fields must be below 90 degrees for the projection "tangent", got '
+                f'{float(points.abs().max()):g} degrees; "angle" takes them'
+            )
+        slope = torch.tan(torch.where(beyond, 0.0, angle))
+        if projection == "angle":
+            size = slope.square().sum(-1, keepdim=True).sqrt()
+            share = torch.where(size > 0, torch.atan(size) / torch.where(size > 0, size, 1.0), 1.0)
+            slope = torch.where(beyond, angle, slope * share)
         height = -pupil.distance[..., None, None] * slope
     else:
         slope = -points * pupil.bend[..., None, None]

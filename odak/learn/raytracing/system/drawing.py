@@ -23,6 +23,7 @@ from odak import _show, _validate
 from odak.catalog.materials import MICROMETRES
 from odak.learn._tensors import takes_constants
 from odak.learn.raytracing.system.analysis import (
+    CENTRE,
     Spots,
     axial_color,
     distortion,
@@ -412,7 +413,7 @@ def fans_figure(system: Any, count: int = 41, aim: str = "paraxial") -> Figure:
     return figure
 
 
-def field_figure(system: Any, points: int = 21) -> Figure:
+def field_figure(system: Any, points: int = 21, aim: str = "paraxial") -> Figure:
     """Return field curvature, distortion and lateral colour over the field along y.
 
     Parameters
@@ -421,11 +422,13 @@ def field_figure(system: Any, points: int = 21) -> Figure:
         The system, with a field off the axis.
     points : int
         Number of field points.
+    aim : str
+        "paraxial" or "real", how :func:`launch` aims.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Three panels; the field runs upwards.
+        Three panels; the field runs upwards. Distortion of fields that reach 90 degrees is that from f·θ.
 
     Examples
     --------
@@ -435,17 +438,18 @@ def field_figure(system: Any, points: int = 21) -> Figure:
     3
     """
     checked_system(system)
-    points = _validate.integer("points", points, minimum=2)
+    points, aim = _validate.integer("points", points, minimum=2), _validate.one_of("aim", aim, AIMS)
     largest = max(math.hypot(*field) for field in system.fields)
     if not largest:
         raise ValueError("system must have a field off the axis")
+    projection = projection_of(system)
     heights = torch.linspace(0, largest, points, dtype=torch.float64)
     fields = torch.stack([0 * heights, heights], -1)
     with torch.no_grad():
-        bent = 100 * distortion(system, fields=fields)[system.reference]
-        colour = lateral_color(system, fields=fields) * MICROMETRES[system.unit]
+        bent = 100 * distortion(system, projection=projection, fields=fields, aim=aim)[system.reference]
+        colour = lateral_color(system, fields=fields, aim=aim) * MICROMETRES[system.unit]
     numbers = system.prescription().at(system.reference)
-    curves = field_curvature(system, prescription=numbers, fields=fields)
+    curves = field_curvature(system, prescription=numbers, fields=fields, aim=aim)
     tangential, sagittal = (value.detach()[0] * focus_unit(system)[1] for value in curves)
     figure = _Figure(figsize=(9, 3.6), layout="constrained")
     first, second, third = figure.subplots(1, 3, sharey=True)
@@ -459,7 +463,11 @@ def field_figure(system: Any, points: int = 21) -> Figure:
     third.legend(fontsize=8, frameon=False)
     for axes, name in zip(
         (first, second, third),
-        (f"field curvature ({focus_unit(system)[0]})", "distortion (%)", f"lateral colour ({image_unit(system)})"),
+        (
+            f"field curvature ({focus_unit(system)[0]})",
+            "distortion (%)" if projection == "tangent" else "distortion from f·θ (%)",
+            f"lateral colour ({image_unit(system)})",
+        ),
         strict=True,
     ):
         axes.axvline(0, color=FAINT, lw=0.6)
@@ -468,6 +476,12 @@ def field_figure(system: Any, points: int = 21) -> Figure:
         axes.set_xlabel(name, fontsize=9)
     first.set_ylabel("field (°)" if system.at_infinity else f"object height ({unit_of(system)})", fontsize=9)
     return figure
+
+
+def projection_of(system) -> str:
+    """Return the projection from which distortion is stated: "angle" if a field has no tangent."""
+    wide = system.at_infinity and any(max(map(abs, field)) >= 90 for field in system.fields)
+    return "angle" if wide else "tangent"
 
 
 def transfer_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> Figure:
@@ -822,23 +836,31 @@ def image_figure(system: Any, points: int = 11, aim: str = "paraxial") -> Figure
     """
     checked_system(system)
     points, aim = _validate.integer("points", points, minimum=2), _validate.one_of("aim", aim, AIMS)
-    ideal, real = (value.cpu().numpy() for value in distortion_grid(system, points, aim=aim))
     low, high = min(system.wavelengths), max(system.wavelengths)
     figure, panels = _panels(1, 3 if low < high else 2, (10 if low < high else 6.8, 3.4))
     first, second = panels[0, :2]
-    for grid, color in ((ideal, FAINT), (real, color_of(0))):
-        for lines in (grid, grid.swapaxes(0, 1)):
-            first.plot(lines[..., 0].T, lines[..., 1].T, color=color, lw=0.8)
     name = "milliradian" if system.afocal else unit_of(system)
     scale = 1e3 / (1e6 / MICROMETRES[system.unit]) if system.afocal else 1.0
-    first.set(aspect="equal", xlabel=f"x ({name})", ylabel=f"y ({name})")
-    first.xaxis.set_major_formatter(lambda value, _: f"{value * scale:g}")
-    first.yaxis.set_major_formatter(lambda value, _: f"{value * scale:g}")
-    first.set_title("distortion", fontsize=9)
     largest = max(math.hypot(*field) for field in system.fields)
     heights = torch.linspace(0, largest, points, dtype=torch.float64)
     fields = torch.stack([0 * heights, heights], -1)
     numbers = system.prescription().at(system.reference)
+    if projection_of(system) == "tangent":
+        for grid, color in zip(distortion_grid(system, points, aim=aim), (FAINT, color_of(0)), strict=True):
+            for lines in (grid, grid.swapaxes(0, 1)):
+                first.plot(lines[..., 0].T.cpu().numpy(), lines[..., 1].T.cpu().numpy(), color=color, lw=0.8)
+        first.set(aspect="equal", xlabel=f"x ({name})", ylabel=f"y ({name})")
+        first.xaxis.set_major_formatter(lambda value, _: f"{value * scale:g}")
+    else:
+        # A grid of tangents does not reach 90 degrees: heights over angles, beside f·θ.
+        chief = trace_fields(system, CENTRE, prescription=numbers, fields=fields, aim=aim, vignetting=False).y[0, :, 0]
+        ideal = paraxial_points(system, numbers, fields, "angle")[:, 1]
+        for values, color, label in ((ideal, FAINT, "f·θ"), (chief, color_of(0), "chief rays")):
+            first.plot(heights.numpy(), values.cpu().numpy(), color=color, label=label)
+        first.set(xlabel="field (°)", ylabel=f"y ({name})")
+        first.legend(fontsize=8, frameon=False)
+    first.yaxis.set_major_formatter(lambda value, _: f"{value * scale:g}")
+    first.set_title("distortion", fontsize=9)
     light = relative_illumination(system, 8, prescription=numbers, fields=fields, aim=aim)[0]
     passed = trace_fields(system, "rings", 16, prescription=numbers, fields=fields, aim=aim).arrived[0]
     second.plot(heights.numpy(), light.cpu().numpy(), color=INK, label="illuminance")
@@ -1258,7 +1280,7 @@ def report_figures(system: Any, aim: str = "paraxial", quality: FieldQuality | N
         found["through_focus"] = through_focus_figure(system, aim=aim)
     found["wavefront"] = wavefront_figure(system, aim=aim, quality=quality)
     if any(any(field) for field in system.fields):
-        found["field"] = field_figure(system)
+        found["field"] = field_figure(system, aim=aim)
         found["image"] = image_figure(system, aim=aim)
         found["performance"] = performance_figure(system, aim=aim)
         with suppress(ValueError):

@@ -8,9 +8,12 @@ import torch
 
 from odak.learn.raytracing.system import (
     distortion,
+    distortion_grid,
     draw_layout,
     field_curvature,
+    field_figure,
     first_order,
+    image_figure,
     launch,
     load_system,
     optical_system,
@@ -585,3 +588,42 @@ def test_wide_fields_are_aimed_in_few_traces(monkeypatch):
     pupils._CHIEF_RAYS.clear()
     assert all(torch.equal(a, b) for a, b in zip(bent, launch(lens, points, aim="real"), strict=True))
     assert not torch.equal(bent.y, first.y)
+
+
+@pytest.mark.parametrize("slope", [30.0, 51.0])
+def test_distortion_beyond_90_degrees_is_that_from_the_angle(slope):
+    angle = traced_back(math.radians(slope))
+    # A narrow field of the same lens gives the length f of f·θ.
+    near = traced_back(1e-5)
+    length = 10 * math.tan(1e-5) / math.radians(near)
+    expected = 10 * math.tan(math.radians(slope)) / (length * math.radians(angle)) - 1
+    for fields in ([0.0, angle], [(angle, 0.0), (-angle, 0.0)]):
+        found = distortion(dome(fields), projection="angle", aim="real")
+        assert found[0, -1].item() == pytest.approx(expected, abs=1e-8)
+    if angle > 90:
+        for function in (distortion, distortion_grid):
+            with pytest.raises(ValueError, match=r"fields .*below 90 degrees for"):
+                function(dome([0.0, angle]), aim="real")
+
+
+def test_distortion_of_a_pinhole_and_of_a_sphere_around_it():
+    """Heights of 40·tan θ on a plane and of 40·sin θ on a sphere around the pinhole, from f·θ and f·tan θ."""
+    fields = [(0.0, 20.0), (0.0, 60.0), (-45.0, 45.0)]
+    plane = optical_system([surface(stop=True, thickness=40.0)], 1e-3, fields=fields)
+    ball = optical_system([surface(stop=True, thickness=40.0)], 1e-3, fields=fields, image=surface(-40.0))
+    theta = torch.tensor([math.radians(20.0), math.radians(60.0), math.atan(math.sqrt(2))], dtype=F64)
+    for lens, heights in ((plane, theta.tan()), (ball, theta.sin())):
+        assert torch.allclose(distortion(lens, projection="angle")[0], heights / theta - 1, atol=1e-12)
+        assert torch.allclose(distortion(lens)[0], heights / theta.tan() - 1, atol=1e-12)
+    with pytest.raises(ValueError, match='projection must be "tangent" for an object at 100, got "angle"'):
+        distortion(optical_system([surface(thickness=40.0)], 1.0, object_distance=100.0), projection="angle")
+
+
+def test_figures_of_a_lens_beyond_90_degrees():
+    lens = dome([0.0, traced_back(math.radians(51.0))])
+    titles = [axes.get_xlabel() for axes in field_figure(lens, 5, aim="real").axes]
+    assert titles[1] == "distortion from f·θ (%)"
+    height, ideal = (line.get_ydata() for line in image_figure(lens, 5, aim="real").axes[0].lines[::-1])
+    assert height[-1] == pytest.approx(10 * math.tan(math.radians(51.0)), abs=1e-8)
+    bent = distortion(lens, projection="angle", aim="real")[0, 1].item()
+    assert height[-1] / ideal[-1] - 1 == pytest.approx(bent, abs=1e-9) and bent > 0.1
