@@ -627,3 +627,22 @@ def test_figures_of_a_lens_beyond_90_degrees():
     assert height[-1] == pytest.approx(10 * math.tan(math.radians(51.0)), abs=1e-8)
     bent = distortion(lens, projection="angle", aim="real")[0, 1].item()
     assert height[-1] / ideal[-1] - 1 == pytest.approx(bent, abs=1e-9) and bent > 0.1
+
+
+@pytest.mark.parametrize("slope", [30.0, 51.0])
+def test_waves_from_beyond_90_degrees_start_plane(slope):
+    """Paths of a plane wave d·r, on to a sphere about the image point through the stop's centre, by hand."""
+    lens = dome([(0.0, traced_back(math.radians(slope)))])
+    points = pupil_samples("rings", 2)
+    rays = launch(lens, points, aim="real")
+    found = trace(lens, rays)
+    (start, way), (end, out) = (
+        (torch.stack(part[:3], -1)[0, 0], torch.stack(part[3:6], -1)[0, 0]) for part in (rays, found)
+    )
+    off = end - end[0]
+    along, radius = (out * off).sum(-1), math.hypot(10.0, float(end[0, 1]))
+    back = along + (along.square() - off.square().sum(-1) + radius**2).sqrt()
+    path = (start * way).sum(-1) + found.path[0, 0] - back
+    expected = (path - path[0]) / lens.wavelengths[0]
+    assert float(expected.abs().max()) > 1
+    assert torch.allclose(wavefront(lens, points, aim="real").path[0, 0], expected, rtol=0, atol=1e-9)
