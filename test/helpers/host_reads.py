@@ -39,6 +39,7 @@ REASONS = {
         perception/display_color: _checked_axis individual_cone_fundamentals metameric_failure spectrum_to_xyz
         perception/metameric: _metamer
         perception/quality: _require_positive
+        raytracing/system/analysis: paraxial_points
         raytracing/system/automatic: glasses standard_design
         raytracing/system/design: __init__ _now
         raytracing/system/operands: glass_hull nearest_glasses
