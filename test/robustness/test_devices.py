@@ -1,5 +1,6 @@
 """Everything public of odak.learn on an emulated device: no tensor of the CPU gets in, and few numbers are read."""
 
+import copy
 import inspect
 import tempfile
 from fnmatch import fnmatchcase
@@ -59,9 +60,10 @@ def one_folder(tmp_path, monkeypatch):
 def arguments(path, declared, folder):
     """Return the valid arguments of a call, on the device."""
     found = {name: on_device(value) for name, value in samples.arguments(path, declared, lambda: folder).items()}
-    for value in found.values():
+    for name, value in found.items():
         if isinstance(value, torch.nn.Module):
-            value.to(DEVICE)
+            # A copy: the object of an example serves other tests, on the CPU.
+            found[name] = copy.deepcopy(value).to(DEVICE)
     return found | ({"device": DEVICE} if "device" in found else {})
 
 
