@@ -263,8 +263,8 @@ def calibrate_table(
         plane the camera is.
     rounds : int
         Number of measurements of the registration and the wavefront; up to twice as many as long as the wavefront
-        changes by more than a twentieth of a wavelength. With two, a calibration without a lens takes about 350
-        captures, a tenth of them to set exposures, and 390 with cameras of fewer than 10 bits.
+        changes by more than a twentieth of a wavelength. With two, a calibration without a lens takes about 325
+        captures, a tenth of them to set exposures, and 365 with cameras of fewer than 10 bits.
     regions : sequence of int, optional
         Rows and columns of regions whose phase response is measured too, after the second registration, and used in
         the later steps; a response that varies over the modulator acts as an aberration and shifts the image. The
@@ -322,8 +322,7 @@ def calibrate_table(
     check_square_pixels(modulator, camera)
     camera = checked_camera(camera)
     there = (modulator, camera, wavelength)
-    # More levels determine the response better than more captures of each, but few pixels see a focus.
-    phases, doubt, spread = phases_with_uncertainty(*there, distance, 25, 4)
+    phases, doubt, spread = phases_with_uncertainty(*there, distance, 15, 5)
     warn_of_short_range(phases)
     varies = spread > SPREAD_OF_RESPONSE
     if regions is None and behind_lens:

@@ -10,7 +10,7 @@ from scipy.ndimage import uniform_filter
 
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.instruments.exposures import STALE, set_exposure
+from odak.instruments.exposures import SATURATED, STALE, set_exposure
 from odak.instruments.mapping import Lens, Registration
 from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
 from odak.instruments.spots import averaged, brightest, deflected, lens_phase, pixel_axes, read_around
@@ -23,6 +23,11 @@ LARGEST_GAP = 0.15 * np.pi
 GUARD, LARGEST_WINDOW = 3, 201
 # Rows and columns of pixels of a region at least.
 SMALLEST_REGION = 12
+# Captures of level 0, whose error is in all phases, for each of another level; and noise of a phase of one half in
+# radians above which more captures are averaged.
+OF_ZERO, NOISE = 4, 3e-4
+# Exposure in units of that at which no pixel is saturated: without the brightest pixels, the others have more light.
+BRIGHTER = 2.0
 
 
 def nearest_levels(phase: np.ndarray, phases: np.ndarray) -> np.ndarray:
@@ -118,7 +123,8 @@ def measure_phase_response(
     modulator : Modulator
         The modulator.
     camera : Camera
-        The camera, roughly at `distance`. Its exposure is set for light that is not focused.
+        The camera, roughly at `distance`. Its exposure is set for light that is not focused, twice as long as the
+        brightest pixels allow, which are left out.
     wavelength : float
         Vacuum wavelength in metres.
     distance : float or Lens
@@ -128,8 +134,9 @@ def measure_phase_response(
     samples : int
         Number of levels measured, at least 8; those between are interpolated by a cubic spline.
     captures : int
-        Number of captures that are averaged for each pattern; four times as many behind a lens, whose focus few pixels
-        see.
+        Number of captures that are averaged for each pattern at most, and four times as many for level 0, whose error
+        is in all phases; four times as many behind a lens, whose focus few pixels see. One is enough where its noise
+        changes a phase by less than 0.3 mrad.
 
     Returns
     -------
@@ -189,7 +196,8 @@ def phases_with_uncertainty(
     check_square_pixels(modulator, camera)
     camera = checked_camera(camera)
     top = (1 << _validate.integer("modulator.bits", modulator.bits, minimum=1)) - 1
-    levels = _measured_levels(top, samples)
+    # Responses that begin as a power of the level bend most there.
+    levels = np.union1d(_measured_levels(top, samples), [1])
     lens_phase(modulator, wavelength, distance)  # checks the lengths
     columns = modulator.shape[1]
     left = np.arange(columns) < columns // 2
@@ -210,24 +218,35 @@ def phases_with_uncertainty(
         read_around(camera, focus, int(min(3 * width + 6, (min(camera.shape) - 1) // 2)))
         step = 1
     else:
-        reach = int(min(0.4 * columns * modulator.pitch / camera.pitch + 1, (min(camera.shape) - 1) // 2))
+        reach = int(min(0.5 * columns * modulator.pitch / camera.pitch + 1, (min(camera.shape) - 1) // 2))
         step = 1 + 2 * reach // LARGEST_WINDOW
         read_around(camera, np.array(camera.shape[::-1]) // 2, reach)
         set_exposure(camera)
+        camera.exposure *= BRIGHTER
     check_frames_are_new(modulator, camera, nearest_levels(deflected(modulator), np.array([0, np.pi])) * (top + 1) // 2)
-    found = []
-    for fixed in (left, ~left):
-        frames = []
-        for level in levels:
-            modulator.show(np.where(fixed, pattern, level))
-            frames.append(averaged(camera, captures)[::step, ::step].ravel())
-        found.append(_phases_of_interference(np.stack(frames)))
+    repeats = np.where(levels == 0, OF_ZERO, 1)
+
+    def halves(count: int) -> list[np.ndarray]:
+        """Return the sums of as many captures of each level on each half ``[levels, pixels]``, over the repeats."""
+        return [np.stack([seen_of(fixed, *one, count) for one in zip(levels, repeats, strict=True)]) for fixed in sides]
+
+    def seen_of(fixed: np.ndarray, level: int, repeat: int, count: int) -> np.ndarray:
+        modulator.show(np.where(fixed, pattern, level))
+        frames = camera.capture(int(repeat * count))[:, ::step, ::step]
+        return count * np.where(frames < SATURATED * camera.top, frames, np.nan).mean(0).ravel()
+
+    sides = (left, ~left)
+    frames, captures = halves(1), _validate.integer("captures", captures, minimum=1)
+    more = min(captures, math.ceil(max((_noise_of_phases(half) / NOISE) ** 2 for half in frames))) - 1
+    if more > 0:
+        frames = [half + others for half, others in zip(frames, halves(more), strict=True)]
+    found = [_phases_of_interference(half) for half in frames]
     camera.region = None
     (one, first), (other, second) = found
     seen = (one + other) / 2
     if not isinstance(distance, Lens):
         seen = seen * _sign(modulator, camera, wavelength, distance, levels, seen)
-    phases, fewer = (CubicSpline(levels[used], seen[used])(np.arange(top + 1)) for used in (np.s_[:], np.s_[::2]))
+    phases, fewer = (_of_all_levels(levels[used], seen[used], top) for used in (np.s_[:], np.s_[::2]))
     # A mean of two independent values is uncertain by half of their difference; the factors are those that make
     # standard deviations of the largest errors on independent tables. Near level 0, a power law is interpolated by half
     # the samples with several times the error. Fringing fields cause errors of about half of what captures deviate
@@ -235,14 +254,14 @@ def phases_with_uncertainty(
     within = levels[-1 - (len(levels) + 1) % 2]
     interpolation = float(np.abs(phases - fewer)[:within].max())
     spread = max(first, second)
-    return phases, math.hypot(0.4 * float(np.abs(one - other).max()), 0.2 * interpolation, 0.5 * spread), spread
+    return phases, math.hypot(0.4 * float(np.abs(one - other).max()), 0.005 * interpolation, 0.4 * spread), spread
 
 
 def _onto_the_other_half(modulator: Modulator, wavelength: float, distance: float, top: int) -> np.ndarray:
     """Return the levels that deflect the light of each half of a modulator onto that of the other."""
-    # The lens narrows the light of a half to two thirds, away from the border, whose fringing fields disturb.
+    # The lens narrows the light of a half to four fifths, away from the border, whose fringing fields disturb.
     columns = modulator.shape[1]
-    focal, size = 3 * distance, columns * modulator.pitch
+    focal, size = 4.5 * distance, columns * modulator.pitch
     shift = min(size / 2, max(0.9 * wavelength * distance / (2 * modulator.pitch) - size / 12, size / 8))
     y, x = pixel_axes(modulator)
     side = np.where(np.arange(columns) < columns // 2, -1, 1)
@@ -259,7 +278,7 @@ def _sign(
     # The focus of so small an aperture is deep enough for a nominal distance.
     inside = np.maximum(abs(x), abs(y)) <= 3 * math.sqrt(wavelength * distance)
     lens = np.where(inside, lens_phase(modulator, wavelength, distance), deflected(modulator))
-    every = CubicSpline(levels, phases)(np.arange(levels[-1] + 1))
+    every = _of_all_levels(levels, phases, levels[-1])
     peaks = []
     for sign in (1, -1):
         modulator.show(nearest_levels(lens, sign * every))
@@ -310,13 +329,40 @@ def _measured_levels(top: int, samples: int) -> np.ndarray:
     return np.unique(np.rint(top / 2 * (1 - np.cos(np.pi * np.arange(count) / (count - 1)))).astype(int))
 
 
+def _of_all_levels(levels: np.ndarray, phases: np.ndarray, top: int) -> np.ndarray:
+    """Return the phases of all levels from those of some.
+
+    The spline is one of the angle whose cosine the level is. Chebyshev's points are evenly spaced in it, and a response
+    that bends as a power of the level near the ends of its range is smoother, with a slope of zero there.
+    """
+    angles = np.arccos(1 - 2 * np.arange(top + 1) / top)
+    return CubicSpline(angles[levels], phases, bc_type="clamped")(angles)
+
+
+def _changes(frames: np.ndarray) -> np.ndarray:
+    """Return frames ``[n, pixels]`` less their mean, without pixels that are saturated (NaN) in one."""
+    frames = frames[:, np.isfinite(frames).all(0)]
+    return frames - frames.mean(0)
+
+
+def _noise_of_phases(frames: np.ndarray) -> float:
+    """Return the standard deviation of a phase by the noise of frames ``[n, pixels]``, as below.
+
+    Noise is in all principal components, of which two are those of the interference; one is the mean.
+    """
+    frames = _changes(frames)
+    squares = np.linalg.eigvalsh(frames @ frames.T)
+    of_pixel = squares[1:-3].mean() / frames.shape[1]
+    return math.sqrt(max(of_pixel, 0) * len(frames) / 4 * (1 / squares[-2:]).sum())
+
+
 def _phases_of_interference(frames: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the phase of each of the frames ``[n, pixels]``, whose pixels are a + b·cos φ + c·sin φ.
 
     The second result is the size of what deviates from such sums, as a share of the smaller of their two components:
     the third one, less the fourth, which noise contains as well.
     """
-    frames = frames - frames.mean(0)
+    frames = _changes(frames)
     values, vectors = np.linalg.eigh(frames @ frames.T)
     values = np.clip(values, 0, None) ** 0.5
     x, y = vectors[:, -1] * len(frames) ** 0.5, vectors[:, -2] * len(frames) ** 0.5
@@ -529,7 +575,7 @@ def regions_with_uncertainty(
             found, others[row, column] = _phases_of_interference(np.stack(seen))
             found = found * (1 if whole[-1] >= whole[0] else -1)
             like = whole * (found @ whole[levels]) / (whole[levels] @ whole[levels])
-            phases[row, column] = like + CubicSpline(levels, found - like[levels])(np.arange(top + 1))
+            phases[row, column] = like + _of_all_levels(levels, found - like[levels], top)
     _warn_of_deviations(others.max())
     return phases, 0.5 * others
 

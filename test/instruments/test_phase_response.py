@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
-from laboratory import Laboratory
+from laboratory import Laboratory, random_table
 from tables import fresh_seed, instruments_of
 
 from odak import AccuracyWarning, instruments
@@ -20,6 +20,34 @@ def test_phase_response_of_small_and_large_ranges(span):
     with pytest.warns(AccuracyWarning, match="leave out") if span < 1 else contextlib.nullcontext():
         found = instruments.measure_phase_response(*instruments_of(table), 532e-9, 6e-3, samples=9)
     assert np.abs(found - table.truth.phases).max() < 0.02
+
+
+@pytest.mark.parametrize("seed", [3, 9])
+def test_a_response_is_found_within_two_milliradians_from_sixty_captures(seed):
+    table, distance = random_table(seed)
+    found = instruments.measure_phase_response(*instruments_of(table), table.wavelength, distance, samples=15)
+    assert np.abs(found - table.phases).max() < 2e-3
+    assert table.camera.taken <= 60
+
+
+@pytest.mark.parametrize("power", [0.85, 1.2])
+def test_powers_of_the_level_are_interpolated_within_half_a_milliradian(power):
+    """A spline of the level itself misses the first one by 1.1 mrad, and one without level 1 by 3.5 mrad."""
+    phases = 2 * np.pi * (np.arange(256) / 255) ** power
+    levels = np.union1d(phase_response._measured_levels(255, 15), [1])
+    assert np.abs(phase_response._of_all_levels(levels, phases[levels], 255) - phases).max() < 5e-4
+
+
+def test_more_captures_are_averaged_where_there_is_little_light():
+    """Noise of 3 electrons alone, and twice the light at most."""
+    few = {}
+    for well in (300.0, 20_000.0):
+        table, distance = random_table(3)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("laboratory.WELL", well)
+            instruments.measure_phase_response(*instruments_of(table), table.wavelength, distance, samples=15)
+        few[well] = table.camera.taken
+    assert few[20_000.0] < 65 and 170 < few[300.0] < 190
 
 
 @pytest.mark.parametrize("wrong", [-0.1, 0.1])
