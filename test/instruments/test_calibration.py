@@ -53,6 +53,17 @@ def test_camera_that_does_not_see_panel_is_told_where_to_move(shape, offset, mes
     assert table.camera.taken < 150
 
 
+@pytest.mark.parametrize("share", [1.12, pytest.param(0.88, marks=pytest.mark.slow)])
+def test_an_eighth_beside_the_distance_within_240_captures(share):
+    """The defocus of the wavefront tells the distance, twice, before the sharpest focus does."""
+    table, _ = random_table(1)
+    found = instruments.calibrate_table(*instruments_of(table), table.wavelength, share * table.distance)
+    assert table.camera.bits == 12 and table.camera.taken < 240
+    errors = table.errors(found)
+    bounds = {"phases": 2e-3, "registration": 0.1, "wavefront": 0.04, "distance": 1e-3, "amplitude": 0.02}
+    assert all(abs(errors[name]) < bound for name, bound in bounds.items())
+
+
 @pytest.mark.slow
 def test_the_middle_of_a_panel_that_is_larger_than_the_camera():
     y, x = ((np.arange(n) - n // 2) / 64 for n in (150, 128))
