@@ -178,8 +178,9 @@ def test_calibration_of_a_table_is_refined_by_a_fit_to_captures(shape, distance,
         assert abs(after[name]) < abs(before[name]) or abs(before[name]) < bound, name
 
 
+@pytest.mark.slow
 def test_captures_of_few_pixels_at_a_level_keep_the_phases_of_a_calibration():
-    """Within the uncertainty that the calibration states, at another wavelength in proportion; without it they move."""
+    """Within the uncertainty that the calibration states; without it they move."""
     table = Laboratory((16, 16), distance=2e-3, camera_shape=(24, 24), camera_pitch=4e-6)
     table.camera.exposure = 0.2
     levels = np.random.default_rng(0).integers(100, 120, size=(3, 16, 16))
@@ -193,7 +194,17 @@ def test_captures_of_few_pixels_at_a_level_keep_the_phases_of_a_calibration():
         fit_display(model, captures, iterations=3)
         moved.append(float((model.table().detach() - begun).abs().max()))
     assert moved[1] < 2e-3 < 0.02 < moved[0]
-    assert display_model.from_calibration(sure, 4e-6, wavelength=266e-9)._priors["lut"] == pytest.approx(2e-3)
+
+
+def test_uncertainty_of_a_calibration_is_the_prior_of_its_phases():
+    """In proportion to 1/wavelength, as the phases are."""
+    table = SimulatedTable(3, shape=(16, 16), camera_shape=(24, 24))
+    known = instruments.Calibration.nominal(table.modulator, table.camera, 532e-9, 2e-3)
+    sure = dataclasses.replace(known, uncertainty={"phases": 1e-3})
+    for wavelength, prior in ((532e-9, 1e-3), (266e-9, 2e-3)):
+        model = display_model.from_calibration(sure, 4e-6, wavelength=wavelength)
+        assert model._priors["lut"] == pytest.approx(prior)
+    assert display_model.from_calibration(known, 4e-6)._priors["lut"] > 0.1
 
 
 def test_a_tuned_laser_is_a_model_of_scaled_phases():

@@ -136,7 +136,7 @@ def expanded_system(system, given: Environment) -> optical_system:
     found = shared_copy(system)
     items: list[Any] = list(system.surfaces)
     copies = [shared_copy(item) for item in items]
-    growth = _growth(items, given)[0]
+    growth = _growth(items, given, p.curvature.device)[0]
     for i, (item, other) in enumerate(zip(items, copies, strict=True)):
         if not _is_fixed(item):
             replaced(other, "curvature", p.curvature[i])
@@ -165,7 +165,7 @@ def expanded(system, p: Prescription, given: Environment) -> Prescription:
         The environment.
     """
     items: list[Any] = list(system.surfaces)
-    growth, rates, change = _growth(items, given)
+    growth, rates, change = _growth(items, given, p.curvature.device)
     powers = torch.arange(1, p.coefficients.shape[-1] + 1).to(p.coefficients)
     curvature, coefficients = p.curvature / growth, p.coefficients * growth[:, None] ** (1 - 2 * powers)
     grown = p._replace(curvature=curvature, coefficients=coefficients)
@@ -188,9 +188,9 @@ def expanded(system, p: Prescription, given: Environment) -> Prescription:
     )
 
 
-def _growth(items, given: Environment) -> tuple[torch.Tensor, list, torch.Tensor]:
+def _growth(items, given: Environment, device: torch.device) -> tuple[torch.Tensor, list, torch.Tensor]:
     """Return the factors by which surfaces grow, ``[S]``, the coefficients of the glasses behind, and the warming."""
-    change = torch.as_tensor(given.temperature, dtype=torch.float64).reshape(()) - given.nominal
+    change = torch.as_tensor(given.temperature, dtype=torch.float64, device=device).reshape(()) - given.nominal
     rates: list[float | None] = []
     for item in items:
         rate = None
