@@ -211,7 +211,7 @@ def pupil_quadrature(
 
 
 def _changes(clear: Callable, low: torch.Tensor, high: torch.Tensor, inside: Any, halvings: int) -> tuple:
-    """Return intervals ``[..., R]`` in which rays stop to be as they are at `low`; one trace does up to 4 halvings."""
+    """Return intervals ``[..., R]`` at whose ends rays differ, within those given; a trace does up to 4 halvings."""
     for left in range(halvings, 0, -4):
         parts = 2 ** min(4, left)
         shares = torch.arange(1, parts, device=low.device).to(low) / parts
@@ -563,7 +563,8 @@ def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: to
         if known is not None:
             _CHIEF_RAYS[known] = held
             if len(_CHIEF_RAYS) > KEPT:
-                del _CHIEF_RAYS[next(iter(_CHIEF_RAYS))]
+                # Another thread may have taken the oldest at the same time.
+                _CHIEF_RAYS.pop(next(iter(tuple(_CHIEF_RAYS)), ()), None)
         cx, cy, reached = held
         (ex, ey, _), jacobian = _differences(errors, cx, cy, step, centre)
         dx, dy = _newton((ex - radius * goals[..., 0], ey - radius * goals[..., 1]), jacobian)
