@@ -1,9 +1,7 @@
 import functools
 import gc
 import os
-import subprocess
 import time
-import zlib
 from pathlib import Path
 
 if "PYTEST_XDIST_WORKER" in os.environ:
@@ -14,6 +12,7 @@ import array_api_strict
 import hypothesis
 import numpy as np
 import pytest
+from turns import Turn
 
 _BEGUN = time.monotonic()
 # What imports and collection make stays to the end: nothing is gained by looking through it for garbage.
@@ -33,7 +32,7 @@ def pytest_addoption(parser):
         "--turn",
         type=_turn,
         metavar="K/N",
-        help="of the slow tests, take those of turn K of N, and all in files changed within the last day",
+        help="of the slow tests, take those of turn K of N, and then those of what the last day's commits changed",
     )
 
     parser.addoption(
@@ -46,7 +45,7 @@ def pytest_addoption(parser):
 
 def _turn(text):
     turn, _, turns = text.partition("/")
-    return int(turn) % int(turns), int(turns)
+    return int(turn), int(turns)
 
 
 def pytest_collection_finish():
@@ -97,17 +96,11 @@ def pytest_collection_modifyitems(config, items):
     import torch
 
     if config.option.turn:
-        turn, turns = config.option.turn
-        changed = _changed_lately()
-        left_out = [
-            item
-            for item in items
-            if item.get_closest_marker("slow") and item.path not in changed and not _is_of(turn, turns, item)
-        ]
-        config.hook.pytest_deselected(items=left_out)
-        taken = set(items).difference(left_out)
+        turn = Turn(*config.option.turn, Path(__file__).parents[1])
+        places = {item: turn.place(item.nodeid, item.path) if item.get_closest_marker("slow") else 0 for item in items}
+        config.hook.pytest_deselected(items=[item for item in items if places[item] is None])
         # Those of the turn come first, so that all are run in as many turns however short the time is.
-        items[:] = sorted((item for item in items if item in taken), key=lambda item: not _is_of(turn, turns, item))
+        items[:] = sorted((item for item in items if places[item] is not None), key=places.get)
 
     for item in items:
         if "cuda" in item.keywords and not torch.cuda.is_available():
@@ -119,23 +112,10 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker(pytest.mark.skip(reason="no Blender: name a Python with bpy by ODAK_BLENDER_PYTHON"))
 
 
-def _is_of(turn, turns, item):
-    return zlib.crc32(item.nodeid.encode()) % turns == turn
-
-
 def pytest_runtest_setup(item):
     budget = item.config.option.budget
     if budget and item.get_closest_marker("slow") and time.monotonic() - _BEGUN > budget:
         pytest.skip(f"left for another turn: {budget:.0f} s are over")
-
-
-@functools.cache
-def _changed_lately():
-    """Return the files that commits of the last day changed; none where there is no history."""
-    root = Path(__file__).resolve().parents[1]
-    command = ["git", "-C", root, "log", "--since=1.day", "--name-only", "--format="]
-    listed = subprocess.run(command, capture_output=True, text=True)
-    return {root / name for name in listed.stdout.splitlines() if name}
 
 
 @functools.cache
