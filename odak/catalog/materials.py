@@ -20,7 +20,7 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array
-from odak._warnings import ArgumentWarning, warn
+from odak._warnings import AccuracyWarning, ArgumentWarning, warn
 from odak.tools.paths import validate_path
 
 LINE_D, LINE_F, LINE_C, LINE_G = 0.5875618, 0.4861327, 0.6562725, 0.4358343
@@ -638,7 +638,7 @@ def air_index(
     """
     scale = MICROMETRES[_validate.one_of("unit", unit, MICROMETRES)]
     carbon_dioxide = _validate.constant("carbon_dioxide", carbon_dioxide, least=0)
-    _check_weather(temperature, pressure, humidity)
+    check_weather(temperature, pressure, humidity)
     if isinstance(wavelength, (list, tuple)):
         wavelength = _validate.array("wavelength", wavelength)
     wide = _in_double(wavelength) * scale
@@ -647,14 +647,42 @@ def air_index(
     return _array.cast(found, wavelength, _array.real_dtype(wavelength)) if _array.is_array(wavelength) else found
 
 
-def _check_weather(temperature, pressure, humidity=None) -> None:
-    """Refuse what is no temperature in degrees Celsius, pressure in pascal or humidity; None is left out."""
-    least = {"temperature": (temperature, -273.15), "pressure": (pressure, 0), "humidity": (humidity, 0)}
-    for key, (value, low) in least.items():
+def check_weather(temperature=None, pressure=None, humidity=None, where: str = "") -> None:
+    """Refuse what is no temperature in degrees Celsius, pressure in pascal or relative humidity; None is left out.
+
+    Values that another unit explains better, and temperatures far outside of what was measured, are warned of.
+    `where` follows the name in messages.
+    """
+    given = {"temperature": temperature, "pressure": pressure, "humidity": humidity}
+    for name, (low, high) in {"temperature": (-273.15, 1000), "pressure": (0, math.inf), "humidity": (0, 1)}.items():
+        value = given[name]
         if value is not None:
-            _validate.real(key, value)
-        if value is not None and not _array.is_array(value) and value < low:
-            raise ValueError(f"{key} must be at least {low}, got {value!r}")
+            _validate.real(name, value)
+        if value is None or not _array.is_readable(value) or (_array.is_array(value) and 0 in value.shape):
+            continue
+        least, most = _ends(value)
+        if not low <= least <= most <= high:
+            limits = f"between {low} and {high}" if high < math.inf else f"at least {low}"
+            remedy = ": percent are divided by 100" if name == "humidity" and 1 < most <= 100 else ""
+            raise ValueError(f"{name}{where} must be {limits}, got {most if most > high else least:g}{remedy}")
+        if name == "temperature" and not -100 <= least <= most <= 150:
+            remedy = f"; were kelvin meant ({most - 273.15:.4g} °C)?" if 200 < most < 450 else ""
+            warn(
+                f"temperature{where} is in degrees Celsius, and the indices of glass and air are known from -100 to "
+                f"150, got {most if most > 150 else least:g}{remedy}",
+                AccuracyWarning,
+            )
+        if name == "pressure" and (0 < most < 1e4 or most > 1e6):
+            units = [(unit, size * most) for unit, size in (("hPa", 100), ("kPa", 1000), ("bar", 1e5))]
+            remedy = "".join(f"; were {unit} meant ({p:g} Pa)?" for unit, p in units if 5e4 < p < 1.1e5)
+            warn(f"pressure{where} is in pascal, 101325 at sea level, got {most:g}{remedy}", ArgumentWarning)
+
+
+def _ends(value) -> tuple[float, float]:
+    """Return the least and the largest of a number or an array: two numbers are read, not the whole array."""
+    xp = _array.namespace(value)
+    ends = (xp.min(value), xp.max(value)) if _array.is_array(value) else (value, value)
+    return _validate.numbers(ends[0])[0], _validate.numbers(ends[1])[0]
 
 
 def _ciddor(wide, temperature, pressure, humidity=0.0, carbon_dioxide: float = 450.0):
@@ -748,7 +776,7 @@ def refractive_index(
     wide = _in_double(wavelength) * scale
     _check_range(found, wide, extrapolate)
     index = found.index(wide)
-    _check_weather(temperature, pressure)
+    check_weather(temperature, pressure)
     if temperature is not None or pressure is not None or found.environment is not None:
         own = found.environment or (found.measured_at, 101325.0)
         here = own[0] if temperature is None else temperature, own[1] if pressure is None else pressure
@@ -1164,10 +1192,7 @@ def _in_double(wavelength):
 def _check_range(found: Material, wide, extrapolate: bool) -> None:
     if not _array.is_readable(wide) or (_array.is_array(wide) and 0 in wide.shape):
         return
-    xp = _array.namespace(wide)
-    # Two numbers are read, not the whole array: a spectrum may have a million samples.
-    ends = (xp.min(wide), xp.max(wide)) if _array.is_array(wide) else (wide, wide)
-    low, high = (_validate.numbers(end)[0] for end in ends)
+    low, high = _ends(wide)
     if not 0 < low <= high < float("inf"):
         raise ValueError(f"wavelength must be positive and finite, got {low:g} … {high:g} µm")
     # A float32 wavelength at the very limit is not an error.

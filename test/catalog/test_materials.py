@@ -2,13 +2,16 @@
 
 import json
 import math
+import warnings
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
 
+import odak
 from odak import ArgumentWarning, catalog
-from odak.catalog import materials
+from odak.catalog import air_index, materials, refractive_index
 from odak.catalog.materials import LINE_C, LINE_D, LINE_F
 
 # Published n_d and V_d: Schott data sheets; Malitson 1965 and 1963; Dodge 1984; Malitson 1964.
@@ -426,3 +429,30 @@ def test_dn_dt_and_expansion_of_glass_catalogues(tmp_path):
 def test_a_wavelength_in_another_unit_is_named(wavelength):
     with pytest.raises(ValueError, match=f"got {wavelength:g} m: wavelengths are in metres; did you mean 532nm"):
         catalog.refractive_index("N-BK7", wavelength)
+
+
+@pytest.mark.parametrize(
+    ("weather", "warning", "words"),
+    [
+        ({"temperature": 293.15}, odak.AccuracyWarning, r"degrees Celsius.*kelvin meant \(20 °C\)"),
+        ({"temperature": torch.tensor([20.0, 300.0])}, odak.AccuracyWarning, "got 300"),
+        ({"temperature": -196.0}, odak.AccuracyWarning, "got -196"),
+        ({"pressure": 1013.25}, odak.ArgumentWarning, r"hPa meant \(101325 Pa\)"),
+        ({"pressure": 101.325}, odak.ArgumentWarning, r"kPa meant \(101325 Pa\)"),
+    ],
+)
+@pytest.mark.parametrize("ask", [air_index, partial(refractive_index, "N-BK7")])
+def test_kelvin_and_hectopascal_are_pointed_out(ask, weather, warning, words):
+    with pytest.warns(warning, match=words):
+        ask(550e-9, **weather)
+
+
+def test_percent_of_humidity_and_impossible_weather_are_refused():
+    with pytest.raises(ValueError, match="humidity must be between 0 and 1, got 50: percent"):
+        air_index(550e-9, humidity=50)
+    with pytest.raises(ValueError, match=r"temperature must be between -273\.15 and 1000, got 15000"):
+        air_index(550e-9, 15e3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert air_index(550e-9, -40.0, 0.0) == 1
+        air_index(550e-9, torch.tensor([-40.0, 100.0]), 80e3, 1.0)

@@ -8,7 +8,7 @@ import torch
 
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.catalog.materials import Material, refractive_index, thermal_of
+from odak.catalog.materials import Material, check_weather, refractive_index, thermal_of
 from odak.learn.raytracing.system.prescriptions import Prescription
 from odak.learn.raytracing.system.surfaces import Row, checked_system, is_break, optical_system, wavelengths_of
 
@@ -78,8 +78,9 @@ def in_environment(
     checked_system(system)
     for name, value in (("mount", mount), ("mirror", mirror), ("nominal", nominal)):
         _validate.constant(name, value)
-    temperature = _validate.number("temperature", temperature, least=-273.15)
-    pressure = _validate.number("pressure", pressure, least=0)
+    temperature = _validate.number("temperature", temperature)
+    pressure = _validate.number("pressure", pressure)
+    check_weather(temperature, pressure)
     tell_unknown([system])
     return expanded_system(system, Environment(temperature, pressure, mount, mirror, nominal))
 

@@ -12,7 +12,7 @@ import torch
 
 from odak import _show, _validate
 from odak._array import Array, complex_dtype, is_readable, namespace
-from odak.catalog.materials import MICROMETRES, Material, refractive_index
+from odak.catalog.materials import MICROMETRES, Material, check_weather, refractive_index
 from odak.catalog.materials import material as find_material
 from odak.jones.thin_films import stack_response
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription, padded
@@ -1188,9 +1188,10 @@ def _setting(name: str, value):
         return _wavelengths(value)
     if name == "object_distance":
         return float(number_or_infinity(f"{name} in settings", value))
-    positive = name in ("aperture", "semi_diameter", "index")
-    least = {"temperature": -273.15, "pressure": 0.0}.get(name)
-    return _validate.constant(f"{name} in settings", value, positive=positive, least=least)
+    found = _validate.constant(f"{name} in settings", value, positive=name in ("aperture", "semi_diameter", "index"))
+    if name in ("temperature", "pressure"):
+        check_weather(**{name: found}, where=" in settings")
+    return found
 
 
 def checked_weights(name: str, values, count: int) -> tuple[float, ...] | None:
