@@ -95,7 +95,7 @@ REASONS = {
     """,
     "on the CPU only: an extreme that is read spares work there, and the device takes another way": """
         raytracing/boundary: _picked
-        raytracing/system/fused: _intersect _newton _on_sheet _run blocks work
+        raytracing/system/fused: _intersect _is_onward _newton _on_sheet _run blocks work
         raytracing/mesh: embree_scene nearest_faces_by_embree
         raytracing/system/pupils: _key
         tools/matrix: _gaussian_lines

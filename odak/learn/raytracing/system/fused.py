@@ -334,15 +334,21 @@ def _run(block, sequence, keep: list | None = None):
     x, y, z, u, v, w = block
     path = torch.zeros_like(x)
     beyond = None
-    for e in sequence:
-        if keep is None and not bool((w.amin() if e.sign > 0 else -w.amax()) > 0):
-            return None
-        first = (e.h - z).div_(w)
-        x, y = torch.addcmul(x, first, u), torch.addcmul(y, first, v)
-        found = _intersect(x, y, u, v, w, e, keep is None)
-        if found is None:
-            return None
-        z, distance, cosine = found[0], first.add_(found[1]) if found[1] is not None else first, found[2]
+    for i, e in enumerate(sequence):
+        onward = _is_onward(w, e, keep is None or i == 0)
+        if i == 0 and not onward and e.sign > 0 and e.kind is Conic:
+            x, y, z, distance, cosine = _from_front(x, y, z, u, v, w, e)
+            if keep is None and not _on_sheet(z, e):
+                return None
+        else:
+            if keep is None and not onward:
+                return None
+            first = (e.h - z).div_(w)
+            x, y = torch.addcmul(x, first, u), torch.addcmul(y, first, v)
+            found = _intersect(x, y, u, v, w, e, keep is None)
+            if found is None:
+                return None
+            z, distance, cosine = found[0], first.add_(found[1]) if found[1] is not None else first, found[2]
         _add(path, distance, e.n1)
         if e.limit is not None and keep is None:
             outside = torch.addcmul(x * x, y, y) > e.limit**2
@@ -362,6 +368,28 @@ def _run(block, sequence, keep: list | None = None):
         return (x, y, z, u, v, w, path), torch.zeros(x.shape, dtype=torch.int8)
     held = [value.masked_fill(beyond, torch.nan) for value in (x, y, z, u, v, w, path)]
     return held, beyond.to(torch.int8).mul_(RayStatus.VIGNETTED.value)
+
+
+def _is_onward(w, e: Element, asked: bool) -> bool:
+    """Return whether all rays run the way in which the surface is passed; on other devices that is not read."""
+    return asked and w.device.type == "cpu" and bool((w.amin() if e.sign > 0 else -w.amax()) > 0)
+
+
+def _from_front(x, y, z, u, v, w, e: Element):
+    """Return points on a conic that rays of any direction pass from its front, their distances, and n·d.
+
+    For fields at 90 degrees and beyond, whose rays do not meet the vertex plane in front of the surface. They start
+    from the point nearest to the vertex.
+    """
+    z = z - e.h
+    start = -(x * u + y * v + z * w)
+    x, y, z = (torch.addcmul(p, start, d) for p, d in ((x, u), (y, v), (z, w)))
+    f = (x * x + y * y + (1 + e.k) * (z * z)) * e.c - 2 * z
+    g = w - (x * u + y * v + (1 + e.k) * (z * w)) * e.c
+    a = (1 + e.k * (w * w)) * e.c
+    cosine = (g * g - a * f).sqrt()
+    t = torch.where(g >= 0, f / (g + cosine), (g - cosine) / a)
+    return *(torch.addcmul(p, t, d) for p, d in ((x, u), (y, v), (z, w))), start + t, cosine
 
 
 def _intersect(x, y, u, v, w, e: Element, check: bool):

@@ -65,6 +65,39 @@ def test_fused_kernel_agrees_with_plain_operations(batch, many, monkeypatch):
         torch.testing.assert_close(a, b, rtol=1e-11, atol=1e-11)
 
 
+@pytest.mark.parametrize("many", [1, 10**6], ids=["floats", "broadcast"])
+def test_the_fused_kernel_takes_rays_from_beside_and_behind(many, monkeypatch):
+    """Rays at 60 to 100 degrees onto a dome, without the plain operations: points, paths and gradients as by these."""
+    monkeypatch.setattr(fused, "MANY", many)
+    layout = LAYOUT.first(2)
+    numbers = Numbers(
+        torch.tensor([[1 / 30, 1 / 60]], dtype=F64),
+        torch.tensor([[-0.2, 0.1]], dtype=F64),
+        torch.tensor([[1.0, 2.0]], dtype=F64),
+        torch.zeros(1, 2, 0, dtype=F64),
+        torch.tensor([[1.0, 1.8, 1.0]], dtype=F64),
+    )
+    angle = torch.linspace(60, 100, 9, dtype=F64).deg2rad()
+    turn = torch.linspace(0.1, 0.3, 9, dtype=F64)
+    ways = (angle.sin() * turn.sin(), angle.sin() * turn.cos(), angle.cos())
+    # Through points near the second vertex, from 50 in front of them.
+    starts = (0.1 - 50 * ways[0], -10.0 - 50 * ways[1], 2.5 - 50 * ways[2])
+    rays = tuple(value[None] for value in (*starts, *ways))
+    inputs = [value.clone().requires_grad_() for value in (*rays, *numbers[:5])]
+    expected = plain(layout, Numbers(*inputs[6:]), unit(inputs[:6]))
+    monkeypatch.setattr(fused, "plain", None)
+    found = Trace.apply(layout, *unit(inputs[:6]), *inputs[6:])
+    assert not bool(found[7].any()) and float(rays[5].min()) < -0.17
+    for a, b in zip(found, expected, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-12, atol=1e-12)
+    wanted = [*inputs[:9], inputs[10]]
+    gradients = [
+        torch.autograd.grad(sum(((i + 1) * out[i]).sum() for i in range(7)), wanted) for out in (found, expected)
+    ]
+    for a, b in zip(*gradients, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-11, atol=1e-11)
+
+
 @pytest.mark.slow
 def test_gradients_of_rays_and_all_numbers(batch):
     numbers, rays = batch
