@@ -1,6 +1,6 @@
 """Jones vectors and matrices, Stokes vectors, Mueller matrices and the polarisation ellipse.
 
-The conventions are those of :mod:`odak.jones`.
+The conventions are stated in :mod:`odak.jones`.
 """
 
 from types import ModuleType

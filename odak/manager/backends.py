@@ -76,7 +76,7 @@ class Backend(Protocol):
 
 
 def choose(cluster: Any, depends: Sequence, server: bool, **settings: Any) -> Backend:
-    """Return the backend selected by `cluster`; parameters are those of :class:`odak.manager.agent`."""
+    """Return the backend selected by `cluster`; parameters as in :class:`odak.manager.agent`."""
     here = cluster is None or cluster is True or cluster == "local"
     if settings.get("workers") is not None and not here and not server:
         raise ValueError(
@@ -145,7 +145,7 @@ class Serial:
 class Cluster:
     """A Dask cluster: one of its own on this machine, or one that exists already.
 
-    Parameters are those of :class:`odak.manager.agent`.
+    Parameters are as in :class:`odak.manager.agent`.
     """
 
     def __init__(

@@ -366,7 +366,7 @@ def packed_by_value(modules: Iterable[ModuleType]) -> Iterator[None]:
 
 
 def modules_of(depends: Iterable[ModuleType | Callable | str]) -> list[ModuleType]:
-    """Return the given modules and those of given functions and classes; paths are skipped."""
+    """Return the given modules, and the modules of given functions and classes; paths are skipped."""
     return [
         item if isinstance(item, ModuleType) else importlib.import_module(item.__module__)
         for item in depends

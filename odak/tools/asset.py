@@ -357,12 +357,12 @@ def _cut(vertices: np.ndarray, counts: np.ndarray, corners: np.ndarray) -> np.nd
 
 
 def _bent(vertices, polygons):
-    """Yield the places and the flat corners ``[n, 2]`` of those of polygons ``[p, n]`` that are not convex."""
+    """Yield the places and the flat corners ``[n, 2]`` of the polygons among ``[p, n]`` that are not convex."""
     # A difference to the first corner keeps what far coordinates have in common out of the products.
     x = vertices[polygons].astype(np.float64)
     with np.errstate(over="ignore", invalid="ignore"):
         x = x - x[:, :1]
-        # Newell's normal, that of the plane that fits best.
+        # Newell's normal, of the plane that fits best.
         normal = np.cross(x, np.roll(x, -1, axis=1)).sum(1)
         before, after = x - np.roll(x, 1, axis=1), np.roll(x, -1, axis=1) - x
         turns = np.einsum("pnc,pc->pn", np.cross(before, after), normal)

@@ -652,7 +652,7 @@ def _kill_with_children(process):
         process.kill()
         return
     try:
-        # The process is the leader of a new session, so its number is also that of its process group.
+        # The process is the leader of a new session, so its number is also the number of its process group.
         os.killpg(process.pid, signal.SIGKILL)
     except ProcessLookupError:
         process.kill()
@@ -798,7 +798,7 @@ def read_levels(fn: str | os.PathLike, torch_style: bool = False, color_managed:
     torch_style : bool
         Put the channels first.
     color_managed : bool
-        Convert colours by the file's ICC profile to those of sRGB, as :func:`load_image` does.
+        Convert colours by the file's ICC profile to sRGB, as :func:`load_image` does.
 
     Returns
     -------
@@ -949,7 +949,7 @@ def _shallow(image):
 
 
 def _in_srgb(image, profile: bytes):
-    """Return a picture of 8 bits whose colours are those of sRGB instead of its profile's."""
+    """Return a picture of 8 bits, converted from its profile's colours to sRGB."""
     from PIL import ImageCms
 
     try:

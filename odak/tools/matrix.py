@@ -116,7 +116,7 @@ def crop_center(field: ArrayT, size: Sequence[int] | None = None) -> ArrayT:
     rows, columns = _validate.image("field", field).shape[-2:]
     height, width = (max(1, rows // 2), max(1, columns // 2)) if size is None else last_two(size)
     if height > rows or width > columns:
-        raise ValueError(f"size must be at most that of the field, {[rows, columns]}; got {[height, width]}")
+        raise ValueError(f"size must be at most the field's, {[rows, columns]}; got {[height, width]}")
     top, left = rows // 2 - height // 2, columns // 2 - width // 2
     window = field[..., top : top + height, left : left + width]
     return window if _array.is_torch(field) else _array.namespace(field).asarray(window, copy=True)
@@ -284,7 +284,7 @@ def frame(field, size: Sequence[int] | None, method: str) -> tuple[int, int, int
     rows, columns = _validate.image("field", field).shape[-2:]
     height, width = (2 * rows, 2 * columns) if size is None else last_two(size)
     if height < rows or width < columns:
-        raise ValueError(f"size must be at least that of the field, {[rows, columns]}; got {[height, width]}")
+        raise ValueError(f"size must be at least the field's, {[rows, columns]}; got {[height, width]}")
     if _validate.one_of("method", method, METHODS) != "center":
         return height, width, 0, 0
     return height, width, height // 2 - rows // 2, width // 2 - columns // 2

@@ -199,7 +199,7 @@ def replacing(path: str | os.PathLike) -> Iterator[BinaryIO]:
     Raises
     ------
     ValueError
-        If the folder does not exist, or the path is that of something other than a file.
+        If the folder does not exist, or the path names something other than a file.
     PermissionError
         If the file or its folder cannot be written to; the error names the file.
     OSError
@@ -273,7 +273,7 @@ def temporary_name(path: str) -> Iterator[str]:
     Raises
     ------
     ValueError
-        If the folder does not exist, or the path is that of something other than a file.
+        If the folder does not exist, or the path names something other than a file.
     """
     target = os.path.realpath(path)
     folder = os.path.dirname(target)

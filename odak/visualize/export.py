@@ -369,7 +369,7 @@ def _with_normals(places: np.ndarray, faces: np.ndarray, smooth: bool) -> tuple:
 
 
 def _vertex_colors(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Return the colour of each vertex, that of its triangles, as 8-bit red, green, blue, opacity."""
+    """Return the colour of each vertex, taken from its triangles, as 8-bit red, green, blue, opacity."""
     found = np.full((len(vertices), 4), 255, np.uint8)
     shades = np.stack([faces[name] for name in ("red", "green", "blue")], axis=-1)
     found[faces["vertex_indices"].reshape(-1), :3] = np.repeat(shades, 3, axis=0)

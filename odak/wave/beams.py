@@ -850,7 +850,7 @@ def _pair(name: str, value) -> tuple:
 
 
 def _prepare(shape, dx, offset, xp, device, **numbers):
-    """Return the namespace, the positions (y, x) and the checked numbers in double precision, those of `waist` last."""
+    """Return the namespace, the positions (y, x) and the checked numbers in double precision, the waists last."""
     waists = {f"waist {i}": value for i, value in enumerate(numbers.pop("waist"))}
     for name in {"wavelength", "power"} & set(numbers):
         _validate.number(name, numbers[name], positive=True)

@@ -213,7 +213,7 @@ def generate_complex_field(amplitude: float | Array, phase: float | Array) -> Ar
 
 
 def _as_floats(name, value, like):
-    """Return an array in floats of its own precision, a number or a list in those of the array `like`."""
+    """Return an array in floats of its own precision, a number or a list in the precision of the array `like`."""
     array = _validate.given(name, value)
     if type(array) in (int, float, complex):
         if _array.is_array(like):

@@ -59,7 +59,7 @@ def chirp(like, step, count: int, axis: int):
 def convolve_with_chirp(field, step, count: int, axis: int):
     """Return Σ_n u_n·exp(−iπ·step·(k − n)²), the convolution that a chirp-z transform has between its two chirps.
 
-    Parameters and result are those of :func:`fourier_sum`, the sign being that of the step.
+    Parameters and result are as in :func:`fourier_sum`; the sign is included in the step.
     """
     xp = _array.namespace(field)
     n_in = field.shape[axis]
@@ -80,7 +80,7 @@ def _line(like, start: int, count: int, axis: int):
 
 @dataclass(frozen=True)
 class Line:
-    """A run of `count` frequencies along an axis (-2 or -1), those of a discrete Fourier transform of `period`.
+    """A run of `count` frequencies along an axis (-2 or -1) of a discrete Fourier transform of `period` samples.
 
     The indices are `first`, `first` + 1, …; an index over the period is a frequency in cycles per sample of the field.
     """
@@ -249,7 +249,7 @@ def spectrum_along(field, cycles):
     Returns
     -------
     array
-        Complex ``[..., N, Q]``, to about 1e-6 (complex64) or 2e-11 (complex128) of its norm; the method is that of
+        Complex ``[..., N, Q]``, to about 1e-6 (complex64) or 2e-11 (complex128) of its norm, by the method of
         :func:`spectrum_at`.
     """
     xp, taps = _array.namespace(field), _taps_of_steps(field.dtype)
@@ -270,7 +270,7 @@ def spectrum_along(field, cycles):
 
 
 def spread_along(spectrum, cycles, line: Line, width: int):
-    """Return values on `line` whose sum over its frequencies is that of `spectrum` over its own, along axis -2.
+    """Return values on `line` whose sum over its frequencies equals the sum of `spectrum` over its own, along axis -2.
 
     Columns `width` apart are added.
 
@@ -282,7 +282,7 @@ def spread_along(spectrum, cycles, line: Line, width: int):
     spectrum : array
         Complex ``[..., P, Q]`` of NumPy or PyTorch.
     cycles : array
-        Its frequencies in cycles per sample, float64 ``[..., P, Q]``, within those of :func:`spreading_line`.
+        Its frequencies in cycles per sample, float64 ``[..., P, Q]``, within the range given to :func:`spreading_line`.
         Differentiable.
     line : Line
         Frequencies of the result, of :func:`spreading_line`.

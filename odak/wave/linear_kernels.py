@@ -30,7 +30,7 @@ _TAPER = 2.0
 
 @dataclass(frozen=True)
 class LinearGrid(Grid):
-    """Grid of twice a window's size, on which transfer functions are those of linear convolution.
+    """Grid of twice a window's size, on which a transfer function performs a linear convolution.
 
     It holds one geometry, where lengths are known as numbers.
 
@@ -44,7 +44,7 @@ class LinearGrid(Grid):
         Relative error of a propagated field of flat spectrum. A stop is sampled on a fixed grid, without this bound;
         so is everything where it is infinite, and no length is read.
     stored : dtype, optional
-        Complex dtype of what :meth:`evaluate` returns; that of the grid, in which it is computed, by default.
+        Complex dtype of the result of :meth:`evaluate`; by default the dtype of the grid, in which it is computed.
     halves : tuple of bool
         Along rows and columns: the result is the field half a sample beyond each sample of the window.
     axes : tuple of int
@@ -216,8 +216,9 @@ def taper(orders, band: tuple[float, float]):
 def pixels_spectrum(field, sizes, orders: int = 1, fill=1.0, cells: int = 1, counts=None):
     """Return the spectrum of a field of square pixels with its diffraction orders, the first pixel at the origin.
 
-    By the convolution theorem it is that of samples, which repeats in each order, times that of a square: exact, for
-    any number of orders, without more samples of the field (Goodman, Introduction to Fourier Optics, section 4.4).
+    By the convolution theorem it is the spectrum of the samples, which repeats in each order, times the spectrum of a
+    square. This is exact for any number of orders and takes no more samples of the field (Goodman, Introduction to
+    Fourier Optics, section 4.4).
 
     Parameters
     ----------
@@ -238,8 +239,8 @@ def pixels_spectrum(field, sizes, orders: int = 1, fill=1.0, cells: int = 1, cou
     Returns
     -------
     array
-        ``[..., orders·sizes[0], orders·sizes[1]]`` or ``[..., *counts]`` in the order of the transform, in units of
-        that of samples.
+        ``[..., orders·sizes[0], orders·sizes[1]]`` or ``[..., *counts]`` in the order of the transform, in the unit of
+        the samples' spectrum.
     """
     xp, dtype, device = _array.namespace(field), _array.real_dtype(field), _array.device_of(field)
     width = fill**0.5
@@ -340,8 +341,8 @@ class linear_kernel:
     cutoff : float, optional
         Radius of a round stop in the Fourier plane in cycles per metre; open by default.
     pixel_fill : float, optional
-        Share of a square pixel's area that emits: the spectrum is multiplied by that of the pixel, 1 at zero
-        frequency. Fields are point samples by default.
+        Share of a square pixel's area that emits: the spectrum is multiplied by the pixel's spectrum, which is 1 at
+        zero frequency. Fields are point samples by default.
     tolerance : float
         Relative error of a propagated field of flat spectrum.
     halves : tuple of bool
@@ -358,7 +359,7 @@ class linear_kernel:
     axes: tuple = (-2, -1)
 
     def __call__(self, grid: Grid):
-        """Return the transfer function on a padded grid, that of each geometry of a batch by a rule of its own."""
+        """Return the transfer function on a padded grid; each geometry of a batch has a rule of its own."""
         xp = grid.xp
         # Sums over thousands of frequencies, with weights that cancel: in double precision.
         double = replace(grid, dtype=xp.complex128)

@@ -407,7 +407,7 @@ class _BornSeries:
             self.border = self.border + xp.reshape(4 * math.log(1e6) / (2 * layer) * depth**3, form)
 
     def medium(self, contrast, wave_number):
-        """Return the squared wave number of the whole grid from its contrast to that of the background."""
+        """Return the squared wave number of the whole grid from its contrast to the background."""
         return wave_number**2 + self.pad(contrast) + 1j * (self.border * wave_number)
 
     def pad(self, values):

@@ -452,8 +452,9 @@ def check_has_kernel(propagation_type: str) -> None:
 def choose_method(shape: tuple[int, int], request: Request) -> tuple[Method, float]:
     """Return the method whose error is within tolerance at every requested distance and wavelength, and its error.
 
-    The error is that of a field of flat spectrum. An array as an aperture needs the grid that the caller has padded: it
-    gets the angular spectrum on it, without a bound, NaN. Lengths that cannot be read have no bound either.
+    The error refers to a field of flat spectrum. An array as an aperture requires the grid that the caller has padded:
+    the method is then the angular spectrum on this grid, and the error is unknown, NaN. The error is also NaN for
+    lengths that cannot be read.
     """
     geometries = _geometries(request)
     if not geometries:
@@ -560,7 +561,7 @@ def linear_method(propagation_type: str, shape, dx, wavelength, distance) -> str
     request = Request(dx, wavelength, distance)
     if method.of_intensities:
         warn(
-            f"{method.name} propagates intensities, and that of a phase-only hologram is the same everywhere: a "
+            f"{method.name} propagates intensities, and a phase-only hologram has the same intensity everywhere: a "
             "display of coherent light shows another image. Use 'auto'",
             AccuracyWarning,
         )

@@ -158,13 +158,13 @@ def _alternate(
     back = light
     if fill is not None:
         pixels = pixel_aperture(planes[0][0], checked_pixel_fill(fill))
-        # Backwards, the field is that of the modulator without the transfer function of its pixels, which has zeros.
+        # The way back ends at the modulator's field without its pixels' transfer function, which has zeros.
         light, back = functools.partial(light, aperture=pixels), functools.partial(light, aperture=1 / pixels)
     before = found = generate_complex_field(1.0, phase)
     for count, turn in enumerate(turns):
         hologram = found
         if accelerated:
-            # Of amplitude one again: the ways to and from the image are those of a hologram.
+            # The extrapolated field is set to amplitude one again, as only a phase-only hologram is propagated.
             hologram = generate_complex_field(1.0, calculate_phase(found + (found - before) * (count / (count + 3))))
         corrected = hologram
         for target, distance in planes:
@@ -178,10 +178,10 @@ def _alternate(
 
 
 def _correction(image, target, update):
-    """Return the correction of the image, inside its window, that makes its amplitude that of the target.
+    """Return the change of the image, inside its window, that gives it the amplitude of the target.
 
-    The field outside the window is free and stays as it is. Propagated back it is the part of the hologram it came
-    from, so only the change needs to make the way back, on the window alone.
+    The field outside the window is free and stays as it is. Propagated back, this part gives the hologram it came from
+    again, so that only the change is propagated back, on the window alone.
     """
     xp = _array.namespace(image)
     amplitude = calculate_amplitude(image)

@@ -1,7 +1,7 @@
 """Polarised fields ``[..., 2, rows, columns]``: elements per pixel, films, longitudinal component, tight focusing.
 
 The components along x (columns) and y (rows) are one more axis of the field, so that all methods of propagation, which
-treat leading axes as a batch, propagate them. Fields vary as exp(i(kz − ωt)); Jones matrices are those of
+treat leading axes as a batch, propagate them. Fields vary as exp(i(kz − ωt)); Jones matrices follow the conventions of
 :mod:`odak.jones`.
 """
 

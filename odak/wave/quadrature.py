@@ -6,8 +6,8 @@ follow: frequencies whose phase changes by more than π between neighbours fold 
 integrand does not vanish. Weights at the last frequencies correct the end to high order; the number of frequencies
 follows from the distance and the tolerance.
 
-Errors are those of a field of flat spectrum: for a fixed frequency of the other axis, the response is computed again
-by a reference (a far finer rule, or its closed form) and the squares of the differences are summed over the lags.
+Errors refer to a field of flat spectrum: for a fixed frequency of the other axis, the response is computed again by a
+reference (a far finer rule, or its closed form) and the squares of the differences are summed over the lags.
 """
 
 import functools

@@ -375,7 +375,7 @@ def _tilt(y, x, k, angle):
 def undersampling(formula: Callable, axes, numbers, disc=None, part: float = 1.0) -> float:
     """Return the largest difference of neighbouring samples, in units of half a cycle; at most 1 can be represented.
 
-    `part` is that of the window, about its middle, which is looked at.
+    Only the share `part` of the window about its middle is examined.
     """
     lines = []
     for low, high, _ in axes:
@@ -449,7 +449,7 @@ _KEPT = 0.995
 def held_share(orders: Sequence[float], low: float, high: float) -> float:
     """Return the share of a sum of squared Hermite functions ψₙ², with weights, that lies between two places.
 
-    The integral of ψₙ² is that of ψₙ₋₁² less ψₙψₙ₋₁/√(2n), so that no quadrature is needed.
+    The recurrence ∫ψₙ² = ∫ψₙ₋₁² − ψₙψₙ₋₁/√(2n) replaces a quadrature.
     """
     share = (math.erf(high) - math.erf(low)) / 2
     total, ends = orders[0] * share, []

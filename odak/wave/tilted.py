@@ -153,7 +153,7 @@ class _Path:
     window : Window
         The window, in the same coordinates.
     lines : tuple of Line
-        Frequencies along the rows and columns of the spectrum; those of the window if nothing is spread.
+        Frequencies along the rows and columns of the spectrum; the window's frequencies if nothing is spread.
     spectrum : callable
         Returns the spectrum of a field.
     transfer : array
@@ -239,7 +239,7 @@ def _tilted_path(field, request: Request, window: Window, angles, source_angles,
 
 
 def _two_step_path(grid: Grid, window: Window, turned, least: float, along: bool, stretch: float, kept: bool) -> _Path:
-    """Return the path that takes the columns' frequencies to those of the window first, then those of the rows.
+    """Return the path that maps the frequencies along columns to the window's first, then the frequencies along rows.
 
     With `along` the rows' frequencies remain; otherwise their derivative, at one frequency of the window's columns,
     is at least 1/`stretch`.
@@ -339,7 +339,7 @@ def _turns(rays: Rays) -> tuple[bool, bool]:
 
 
 def _turned(grid: Grid, window: Window, turned: tuple[bool, bool], request: Request) -> tuple[Grid, Window]:
-    """Return grid and window with the axes of the field and those of the window exchanged, as `turned` says."""
+    """Return grid and window, with the axes of either exchanged where `turned` is true."""
     field, target = turned
     if field:
         axes = tuple((unit[1], unit[0], unit[2]) for unit in window.axes)

@@ -20,9 +20,9 @@ from odak import _array, _torch_private
 from odak._array import convolve_plainly
 from odak._threads import each
 
-# From this many samples on, spectra are computed in blocks, that of one field from the second number on. Smaller ones
-# stay in the cache, where one call for all lines of an axis is quicker. Between the two that call is as quick as blocks
-# at best, and twice as slow where columns of a power of two collide in the cache or the cores are busy.
+# From this many samples on, spectra are computed in blocks; the spectrum of a single field from the second number on.
+# Smaller ones stay in the cache, where one call for all lines of an axis is quicker. Between the two that call is as
+# quick as blocks at best, and twice as slow where columns of a power of two collide in the cache or the cores are busy.
 BLOCKED_FROM, ONE_BLOCKED_FROM = 1 << 20, 1 << 18
 # What a thread takes at once: it stays in the cache, and the system's allocator gives its memory out again without
 # returning it first. Columns are copied in pieces of the block's width, which must not be less than some cache lines.
@@ -85,8 +85,9 @@ def _convolve(field, kernel, workspace):
 def _apply(field, kernel, adjoint, batch, workspace):
     """Return the linear operator applied to a field; `adjoint` conjugates the kernel.
 
-    `batch` are the leading axes of the result: all of those of field and kernel together, or fewer, and then the
-    result is a sum. Spectra are summed, not fields, so that the adjoint of one-to-many takes one transform back.
+    `batch` is the shape of the leading axes of the result: all leading axes of field and kernel together, or fewer, and
+    then the result is a sum. Spectra are summed, not fields, so that the adjoint of one-to-many takes one transform
+    back.
     """
     if (field.requires_grad and torch.is_grad_enabled()) or _torch_private.is_transformed(field, kernel):
         return _convolved(field, kernel, adjoint, batch, workspace)
@@ -355,7 +356,7 @@ class _Pass:
         self._changed = threading.Condition()
 
     def run(self) -> None:
-        """Do parts until none is left, and return when those of other threads are done as well.
+        """Do parts until none is left, and return when the other threads have finished their parts as well.
 
         Nobody waits for a thread that has not begun, which may be at work for another call.
         """

@@ -33,7 +33,7 @@ class Window:
     shape : tuple of int
         Rows and columns.
     dx : float, pair, array or None
-        Pitch in metres, in the forms of a field's pitch; None for that of the field.
+        Pitch in metres, in the forms of a field's pitch; None for the field's own pitch.
     offset : tuple
         Place (y, x) of sample n // 2 in the window's own plane, in metres.
     guard : float
@@ -53,7 +53,7 @@ class Window:
         return all(isinstance(value, (int, float, type(None))) for value in (*pitches(self.dx), *self.offset))
 
     def pitch(self, grid: Grid) -> tuple:
-        """Return the pitch along rows and columns, that of the grid's field by default."""
+        """Return the pitch along rows and columns, by default the pitch of the grid's field."""
         return grid.pitch if self.dx is None else tuple(column(value, grid) for value in pitches(self.dx))
 
 
@@ -158,7 +158,7 @@ class Rays:
     def directions(self):
         """Return the frequencies (x, y, z) of the rays, in 1/m ``[..., 1, rays]``, as far as the field holds them.
 
-        NumPy constants are needed, those of :meth:`numbers`.
+        The lengths must be NumPy constants, as :meth:`numbers` returns them.
         """
         fractions = np.stack(np.meshgrid(*[_FRACTIONS] * 4), 0).reshape(4, 1, -1)
         down, across = (

@@ -53,7 +53,7 @@ def test_sizes_of_other_kinds():
 @pytest.mark.parametrize("function", [zero_pad, crop_center])
 def test_refused(function):
     wrong = [2, 9] if function is zero_pad else [5, 4]
-    with pytest.raises(ValueError, match=r"size must be at (least|most) that of the field, \[4, 4\]"):
+    with pytest.raises(ValueError, match=r"size must be at (least|most) the field's, \[4, 4\]"):
         function(np.ones((4, 4)), wrong)
     for size in ([4], 4, [0, 4]):
         with pytest.raises(ValueError, match="size"):

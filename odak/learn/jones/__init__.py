@@ -1,6 +1,6 @@
 """Polarisation in PyTorch: differentiable Jones and Mueller calculus, by the formulas of :mod:`odak.jones`.
 
-The conventions are those of :mod:`odak.jones`. Angles, retardances and transmissions may be tensors that require a
+The conventions are the same. Angles, retardances and transmissions may be tensors that require a
 gradient. Plain numbers give tensors on `device` in torch's default precision, or in `dtype`.
 """
 

@@ -558,8 +558,8 @@ _CELLS = 1024
 def sum_of_soft_gaussians(points: torch.Tensor, rows: torch.Tensor, alphas: torch.Tensor) -> torch.Tensor:
     """Return Σ tanh(α·exp(−u² − v²)) at points, u = A·x + B·y + C and v = D·x + E·y + F.
 
-    Memory grows neither with the number of points times that of Gaussians nor in the backward pass, which computes the
-    values again, part by part.
+    Memory grows neither with the product of the numbers of points and Gaussians nor in the backward pass, which
+    computes the values again, part by part.
 
     Parameters
     ----------

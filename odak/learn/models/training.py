@@ -511,7 +511,7 @@ def set_state(module: nn.Module, state: dict, path: str) -> None:
     Raises
     ------
     ValueError
-        If the keys or shapes are not those of the module.
+        If the keys or shapes differ from the module's.
     """
     if differences := _differences(module.state_dict(), state):
         raise ValueError(f"{path!r} does not fit {type(module).__name__}: {'; '.join(differences)}")

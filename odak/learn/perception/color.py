@@ -25,7 +25,7 @@ BT709_PRIMARIES = ((0.640, 0.330), (0.300, 0.600), (0.150, 0.060))
 BT2020_PRIMARIES = ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046))
 P3_PRIMARIES = ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060))
 
-# The coordinates of D65 are published with several roundings. The first two are those of earlier releases.
+# The coordinates of D65 are published with several roundings. The first two were used by earlier releases.
 XYZ_WHITE = (0.950456, 1.0, 1.088754)
 LAB_WHITE = (0.31271 / 0.32902, 1.0, (1 - 0.31271 - 0.32902) / 0.32902)
 IEC_WHITE = (0.3127 / 0.3290, 1.0, (1 - 0.3127 - 0.3290) / 0.3290)
@@ -37,7 +37,7 @@ PRIMARIES = {
     "Adobe RGB": ((0.640, 0.330), (0.210, 0.710), (0.150, 0.060)),
     "ACEScg": ((0.713, 0.293), (0.165, 0.830), (0.128, 0.044)),
 }
-# Chromaticities of whites, that of D65 for the other primaries.
+# Chromaticities of whites; D65 for the other primaries.
 _D65, _WHITES = (0.3127, 0.3290), {"DCI-P3": (0.314, 0.351), "ACEScg": (0.32168, 0.33767)}
 
 
@@ -1808,7 +1808,7 @@ def _filmic(value):
 
 
 def _white(white, name="white"):
-    """Return the levels of a white in float64, those of a tensor as a tensor, which keeps its gradient."""
+    """Return the levels of a white in float64; a tensor stays a tensor, which keeps its gradient."""
     white = _validate.real(name, white, positive=True)
     if isinstance(white, torch.Tensor) and white.numel() == 3:
         return white.reshape(3).double()

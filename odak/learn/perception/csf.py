@@ -697,7 +697,7 @@ class VisibilityLoss(nn.Module):
         total = 0.0
         for level, (band, masking, scale) in enumerate(bands):
             seen = scale * band
-            # For the same contrast, the values of a level are twice those of the previous level.
+            # For the same contrast, the values of a level are twice as large as in the previous level.
             if self.masking and level < len(scales) - 1:
                 contrast = scale * masking / 2 ** max(0, level - 1)
                 seen = seen / (1 + contrast**2) ** (self.masking / 2)

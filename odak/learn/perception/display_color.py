@@ -866,8 +866,8 @@ SHARES, VARIANT, L_SCALE = (0.56, 0.44), -2.70, 1.000935055234848
 MACULAR_PEAK, LENS_AT_400, DENSITIES = 0.35, 1.7649, (0.5, 0.5, 0.4)
 # Standard deviations over people: of densities in parts of their means, of peaks in nanometres. Asano, Fairchild and
 # Blondé, PLoS ONE 11, e0145671 (2016), doi 10.1371/journal.pone.0145671, table 5, after its second step, which scales
-# those of the literature (19.1 and 37.2 %; 17.9, 17.9 and 14.7 %; 4, 3 and 2.5 nm) by 0.98 for lens and macula and by
-# 0.5 for the pigments.
+# the deviations of the literature (19.1 and 37.2 %; 17.9, 17.9 and 14.7 %; 4, 3 and 2.5 nm) by 0.98 for lens and macula
+# and by 0.5 for the pigments.
 LENS_SPREAD, MACULAR_SPREAD = 0.187, 0.365
 DENSITY_SPREADS, PEAK_SPREADS = (0.09, 0.09, 0.074), (2.0, 1.5, 1.3)
 AXIS = tuple(range(390, 781))
@@ -1078,9 +1078,9 @@ def metameric_failure(
 
     Notes
     -----
-    The standard observer is :func:`cone_fundamentals`. Each person's cone responses to the display are divided by those
-    to the reference (von Kries), and the ratio taken as that of the standard observer's cones, whose responses are
-    turned into XYZ by the matrix that fits the CIE 1931 functions best.
+    The standard observer is :func:`cone_fundamentals`. Each person's cone responses to the display are divided by the
+    responses to the reference (von Kries). The standard observer's responses to the reference are multiplied by this
+    ratio, and turned into XYZ by the matrix that fits the CIE 1931 functions best.
 
     Examples
     --------

@@ -3,9 +3,9 @@
 A flat screen stands upright in front of the eye, its centre on the axis. Width and distance share one unit. The gaze is
 (x, y) from the top-left corner, 0 to 1 across the picture; it may lie beside it. Angles are in radians.
 
-On a CPU local means are computed of planes laid out as ``[H, P, W]``: resampling along the rows is then the product of
-a small matrix with a wide one, and resampling along the columns that of a tall one with a small one. Strips of rows are
-summed over the levels of a MIP chain while they are in the cache.
+On a CPU local means are computed of planes laid out as ``[H, P, W]``: resampling along the rows then multiplies a small
+matrix by a wide one, and resampling along the columns a tall matrix by a small one. Strips of rows are summed over the
+levels of a MIP chain while they are in the cache.
 """
 
 import functools

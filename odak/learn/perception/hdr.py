@@ -1,9 +1,9 @@
 """Absolute luminance as signals and back: PQ, HLG and PU21, differentiable.
 
 Luminance is in candelas per square metre. Every function works element by element on tensors of any shape unless it
-needs the three channels. Values are those of the standards; gradients are finite everywhere. Where the true
-derivative at black is infinite (PQ, the square root of HLG) the gradient is that of a small luminance, which the
-docstrings name.
+needs the three channels. Values follow the standards; gradients are finite everywhere. Where the true
+derivative at black is infinite (PQ, the square root of HLG) the gradient at a small luminance, which the docstrings
+name, is used instead.
 """
 
 import math
@@ -386,7 +386,7 @@ def _hlg_display(peak, black):
 
 
 def _single(name, value, *, positive=False):
-    """Return a checked number as a float, or that of a tensor without axes, which keeps its gradient."""
+    """Return a checked number as a float; a tensor stays a tensor without axes, which keeps its gradient."""
     value = _validate.number(name, value, positive=positive)
     return value.double().reshape(()) if isinstance(value, torch.Tensor) else float(value)
 

@@ -27,7 +27,7 @@ PIXEL_WEIGHT = 10.0
 # Power of the frequency by which the descent weights changes of a picture, and the frequency in cycles per pixel below
 # which it weights them alike.
 STEEPNESS, SLOWEST = 0.4, 0.02
-# Weight of the squared distance from the bounds, against that of the statistics.
+# Weight of the squared distance from the bounds, relative to the statistics.
 OUTSIDE_WEIGHT = 0.1
 
 Pool = Callable[[torch.Tensor], torch.Tensor]
@@ -71,7 +71,8 @@ def joint_maps(
     -----
     Portilla and Simoncelli, Int. J. Comput. Vis. 40, 49 (2000), section 2; in local regions: Freeman and Simoncelli,
     Nat. Neurosci. 14, 1195 (2011). A pair's covariance is divided by the geometric mean of its two deviations, which
-    gives it the unit of a band, as means and deviations have. Scales and phases are those of one orientation.
+    gives it the unit of a band, as means and deviations have. Pairs of scales and pairs of phases are of one
+    orientation.
     """
     kept = list(zip(groups, low, pools, strict=False))
     # Parts of the first channel's complex bands, and their moduli.
@@ -372,7 +373,7 @@ def descended(
     steepness : float
         Power of the frequency by which changes of the picture are weighted; 0 for none.
     outside_weight : float
-        Weight of the squared distance from the bounds, against that of the statistics.
+        Weight of the squared distance from the bounds, relative to the statistics.
 
     Returns
     -------

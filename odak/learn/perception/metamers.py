@@ -23,14 +23,14 @@ METAMER_ORIENTATIONS = 4
 FEW_PIXELS = 3.0
 # Displacements by which a metamer starts: their strength as a fraction of the pooling size, and at most as a fraction
 # of the distance over which they vary; this distance in pixels of the last low-pass. Displacements that vary slowly
-# keep lines and grain; those of the loss that compares pixels with a metamer vary as in earlier versions.
+# keep lines and grain. The loss that compares pixels with a metamer keeps the displacements of earlier versions.
 WARP, EARLIER_WARP = (0.6, 0.2, 1.5), (0.2, 0.5, 0.25)
 # Side in pixels of the squares in which a displaced picture must vary to be changed further, and the deviation at which
 # half of a change is made: flat regions stay flat.
 DETAIL_SIDE, DETAIL_FLOOR = 9, 0.005
 # Variance of flat regions that rounding in float32 can cause.
 ROUNDING = 1e-6
-# Number of times that the local statistics of the bands are matched to those of the picture before the descent, and the
+# Number of times that the local statistics of the bands are matched to the picture's before the descent, and the
 # largest factor by which a deviation is increased at a time.
 RESCALINGS, LARGEST_GAIN = 4, 4.0
 # Weight of the squared distance from the bounds. Nearly all pixels at sharp edges are at their bounds.

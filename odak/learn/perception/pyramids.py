@@ -750,7 +750,7 @@ def _cropped(spectrum, size):
 
 
 def _spread(spectrum, size):
-    """Return a half spectrum among zeros as that of a larger picture."""
+    """Return a half spectrum padded by zeros to the half spectrum of a larger picture."""
     up, down = _rows_kept(spectrum.shape[-2])
     middle = spectrum.new_zeros(*spectrum.shape[:-2], size[0] - up - down, spectrum.shape[-1])
     rows = torch.cat([spectrum[..., :up, :], middle, spectrum[..., up:, :]], -2)
@@ -973,10 +973,10 @@ def design(n_orientations: int, sizes: tuple[int, int, int, int], bilinear: bool
     Notes
     -----
     Starts from the linear least-squares fit to the ideal responses of Portilla and Simoncelli (2000). Minimised
-    together: the deviation from 1 of T = H₀² + L₀²(Σₖ|Bₖ|² + L²/4) and of H₀² + L₀², that of the inner sum as the next
-    level is computed from it, the aliasing L(ω)L(ω + π)/4 along one axis and both, the filters' sums, and the distance
-    from the ideal responses. A bilinear pyramid has cos⁴(ωₓ/2)·cos⁴(ω_y/2) in place of L²/4, from halving and enlarging
-    alone, and its ideal bands are what this leaves; "l" is not used then.
+    together: the deviation from 1 of T = H₀² + L₀²(Σₖ|Bₖ|² + L²/4) and of H₀² + L₀², the deviation of the inner sum as
+    the next level is computed from it, the aliasing L(ω)L(ω + π)/4 along one axis and both, the filters' sums, and the
+    distance from the ideal responses. A bilinear pyramid has cos⁴(ωₓ/2)·cos⁴(ω_y/2) in place of L²/4, from halving and
+    enlarging alone, and its ideal bands are what this leaves; "l" is not used then.
     """
     problem = _Problem(n_orientations, sizes, bilinear)
     kept = _kept().get(_key(n_orientations, sizes, bilinear))
@@ -994,7 +994,7 @@ def keep(banks: list[tuple[int, tuple[int, int, int, int], bool]], path: Path) -
     banks : list of tuple
         Arguments of :func:`design`.
     path : Path
-        The file; that of the library is `KEPT` beside this module.
+        The file; the library's own is `KEPT` beside this module.
     """
     taps = {_key(*bank): _descend(_Problem(*bank)).tolist() for bank in banks}
     path.write_text("{\n" + ",\n".join(f"{json.dumps(k)}: {json.dumps(v)}" for k, v in taps.items()) + "\n}\n")

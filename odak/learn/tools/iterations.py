@@ -234,7 +234,7 @@ class Loop:
         Parameters
         ----------
         iterations : int
-            Number of iterations, of which those of the checkpoint are done.
+            Number of iterations, including those that a checkpoint has done.
         iterate : callable
             ``iterate()`` takes an iteration and returns the loss.
         steps : int, optional

@@ -36,7 +36,7 @@ _SMALLEST_SIGMA = 1e-5
 
 
 def _on_images(core, field, **options):
-    """Apply a function of the last two axes to a field whose layout may be that of colour images."""
+    """Apply a function of the last two axes to a field, which may have the layout of a colour image."""
     if not isinstance(field, torch.Tensor):
         raise TypeError(f"field must be a tensor, got {type(field).__name__}")
     if field.ndim in (3, 4) and field.shape[-1] == 3:

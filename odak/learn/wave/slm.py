@@ -539,7 +539,7 @@ def on_samples(name: str, value: torch.Tensor, shape: Sequence[int], samples_per
     for have, want in zip(value.shape[-2:], shape[-2:], strict=True):
         if have not in (1, want):
             raise ValueError(
-                f"{name} must have the modulator's pixels or samples {tuple(shape[-2:])}, those of the phase; "
+                f"{name} must have the modulator's pixels or samples {tuple(shape[-2:])}, as the phase has; "
                 f"got {tuple(value.shape)}"
             )
     return value

@@ -138,7 +138,7 @@ def check_brightness(name: str, targets: torch.Tensor, reachable: float | torch.
         place = (means - limits).argmax()
         most, mean = (values.flatten()[place].item() for values in (limits, means))
         warn(
-            f"{name} must have a mean intensity of at most {most:.4g}, that of the light on the modulator, "
+            f"{name} must have a mean intensity of at most {most:.4g}, the mean of the light on the modulator, "
             f"got {mean:.4g}: give intensities of 0 … 1 (8-bit values divided by 255)"
             + (f", or {remedy}" if remedy else ""),
             ArgumentWarning,

@@ -89,7 +89,7 @@ def disc_mesh(radius: float, segments: int) -> Mesh:
 def tube_mesh(starts: np.ndarray, ends: np.ndarray, radius: float, sides: int, shaded: bool = True) -> Mesh:
     """Return closed prisms along lines from starts to ends, both ``[m, 3]``.
 
-    With `shaded`, their normals are those of cylinders, for which sides and ends take vertices of their own: 4·sides a
+    With `shaded`, they have the normals of cylinders, for which sides and ends take vertices of their own: 4·sides a
     prism. Without, 2·sides.
     """
     along = ends - starts
@@ -111,7 +111,7 @@ def tube_mesh(starts: np.ndarray, ends: np.ndarray, radius: float, sides: int, s
 
 
 def _prism_faces(sides: int, caps_from: int) -> np.ndarray:
-    """Return faces over rings of vertices: the lower and the upper one, and those of the caps from a number on."""
+    """Return faces over rings of vertices: the lower ring, the upper ring, and the caps' vertices from a number on."""
     here = np.arange(sides, dtype=np.int32)
     following = (here + 1) % sides
     walls = [(here, following, sides + following), (here, sides + following, sides + here)]
@@ -228,7 +228,7 @@ class Item:
     Attributes
     ----------
     name : str
-        Name, unlike that of any other object of the scene.
+        Name that no other object of the scene has.
     vertices : numpy.ndarray
         float32 ``[v, 3]`` in the object's own frame, in the scene's unit.
     faces : numpy.ndarray

@@ -633,7 +633,7 @@ class Views:
         return [1e-4 * reach, 2 * reach]
 
     def _lighting(self, camera: Camera) -> tuple[list[Light], dict]:
-        """Return lights and background: those of the scene, or of the studio if it has neither."""
+        """Return lights and background of the scene, or of the studio if the scene has neither."""
         if self.lights or self.background is not None:
             grey = {"color": [1.0, 1.0, 1.0], "strength": 1 - LIT}
             return list(self.lights), grey if self.background is None else self.background
@@ -754,7 +754,7 @@ class scene(Lines, Shapes, Lenses, Views):
             if item.name == name:
                 return item
         names = ", ".join(repr(item.name) for item in self.objects) or "none"
-        raise ValueError(f"name must be that of an object of the scene ({names}), got {name!r}")
+        raise ValueError(f"name must be one of the objects of the scene ({names}), got {name!r}")
 
     def remove(self, item: Any) -> None:
         """Take an object out of the scene.

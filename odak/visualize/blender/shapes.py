@@ -103,7 +103,7 @@ class Lines:
     def add_lines(
         self, points, *, radius: float | None = None, color="red", material=None, name: str = "lines"
     ) -> Item:
-        """Draw paths from point to point, such as those of rays through a lens.
+        """Draw paths from point to point, such as rays through a lens.
 
         Parameters
         ----------
@@ -746,7 +746,7 @@ class Lenses:
 
         Notes
         -----
-        Rays are those of the reference wavelength; glasses have their index at it. Surfaces without a semi-diameter are
+        Rays and indices of glasses are for the reference wavelength. Surfaces without a semi-diameter are
         drawn as far as rays reach. Cemented lenses stand 1/10 000 of a thickness apart.
         """
         from odak.learn.raytracing.system.surfaces import drawn_radii, is_glass

@@ -207,7 +207,7 @@ class _SharedBrowser:
             _stop(loop, thread)
             reason = (error.args and str(error.args[0])) or type(error).__name__
             raise BrowserNotFoundError(f"{path} does not start: {reason}\n{_HOW_TO_INSTALL}") from error
-        # Registered after those of tempfile, so that it runs before them: the browser's folders are still there.
+        # Registered after the exit functions of tempfile, it runs before them: the browser's folders are still there.
         atexit.unregister(self.close)
         atexit.register(self.close)
 
@@ -414,7 +414,7 @@ def place_images(figure, at_first: dict, share: float = 1.0, *, rows: int = 1, f
     rows : int
         Number of rows of subplots.
     fit_height : bool
-        Set the height of the figure, and those of the rows, by the heights of the images.
+        Set the heights of the figure and its rows by the heights of the images.
     """
     width, height = _plot_size(figure)
     images = [trace for trace in figure.data if trace.type == "heatmap"]

@@ -136,7 +136,7 @@ class SceneFigure(Figure):
         figures.place_scene_bars(self.fig)
 
     def image_size(self) -> tuple[float, float]:
-        """Return width and height of images: those of the settings, or 800 × 700 for each scene."""
+        """Return width and height of images, from the settings, or 800 × 700 for each scene."""
         settings = self.settings
         return (
             settings["width"] or SCENE_SIZE[0] * settings["columns"],

@@ -176,7 +176,7 @@ def test_surface_takes_heights_and_points_alike(picture):
         (lambda s: s.render(samples=0), ValueError, "samples must be at least 1"),
         (lambda s: s.render(device="tpu"), ValueError, "device must be one of"),
         (lambda s: s.save("scene.obj"), ValueError, r"'\.obj'"),
-        (lambda s: s.find("nothing"), ValueError, "name must be that of an object"),
+        (lambda s: s.find("nothing"), ValueError, "name must be one of the objects"),
         (lambda _: blender.scene(unit="inch"), ValueError, "unit must be one of"),
         (lambda _: blender.diffuse([1, 2, 3]), ValueError, "color must be red, green, blue from 0 to 1"),
         (lambda _: blender.metal(roughness=2), ValueError, "roughness must be from 0 to 1"),

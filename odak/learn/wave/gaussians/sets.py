@@ -31,8 +31,8 @@ _BROKEN = (plyfile.PlyParseError, KeyError, ValueError, TypeError, ArithmeticErr
 _MOST = 50_000_000
 # Amplitude of the constant harmonic, and the grey level that it is added to in files of splatting.
 _CONSTANT, _MIDDLE = 0.5 / math.sqrt(math.pi), 0.5
-# Camera models of COLMAP by their number in binary files: name and parameters, of which those of the first five are
-# fx, fy, cx, cy at the places listed, and then coefficients of distortion.
+# Camera models of COLMAP by their number in binary files: name and parameters. The first five have fx, fy, cx, cy at
+# the places listed, followed by coefficients of distortion.
 _MODELS = (
     *(("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8), ("OPENCV_FISHEYE", 8)),
     *(("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4), ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12)),
@@ -159,13 +159,13 @@ def load_splats(path: str | os.PathLike[str]) -> Splats:
         rest = sum(name.startswith("f_rest_") for name in names)
         degree = math.isqrt(rest // 3 + 1) - 1
         if rest != 3 * ((degree + 1) ** 2 - 1):
-            raise ValueError(f"{rest} properties f_rest_… are not those of a degree")
+            raise ValueError(f"{rest} properties f_rest_… fit no degree of spherical harmonics")
 
         def columns(*wanted: str) -> torch.Tensor:
             return torch.from_numpy(np.stack([vertices[name].astype(np.float32) for name in wanted], axis=-1))
 
         constant = columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None]
-        # The file holds all coefficients of red, then those of green and of blue.
+        # The file holds all coefficients of red, then of green, then of blue.
         above = [columns(*(f"f_rest_{i}" for i in range(rest))).unflatten(1, (3, -1)).mT] if rest else []
         return Splats(
             columns("x", "y", "z"),

@@ -139,7 +139,7 @@ def choose_tiling(means: torch.Tensor, half: torch.Tensor, height: int, width: i
 
 
 def finer_tiling(tiling: Tiling, means: torch.Tensor, conics: torch.Tensor) -> Tiling:
-    """Return the tiling with tiles as small as suits Gaussians, if those of the tiling given are larger."""
+    """Return the tiling, with smaller tiles where its own are larger than suits the Gaussians."""
     with torch.no_grad():
         half = half_boxes(*whiten(conics), smallest_kept(means.dtype))
         side = choose_tiling(means.double(), half, tiling.height, tiling.width).tile_width
