@@ -285,6 +285,12 @@ def as_pictures(name: str, image: torch.Tensor, channels: int | None = 3) -> tor
     return image if image.ndim > 3 else image[None]
 
 
+def tell_scale(name: str, values: torch.Tensor, remedy: str, white: float = 1.0) -> None:
+    """Warn of NaN, and of values far above white, such as 0 … 255 where 1 is white; a GPU is not waited for."""
+    if _array.is_readable(values) and values.numel():
+        _validate.check_values(name, values, remedy, refuse=False, white=white)
+
+
 def in_float64(values: torch.Tensor) -> torch.Tensor:
     """Return values in float64 where the device has it."""
     return values if values.device.type == "mps" else values.double()

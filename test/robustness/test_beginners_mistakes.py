@@ -54,6 +54,74 @@ def test_a_picture_with_its_colours_last_is_pointed_out(call):
     call(picture.movedim(-1, 0))
 
 
+GREY = torch.full((1, 3, 2, 2), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("convert", "factor", "words"),
+    [
+        (perception.rgb_to_linear_rgb, 255, "image reaches 127.5 where 1 is white: divide values of 0 … 255"),
+        (perception.linear_rgb_to_rgb, 255, "divide values of 0 … 255 by 255"),
+        (perception.rgb_to_hsv, 255, "divide values of 0 … 255 by 255"),
+        (perception.rgb_2_ycrcb, 255, "divide values of 0 … 255 by 255"),
+        (perception.srgb_to_lab, 255, "divide values of 0 … 255 by 255"),
+        (perception.xyz_to_lab, 100, "image reaches 50 where 1 is white: divide XYZ of 0 … 100 by 100"),
+        (perception.xyz_to_luv, 100, "divide XYZ of 0 … 100 by 100"),
+        (perception.xyz_to_oklab, 100, "divide XYZ of 0 … 100 by 100"),
+        (perception.xyz_to_cam16_ucs, 100, "divide XYZ of 0 … 100 by 100"),
+        (perception.hlg_decode, 1023, "divide code values by the largest one"),
+        (perception.pq_decode, 1023, "divide code values by the largest one"),
+    ],
+)
+def test_colours_of_another_scale_are_pointed_out(convert, factor, words):
+    with pytest.warns(odak.ArgumentWarning, match=words):
+        convert(GREY * factor)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        convert(GREY)
+        convert(7 * GREY)  # highlights
+
+
+def test_a_white_of_its_own_sets_the_scale_of_tristimulus_values():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert torch.allclose(
+            perception.xyz_to_lab(100 * GREY, (95.0, 100.0, 108.0)), perception.xyz_to_lab(GREY, (0.95, 1.0, 1.08))
+        )
+
+
+@pytest.mark.parametrize("difference", [perception.delta_e, perception.ciede2000])
+def test_differences_of_colours_that_are_not_lab_are_pointed_out(difference):
+    with pytest.warns(odak.ArgumentWarning, match="was RGB meant"):
+        difference(GREY, 0.9 * GREY)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        difference(perception.srgb_to_lab(GREY), perception.srgb_to_lab(0.9 * GREY))
+
+
+@pytest.mark.parametrize(("width", "distance"), [(0.2, 700.0), (300.0, 0.7)])
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda **view: perception.MetamericLoss(**view),
+        lambda **view: perception.BlurLoss(**view),
+        lambda **view: perception.CSFLoss(**view),
+        lambda **view: perception.VisibilityLoss(**view),
+        lambda **view: perception.foveated_budget((32, 32), **view),
+        lambda **view: perception.eccentricity_report(torch.rand(1, 3, 32, 32), torch.rand(1, 3, 32, 32), **view),
+    ],
+)
+def test_widths_and_distances_in_two_units_are_pointed_out(call, width, distance):
+    with pytest.warns(odak.ArgumentWarning, match="both are lengths in one unit"):
+        call(real_image_width=width, real_viewing_distance=distance)
+
+
+def test_impossible_densities_of_pixels_are_refused():
+    for density, words in ((3840.0, "1 to 1000, got 3840: pixels per radian"), (0.067, "got 0.067")):
+        with pytest.raises(ValueError, match=words):
+            perception.flip(GREY, GREY, density)
+
+
 def test_a_gaze_in_pixels_is_pointed_out():
     picture = torch.rand(1, 3, 64, 64)
     loss = perception.BlurLoss()

@@ -19,6 +19,7 @@ from odak.learn.perception.color import (
     root,
     rows,
     signed_power,
+    tristimulus,
 )
 from odak.learn.perception.display_color import color_matching_functions
 
@@ -122,7 +123,7 @@ def xyz_to_cam16_ucs(
     [46, 31, 11]
     """
     gains, view = _checked_viewing(white, adapting_luminance, background)
-    responses = mix(rows(gains[:, None] * _CAM16), as_pictures("image", image))
+    responses = mix(rows(gains[:, None] * _CAM16), tristimulus(image, white)[0])
     power = signed_power(view["level"] * responses, _COMPRESSION, view["level"] * _DARKEST)
     compressed = 400 * power / (power.abs() + _HALF)
     achromatic, a, b = mix(rows(_TO_OPPONENT), compressed).unbind(-3)

@@ -18,7 +18,8 @@ from torch.nn import functional
 
 from odak import _array, _torch_private, _validate
 from odak._torch_private import in_own_precision, is_plain_on_cpu
-from odak.learn._tensors import as_pictures, in_float32, in_float64, kind_of
+from odak._warnings import ArgumentWarning, warn
+from odak.learn._tensors import as_pictures, in_float32, in_float64, kind_of, tell_scale
 from odak.learn.perception.hdr import pq_decode, pq_encode
 
 BT709_PRIMARIES = ((0.640, 0.330), (0.300, 0.600), (0.150, 0.060))
@@ -427,6 +428,7 @@ def _checked_space(primaries, white):
 
 
 LUMA = (0.299, 0.587, 0.114)
+_DIVIDED = "divide values of 0 … 255 by 255"
 _RGB_TO_YCRCB = rows(np.array([LUMA, (0.713, 0, 0), (0, 0, 0.564)]) - np.outer((0, 0.713, 0.564), LUMA))
 _YCRCB_TO_RGB = ((1.0, 1.403, 0.0), (1.0, -0.714, -0.344), (1.0, 0.0, 1.773))
 _25_TO_7 = 25.0**7
@@ -470,10 +472,7 @@ def rgb_2_ycrcb(image: torch.Tensor) -> torch.Tensor:
     >>> [round(value, 4) for value in result.flatten().tolist()]
     [0.5, 0.5, 0.5]
     """
-    pictures = as_pictures("image", image)
-    if _array.is_readable(pictures) and pictures.numel():
-        _validate.check_values("image", pictures, "divide by 255, the chroma of greys is 0.5", refuse=False)
-    return mix(_RGB_TO_YCRCB, pictures, offset=_CHROMA_OFFSET)
+    return mix(_RGB_TO_YCRCB, _of_one("image", image), offset=_CHROMA_OFFSET)
 
 
 def ycrcb_2_rgb(image: torch.Tensor) -> torch.Tensor:
@@ -537,7 +536,7 @@ def rgb_to_linear_rgb(image: torch.Tensor, threshold: float = 0.0031308) -> torc
     0.214
     """
     (threshold,) = _validate.constants(threshold=threshold)
-    return srgb_decoded(as_pictures("image", image))
+    return srgb_decoded(_of_one("image", image))
 
 
 def linear_rgb_to_rgb(image: torch.Tensor, threshold: float = 0.0031308) -> torch.Tensor:
@@ -574,7 +573,7 @@ def linear_rgb_to_rgb(image: torch.Tensor, threshold: float = 0.0031308) -> torc
     """
     (threshold,) = _validate.constants(threshold=threshold)
     _validate.number("threshold", threshold, positive=True)
-    return srgb_encoded(as_pictures("image", image), float(threshold))
+    return srgb_encoded(_of_one("image", image), float(threshold))
 
 
 def linear_rgb_to_xyz(image: torch.Tensor, *, white: Sequence[float] = XYZ_WHITE) -> torch.Tensor:
@@ -682,7 +681,7 @@ def rgb_to_hsv(image: torch.Tensor, eps: float = 1e-8) -> torch.Tensor:
     [2.0944, 1.0, 1.0]
     """
     eps = _validate.constant("eps", eps, least=0)
-    red, green, blue = as_pictures("image", image).unbind(-3)
+    red, green, blue = _of_one("image", image).unbind(-3)
     value = torch.maximum(torch.maximum(red, green), blue)
     span = value - torch.minimum(torch.minimum(red, green), blue)
     chroma = _nonzero(span)
@@ -766,7 +765,9 @@ def srgb_to_lab(image: torch.Tensor) -> torch.Tensor:
     >>> [round(value, 2) for value in result.flatten().tolist()]
     [53.24, 80.09, 67.2]
     """
-    return by_pixels(_to_lab, _single("image", image), _to_lab_gradient)
+    image = _single("image", image)
+    tell_scale("image", image, _DIVIDED)
+    return by_pixels(_to_lab, image, _to_lab_gradient)
 
 
 @decoded_in_float32
@@ -883,6 +884,21 @@ def rgb_to_gray(image: torch.Tensor) -> torch.Tensor:
     if image.ndim != 3 or 3 not in (image.shape[0], image.shape[-1]):
         raise ValueError(f"image must be [3, H, W] or [H, W, 3], got {tuple(image.shape)}")
     return _luma(image)[None] if image.shape[0] == 3 else _luma(image.permute(2, 0, 1))
+
+
+def _of_one(name, image):
+    """Return pictures ``[..., 3, H, W]`` whose white is 1."""
+    pictures = as_pictures(name, image)
+    tell_scale(name, pictures, _DIVIDED)
+    return pictures
+
+
+def tristimulus(image: torch.Tensor, white=IEC_WHITE):
+    """Return pictures of XYZ and the levels of their white, after comparing the two."""
+    pictures, levels = as_pictures("image", image), _white(white)
+    if not isinstance(levels, torch.Tensor):
+        tell_scale("image", pictures, "divide XYZ of 0 … 100 by 100", float(levels[1]))
+    return pictures, levels
 
 
 def _xyz_matrices(white):
@@ -1154,6 +1170,10 @@ def ciede2000(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
 def _pair(first, second):
     first, second = as_pictures("first", first), as_pictures("second", second)
     _validate.fitting(first=first, second=second)
+    if first.numel() and second.numel() and _array.is_readable(first) and _array.is_readable(second):
+        (low, high), (low_too, high_too) = (torch.aminmax(picture.detach()) for picture in (first, second))
+        if min(low, low_too) >= 0 and 0 < max(high, high_too) <= 1:
+            warn("first and second lie in 0 … 1 in all three channels: L* is 0 … 100, was RGB meant?", ArgumentWarning)
     return first, second
 
 
@@ -1257,8 +1277,8 @@ def xyz_to_lab(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
     >>> round(xyz_to_lab(grey)[0, 0].item(), 2)
     49.5
     """
-    image = as_pictures("image", image)
-    x, y, z = cube_root(image / _column(_white(white), image)).unbind(-3)
+    image, white = tristimulus(image, white)
+    x, y, z = cube_root(image / _column(white, image)).unbind(-3)
     return torch.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], -3)
 
 
@@ -1335,8 +1355,8 @@ def xyz_to_luv(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
     >>> [abs(round(value, 1)) for value in result.flatten().tolist()]
     [51.8, 0.0, 0.0]
     """
-    white = _white(white)
-    x, y, z = as_pictures("image", image).unbind(-3)
+    image, white = tristimulus(image, white)
+    x, y, z = image.unbind(-3)
     level = 116 * cube_root(y / white[1]) - 16
     sum_white = white[0] + 15 * white[1] + 3 * white[2]
     total = x + 15 * y + 3 * z
@@ -1543,7 +1563,7 @@ def xyz_to_oklab(image: torch.Tensor) -> torch.Tensor:
     >>> [abs(round(value, 2)) for value in result.flatten().tolist()]
     [1.0, 0.0, 0.0]
     """
-    return mix(rows(_OKLAB), signed_power(mix(rows(_OKLAB_CONES), as_pictures("image", image)), 1 / 3, _DARKEST))
+    return mix(rows(_OKLAB), signed_power(mix(rows(_OKLAB_CONES), tristimulus(image)[0]), 1 / 3, _DARKEST))
 
 
 @decoded_in_float32

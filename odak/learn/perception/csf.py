@@ -19,7 +19,7 @@ from torch import nn
 from odak import _array, _torch_private, _validate
 from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, in_float32, tensor
 from odak.learn.perception.color import srgb_decoded, srgb_to_lab
-from odak.learn.perception.foveation import make_eccentricity_distance_maps
+from odak.learn.perception.foveation import checked_view, make_eccentricity_distance_maps
 from odak.learn.perception.pyramids import FrequencySteerablePyramid
 
 SIGNAL_TO_NOISE = 3.0
@@ -213,12 +213,9 @@ class CSFLoss(nn.Module):
         black_luminance: float = 0.1,
         encoding: str = "sRGB",
     ):
-        (real_viewing_distance,) = _validate.constants(real_viewing_distance=real_viewing_distance)
         super().__init__()
-        self.real_image_width = _validate.constant("real_image_width", real_image_width, positive=True)
-        self.real_viewing_distance = float(
-            _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
-        )
+        view = _validate.constants(real_image_width=real_image_width, real_viewing_distance=real_viewing_distance)
+        self.real_image_width, self.real_viewing_distance = map(float, checked_view(*view))
         self.peak_luminance = _validate.constant("peak_luminance", peak_luminance, positive=True)
         self.black_luminance = _validate.constant("black_luminance", black_luminance, positive=True)
         if self.black_luminance >= self.peak_luminance:
@@ -553,8 +550,7 @@ def foveated_budget(
     edges = [_validate.constant("edges", edge) for edge in edges]
     if len(edges) < 2 or any(b <= a for a, b in pairwise(edges)):
         raise ValueError(f"edges must be two or more rising eccentricities, got {edges}")
-    _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
-    view = (_validate.number("real_image_width", real_image_width, positive=True), real_viewing_distance)
+    view = checked_view(real_image_width, real_viewing_distance)
     angle, distance = make_eccentricity_distance_maps(gaze, (rows, columns), *view, dtype=torch.float64)
     degrees = torch.rad2deg(angle)
     # Solid angle of a pixel, pitch²·cos/d², in square degrees.
@@ -628,12 +624,9 @@ class VisibilityLoss(nn.Module):
         colour: float = 1.0,
         masking: float = MASKING,
     ) -> None:
-        (real_viewing_distance,) = _validate.constants(real_viewing_distance=real_viewing_distance)
         super().__init__()
-        self.real_image_width = _validate.constant("real_image_width", real_image_width, positive=True)
-        self.real_viewing_distance = float(
-            _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
-        )
+        view = _validate.constants(real_image_width=real_image_width, real_viewing_distance=real_viewing_distance)
+        self.real_image_width, self.real_viewing_distance = map(float, checked_view(*view))
         self.peak_luminance = _validate.constant("peak_luminance", peak_luminance, positive=True)
         self.black_luminance = _validate.constant("black_luminance", black_luminance, positive=True)
         if self.black_luminance >= self.peak_luminance:

@@ -84,7 +84,7 @@ def color_matching_functions(wavelengths: torch.Tensor | Sequence[float], observ
     Raises
     ------
     ValueError, TypeError
-        If the wavelengths are not a list of real numbers, or all below 1, as those in metres are.
+        If the wavelengths are not a list of real numbers, or all below 1 or above 2500.
 
     Notes
     -----
@@ -117,7 +117,7 @@ def illuminant_d65(wavelengths: torch.Tensor | Sequence[float]) -> torch.Tensor:
     Raises
     ------
     ValueError, TypeError
-        If the wavelengths are not a list of real numbers, or all below 1, as those in metres are.
+        If the wavelengths are not a list of real numbers, or all below 1 or above 2500.
 
     Examples
     --------
@@ -242,8 +242,8 @@ def _checked_axis(name, wavelengths):
     axis = torch.as_tensor(wavelengths, dtype=None if isinstance(wavelengths, torch.Tensor) else torch.float64)
     if axis.ndim != 1 or len(axis) == 0:
         raise ValueError(f"{name} must be a list of numbers, got an array of shape {tuple(axis.shape)}")
-    # Wavelengths in metres would be beyond all tables, where spectra are zero.
-    if _array.is_readable(axis) and bool((axis.detach() < 1).all()):
+    # Wavelengths in metres or in ångström would be beyond all tables, where spectra are zero.
+    if _array.is_readable(axis) and bool(((axis.detach() < 1) | (axis.detach() > 2500)).all()):
         raise ValueError(f"{name} must be in nanometres, got {axis.detach().tolist()!r:.80}")
     return axis if axis.is_floating_point() else axis.double()
 
@@ -1109,7 +1109,7 @@ def metameric_failure(
         )
     primaries, reference, observers = primaries.double(), reference.double(), observers.double()
     mixing = standard @ primaries.T
-    if float(torch.linalg.cond(mixing.detach())) > 1e8:
+    if not float(torch.linalg.cond(mixing.detach())) <= 1e8:
         raise ValueError("primaries must be three that the cones can distinguish")
     weights = torch.linalg.solve(mixing, standard @ reference)
     shown, wanted = observers @ (primaries.T @ weights), observers @ reference

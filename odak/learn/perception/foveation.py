@@ -27,6 +27,8 @@ from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, ch
 MODES = ("quadratic", "linear")
 # A gaze farther from the picture, in its widths and heights or in radians, is one in pixels or degrees.
 _FARTHEST = 10.0
+# Pictures of other angles, in degrees, are seen by no eye: their width and distance have two units.
+_NARROWEST, _WIDEST = 0.5, 170.0
 # Largest angle of a cone, for cones that are tangent to the screen or point behind it.
 STEEPEST = math.pi / 2 - 1e-3
 # Columns of a block, values of one plane in a strip and of all planes for one thread: small enough for a cache, large
@@ -418,10 +420,25 @@ def make_equi_pooling_size_map_lod(
     return _level(pixels, nominal_width).to(dtype)
 
 
+def checked_view(real_image_width, real_viewing_distance) -> tuple:
+    """Return the width of a picture and the distance of the eye, after warning of an angle that no display has."""
+    width = _validate.number("real_image_width", real_image_width, positive=True)
+    distance = _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
+    if _array.is_readable(width) and _array.is_readable(distance):
+        angle = math.degrees(2 * math.atan(float(width) / float(distance) / 2))
+        if not _NARROWEST <= angle <= _WIDEST:
+            warn(
+                f"real_image_width {float(width):g} at real_viewing_distance {float(distance):g} is a picture of "
+                f"{angle:.2g} degrees: both are lengths in one unit",
+                ArgumentWarning,
+            )
+    return width, distance
+
+
 def _geometry(real_image_width, real_viewing_distance):
     """Return the width of a picture and the distance of the eye; tensors that require a gradient are kept."""
-    lengths = {"real_image_width": real_image_width, "real_viewing_distance": real_viewing_distance}
-    return tuple(_number(_validate.number(name, value, positive=True)) for name, value in lengths.items())
+    width, distance = checked_view(real_image_width, real_viewing_distance)
+    return _number(width), _number(distance)
 
 
 def _number(value):
@@ -1157,8 +1174,7 @@ class BlurLoss(nn.Module):
         device = checked_device("device", device)
         self.register_buffer("_place", torch.empty(0, device=device), persistent=False)
         self.alpha, self.mode = _growth(alpha, mode)
-        self.real_image_width = _validate.number("real_image_width", real_image_width, positive=True)
-        self.real_viewing_distance = _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
+        self.real_image_width, self.real_viewing_distance = checked_view(real_image_width, real_viewing_distance)
         self.blur_source, self.equi = _validate.flag("blur_source", blur_source), _validate.flag("equi", equi)
         self.blur = RadiallyVaryingBlur(nominal_width).to(device)
         self.target: torch.Tensor | None = None

@@ -12,7 +12,7 @@ from typing import overload
 import torch
 
 from odak import _validate
-from odak.learn._tensors import in_float32, in_float64, kind_of
+from odak.learn._tensors import in_float32, in_float64, kind_of, tell_scale
 
 PQ_PEAK = 10000.0
 _M1, _M2 = 2610 / 16384, 2523 / 4096 * 128
@@ -100,7 +100,7 @@ def pq_decode(signal: torch.Tensor) -> torch.Tensor:
     [0, 100, 10000]
     """
     # With e = signal^(1/m₂) − 1 and c₂ − c₃ = 1 − c₁ neither difference loses digits at bright signals.
-    e = torch.expm1(in_float32(_floats("signal", signal)).clamp(_C1**_M2, 1).log() / _M2)
+    e = torch.expm1(in_float32(_signal(signal)).clamp(_C1**_M2, 1).log() / _M2)
     ratio = ((1 - _C1) + e).clamp_min(0) / ((1 - _C1) - _C3 * e)
     return (PQ_PEAK * ratio ** (1 / _M1)).to(signal)
 
@@ -158,7 +158,7 @@ def hlg_decode(signal: torch.Tensor) -> torch.Tensor:
     >>> [round(value, 4) for value in hlg_decode(torch.tensor([0.0, 0.5, 1.0])).tolist()]
     [0.0, 0.0833, 1.0]
     """
-    signal = _floats("signal", signal).clamp_min(0)
+    signal = _signal(signal).clamp_min(0)
     bright = (torch.exp((signal.clamp_min(0.5) - _HLG_C) / _HLG_A) + _HLG_B) / 12
     return torch.where(signal > 0.5, bright, signal**2 / 3)
 
@@ -401,6 +401,12 @@ def _rgb(name, picture):
     if picture.ndim < 3 or picture.shape[-3] != 3:
         raise ValueError(f"{name} must be pictures [..., 3, H, W], got {tuple(picture.shape)}")
     return picture
+
+
+def _signal(value):
+    value = _floats("signal", value)
+    tell_scale("signal", value, "divide code values by the largest one, such as 1023")
+    return value
 
 
 def _floats(name, value):

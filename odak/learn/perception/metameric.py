@@ -18,6 +18,7 @@ from odak.learn.perception.foveation import (
     UniformSampler,
     _growth,
     _point,
+    checked_view,
     is_blocked,
     level_map,
     make_radial_map,
@@ -339,8 +340,7 @@ class MetamericLoss(_StatisticsLoss):
         if use_l2_foveal_loss and use_fullres_l0:
             raise ValueError("use_l2_foveal_loss and use_fullres_l0 exclude one another, got both")
         self.alpha, self.mode = _growth(alpha, mode)
-        self.real_image_width = _validate.number("real_image_width", real_image_width, positive=True)
-        self.real_viewing_distance = _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
+        self.real_image_width, self.real_viewing_distance = checked_view(real_image_width, real_viewing_distance)
         self.fovea_weight = _validate.number("fovea_weight", fovea_weight)
         self.use_radial_weight = _validate.flag("use_radial_weight", use_radial_weight)
         self.equi = _validate.flag("equi", equi)

@@ -38,6 +38,7 @@ from odak.learn.tools import loss
 from odak.learn.tools.loss import psnr
 
 WINDOW, SIGMA = 11, 1.5
+_DENSEST = 1000
 K1, K2 = 0.01, 0.03
 SCALE_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
 # Perceptually uniform value that stands for white of 100 cd/m².
@@ -280,7 +281,7 @@ def flip(predictions: torch.Tensor, targets: torch.Tensor, pixels_per_degree: fl
     >>> flip(picture, picture).max().item()
     0.0
     """
-    density = _validate.constant("pixels_per_degree", pixels_per_degree, positive=True)
+    density = _density(pixels_per_degree)
     predictions, targets = checked_pair(predictions, targets)
     as_pictures("predictions", predictions)
     pair = torch.stack([as_pictures(*named) for named in (("predictions", predictions), ("targets", targets))])
@@ -315,7 +316,7 @@ class FLIP(nn.Module):
 
     def __init__(self, pixels_per_degree: float = 67.02) -> None:
         super().__init__()
-        self.pixels_per_degree = _validate.constant("pixels_per_degree", pixels_per_degree, positive=True)
+        self.pixels_per_degree = _density(pixels_per_degree)
 
     def forward(self, predictions: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
         """Return the mean of :func:`flip` over all pixels.
@@ -418,6 +419,15 @@ def _opponent(xyz):
     """Return Y, Cx, Cz: L*a*b* without its cube root."""
     x, y, z = (xyz / _white(xyz)).unbind(-3)
     return torch.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], -3)
+
+
+def _density(pixels_per_degree) -> float:
+    """Return pixels per degree, within what displays have and filters of a bearable size."""
+    density = _validate.constant("pixels_per_degree", pixels_per_degree, positive=True)
+    if not 1 <= density <= _DENSEST:
+        remedy = f": pixels per radian are divided by {180 / math.pi:.3f}" if density > _DENSEST else ""
+        raise ValueError(f"pixels_per_degree must be 1 to {_DENSEST}, got {density:g}{remedy}")
+    return density
 
 
 def _white(like):

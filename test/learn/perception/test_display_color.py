@@ -242,3 +242,8 @@ def test_luminance_changes_with_wavelength_as_in_the_table():
     (slope,) = torch.autograd.grad(p.color_matching_functions(wave)[1].sum(), wave)
     first, second = p.color_matching_functions([600.0, 601.0])[1]
     assert torch.isclose(slope, second - first, rtol=1e-9)
+
+
+def test_wavelengths_in_angstrom_are_named():
+    with pytest.raises(ValueError, match="wavelengths must be in nanometres"):
+        p.color_matching_functions([4500.0, 5500.0, 6500.0])

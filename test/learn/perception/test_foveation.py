@@ -75,6 +75,7 @@ def test_levels_are_logarithms_and_zero_at_the_gaze():
     assert (row, column) == (round(0.6 * 39), round(0.3 * 59))
 
 
+@pytest.mark.filterwarnings("ignore:real_image_width 20")
 def test_extreme_geometry_stays_within_the_picture():
     pixels = perception.make_pooling_size_map_pixels([-1, 2], (32, 32), 5.0, 20.0, 0.1)
     assert pixels.isfinite().all()
