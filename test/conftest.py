@@ -4,10 +4,6 @@ import os
 import time
 from pathlib import Path
 
-if "PYTEST_XDIST_WORKER" in os.environ:
-    # One worker per core: more threads than that only wait for each other.
-    os.environ["OMP_NUM_THREADS"] = os.environ["MKL_NUM_THREADS"] = "1"
-
 import array_api_strict
 import hypothesis
 import numpy as np
@@ -56,9 +52,11 @@ def pytest_collection_finish():
 def pytest_configure(config):
     """Let the processes of `-n` take assertions as they are: to rewrite all test files takes each of them ten seconds.
 
-    What an assertion compared is printed without `-n`, or with `--assert=rewrite`.
+    What an assertion compared is printed without `-n`, or with `--assert=rewrite`. Each of them has one thread: more
+    only wait for each other. NumPy reads their number when it is imported, which a plugin may do before this file.
     """
     if config.getoption("numprocesses", None):
+        os.environ["OMP_NUM_THREADS"] = os.environ["MKL_NUM_THREADS"] = "1"
         os.environ["PYTEST_ADDOPTS"] = f"--assert=plain {os.environ.get('PYTEST_ADDOPTS', '')}"
 
 

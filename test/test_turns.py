@@ -2,6 +2,7 @@ import os
 import shutil
 import subprocess
 import time
+from pathlib import Path
 
 import pytest
 from turns import Turn
@@ -47,3 +48,10 @@ def test_the_turns_together_take_each_test_once(tmp_path):
     places = [[turn.place(name, tmp_path / "test/test_a.py") for turn in turns] for name in names]
     assert all(sorted(row, key=str) == [0] + [None] * 5 for row in places)
     assert all(20 < sum(row[k] == 0 for row in places) < 50 for k in range(6))
+
+
+@pytest.mark.skipif("PYTEST_XDIST_WORKER" not in os.environ, reason="one process runs all tests")
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="the system does not tell")
+def test_each_of_several_processes_has_one_thread_from_its_start():
+    """NumPy reads the number when it is imported, by plugins before any file of tests."""
+    assert b"OMP_NUM_THREADS=1" in Path("/proc/self/environ").read_bytes().split(b"\0")
