@@ -56,9 +56,9 @@ def tensors_of(**values) -> list[torch.Tensor]:
     Parameters
     ----------
     **values : torch.Tensor, array, number or nested sequence of numbers
-        By argument. The device is that of the first tensor among them, the precision the widest of the floating tensors
-        among them; torch's defaults where there is none. Complex values stay complex. Numbers must be finite;
-        arrays and nested lists may hold NaN: rays that missed something.
+        By argument. The first tensor among them sets the device, the widest floating tensor the precision; torch's
+        defaults are used where there is none. Complex values stay complex. Numbers must be finite; arrays and nested
+        lists may hold NaN: rays that missed something.
     """
     values = {name: _stacked(value) for name, value in values.items()}
     given = [value for value in values.values() if isinstance(value, torch.Tensor)]

@@ -75,7 +75,8 @@ class Pieces(NamedTuple):
 def pieces(arrays: Sequence, ranks: Sequence[int], size: int | None = None) -> Pieces | None:
     """Return how to cut arrays whose last `ranks` axes are no batch axes; None when the batch is small.
 
-    The batch is cut along its longest axis, into pieces of `size` elements, those of :func:`piece_size` by default.
+    The batch is cut along its longest axis, into pieces of `size` elements, by default as many as :func:`piece_size`
+    returns.
     """
     batches = [tuple(a.shape[: a.ndim - rank]) if is_array(a) else () for a, rank in zip(arrays, ranks, strict=True)]
     shape = np.broadcast_shapes(*batches)

@@ -633,7 +633,7 @@ def _first_bracket(error_at: Callable, count: int, target: float) -> np.ndarray:
     while distance < _LAST and len(rows):
         after = np.full(len(rows), distance)
         error_after = error_at(after, rows)
-        # A start on the surface is not an intersection: its sign is replaced by that of the first step.
+        # A start on the surface is not an intersection: its sign is replaced by the sign after the first step.
         leaving = (np.abs(error_now) <= target) & (now == 0)
         change = (np.sign(error_after) != np.sign(error_now)) & ~leaving & np.isfinite(error_after)
         found[:, rows[change]] = now[change], after[change]

@@ -91,7 +91,7 @@ def is_on_triangle(point, p0, p1, p2):
 def nearest_on_lines(start0, direction0, start1, direction1):
     """Return the parameters of the nearest points of two lines, in units of the lengths of the directions, ``[...]``.
 
-    For parallel lines the first is 0 and the second that of the foot of the perpendicular from `start0`.
+    For parallel lines the first is 0 and the second belongs to the foot of the perpendicular from `start0`.
     """
     n = cross(direction0, direction1)
     squared = dot(n, n)

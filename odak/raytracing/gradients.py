@@ -20,12 +20,12 @@ class Gradient(Parametric):
     """Base class of graded-index media.
 
     A gradient is a frozen dataclass whose fields are its parameters. It must define :meth:`index`, or :meth:`squared`
-    where the derivatives are at hand. Coordinates are those of the vertex behind which the medium lies, z along the
-    axis. The class variable ``ranks`` is that of :class:`odak.raytracing.Shape`.
+    where the derivatives are at hand. Coordinates refer to the vertex behind which the medium lies, z along the axis.
+    The class variable ``ranks`` has the meaning of ``ranks`` in :class:`odak.raytracing.Shape`.
     """
 
     def index(self, x: Array, y: Array, z: Array, base: Any) -> Any:
-        """Return the index at points, `base` being that of the surface's material at the wavelength of the ray."""
+        """Return the index at points; `base` is the index of the surface's material at the wavelength of the ray."""
         return self.squared(x, y, z, base)[0] ** 0.5
 
     def squared(self, x: Array, y: Array, z: Array, base: Any) -> tuple:
@@ -164,7 +164,7 @@ class FunctionGradient(Gradient):
         ----------
         function : callable
             Takes x, y, z and the base index as tensors, then the parameters; returns the index. Its derivatives are
-            those of autograd.
+            computed by autograd.
         parameters : sequence or array
             Numbers for the function.
 

@@ -115,8 +115,9 @@ def diffracted(direction, normal, n1, n2, gradient, reflects: bool = False) -> t
 
     Notes
     -----
-    The tangential part of the wave vector changes by that of the phase's gradient: n₂d'_t = n₁d_t + λ(∇φ)_t/2π. Without
-    a phase this is Snell's law (Spencer and Murty, J. Opt. Soc. Am. 52, 672 (1962), section on gratings).
+    The tangential part of the wave vector changes by the tangential part of the phase's gradient: n₂d'_t = n₁d_t +
+    λ(∇φ)_t/2π. Without a phase this is Snell's law (Spencer and Murty, J. Opt. Soc. Am. 52, 672 (1962), section on
+    gratings).
     """
     xp, direction, normal, kept, differentiable = vec.lines(direction, normal, n1, n2, *gradient)
     cosine = vec.dot(direction, normal)
@@ -175,7 +176,7 @@ def fresnel_shares(cosine, n1, n2):
 
     Notes
     -----
-    The mean of those of :func:`fresnel` for s and p, in a fifth of its time; 1 for total reflection.
+    The mean of the reflectances by :func:`fresnel` for s and p, in a fifth of its time; 1 for total reflection.
     """
     xp = namespace(cosine)
     squared = 1 - (n1 / n2) ** 2 * (1 - cosine * cosine)
@@ -196,7 +197,7 @@ class Phase(Parametric):
     """Base class of phases that a surface adds to a wave.
 
     A phase is a frozen dataclass whose fields are its parameters. It must define :meth:`cycles`. The class variable
-    ``ranks`` is that of :class:`odak.raytracing.Shape`.
+    ``ranks`` has the meaning of ``ranks`` in :class:`odak.raytracing.Shape`.
     """
 
     def cycles(self, x: Array, y: Array) -> tuple:
@@ -247,7 +248,7 @@ class LinearGrating(Phase):
 
     Notes
     -----
-    n₂ sin θ₂ = n₁ sin θ₁ + m·λ·f along the grating vector. On a curved surface the lines are those of the vertex plane
+    n₂ sin θ₂ = n₁ sin θ₁ + m·λ·f along the grating vector. On a curved surface the lines of the vertex plane are
     projected along z (Welford, Aberrations of Optical Systems, 1986, section 5.6).
     """
 
@@ -303,11 +304,11 @@ class HologramPhase(Phase):
 
     Notes
     -----
-    Between samples the phase is that of cubic convolution (Keys, IEEE Trans. ASSP 29, 1153 (1981)), which is exact for
-    polynomials of second degree and has continuous derivatives. The 16 samples around a ray are unwrapped from the
-    nearest one: differences of adjacent samples are taken within ±π, which holds for a phase without aliasing. The
-    optical path is thus known up to a multiple of the wavelength if the phase is wrapped; :meth:`unwrapped` gives the
-    continuous one, for wavefronts. Rays exist up to the last sample but one; those beyond are vignetted.
+    Between samples the phase is interpolated by cubic convolution (Keys, IEEE Trans. ASSP 29, 1153 (1981)), which is
+    exact for polynomials of second degree and has continuous derivatives. The 16 samples around a ray are unwrapped
+    from the nearest one: differences of adjacent samples are taken within ±π, which holds for a phase without aliasing.
+    The optical path is thus known up to a multiple of the wavelength if the phase is wrapped; :meth:`unwrapped` gives
+    the continuous one, for wavefronts. Rays exist up to the last sample but one; those beyond are vignetted.
     """
 
     phase: Any = ((0.0,) * 4,) * 4
@@ -526,13 +527,13 @@ class IdealLens(Phase):
         Positive if the lens converges.
     vergence : float or array
         One over the distance from the object to the lens, negative for a virtual object behind it; 0 for a distant
-        one. Where it is 0, an optical system takes that of its own object, as first-order optics has it at the lens.
+        one. Where it is 0, an optical system takes the vergence of its own object at the lens, by first-order optics.
 
     Notes
     -----
     Rays of slopes (p, q) in front go through (f·p, f·q) in the rear focal plane, so that each point is imaged to a
-    point. The optical path makes all rays of a point in the object plane arrive at its image in phase. Of a point in
-    another plane it has spherical aberration: that of a lens for distant objects is h⁴/(4f³) to lowest order for a ray
+    point. The optical path makes all rays of a point in the object plane arrive at its image in phase. A point in
+    another plane is imaged with spherical aberration: a lens for distant objects adds h⁴/(4f³) to lowest order to a ray
     of height h from the front focal point. A mirror reverses the direction along z. The lens is flat, in air.
     """
 

@@ -161,9 +161,9 @@ def conic(start, direction, curvature, constant, aperture=None, select: str = "a
         Distance from the axis beyond which the surface ends.
     select : str
         Which of two intersections: "ahead", the nearest in front of the start; "vertex", ahead or behind, the nearest
-        to the vertex plane; "through", ahead or behind, the one at which the ray passes from the side of −z to that of
-        +z if its direction has a positive z component, and back otherwise; "forward", the one at which it passes from
-        the side of −z to that of +z, whatever its direction.
+        to the vertex plane; "through", ahead or behind, the one at which the ray passes from the side of −z to the side
+        of +z if its direction has a positive z component, and back otherwise; "forward", the one at which it passes
+        from the side of −z to the side of +z, whatever its direction.
 
     Returns
     -------

@@ -821,9 +821,9 @@ def zernike_sag(x, y, curvature=0.0, conic=0.0, coefficients=(), radius=1.0) -> 
 def spline_sag(x, y, heights, size, curvature=0.0, conic=0.0) -> Sag:
     """Return the conic's height plus a uniform cubic B-spline.
 
-    `heights` ``[..., n0, n1]`` are its control points, at x and y from −size/2 to size/2 (first axis x); those of the
-    boundary are repeated outside it. ``size`` holds the two extents. de Boor, A Practical Guide to Splines (1978),
-    chapter IX.
+    `heights` ``[..., n0, n1]`` are its control points, at x and y from −size/2 to size/2 (first axis x); the control
+    points of the boundary are repeated outside it. ``size`` holds the two extents. de Boor, A Practical Guide to
+    Splines (1978), chapter IX.
     """
     xp = namespace(x, y)
     base = conic_sag(x, y, curvature, conic)
@@ -1154,8 +1154,8 @@ def newton(start, direction, shape: Shape, guess, limit: int = 64):
     Notes
     -----
     A step that leaves the bracket, or does not reduce the error, is replaced by bisection of the bracket. Before a
-    bracket is known, the distance to the best point so far is halved instead; the first such point is that of the ray
-    closest to the axis, where a surface is most likely defined.
+    bracket is known, the distance to the best point so far is halved instead; the first such point is the ray's closest
+    to the axis, where a surface is most likely defined.
     """
     xp = namespace(guess, *start, *direction)
     (dx, dy, dz), across = direction, direction[0] * direction[0] + direction[1] * direction[1]

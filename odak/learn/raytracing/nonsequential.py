@@ -427,7 +427,7 @@ class Element:
         return point, direction
 
     def _leave(self, vector: tuple, place: bool = False) -> tuple:
-        """Return a direction, or a place, of the element's frame in that of the scene."""
+        """Return a direction, or a place, of the element's frame in the scene's frame."""
         if self.rotation is not None:
             vector = tuple(vec.dot(row.unbind(), vector) for row in self.rotation.to(vector[0]).unbind(0))
         if place and self.center is not None:

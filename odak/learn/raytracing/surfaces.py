@@ -75,7 +75,7 @@ if not TYPE_CHECKING:
     Notes
     -----
     Large batches are evaluated block by block, forward and backward, and store only their arguments.
-    Derivatives are those of the implicit function theorem; see :func:`odak.raytracing.surfaces.intersection`.
+    Derivatives follow from the implicit function theorem; see :func:`odak.raytracing.surfaces.intersection`.
 
     Examples
     --------
@@ -179,8 +179,8 @@ if not TYPE_CHECKING:
 
     Notes
     -----
-    The search is that of :func:`odak.raytracing.intersect_parametric`, on the CPU in float64, and keeps no graph. Two
-    steps of Newton's method from where it ends carry first and second derivatives, those of the implicit function
+    The search runs as in :func:`odak.raytracing.intersect_parametric`, on the CPU in float64, and keeps no graph. Two
+    steps of Newton's method from where it ends carry first and second derivatives, according to the implicit function
     theorem.
 
     Examples

@@ -92,7 +92,8 @@ class _Aim(NamedTuple):
             found.append(response.r)
         r = torch.stack(found)
         root = self.target.sqrt().reshape(len(r), *(1,) * (r.ndim - 3), *self.target.shape[1:])
-        # Squares sum to those of |r| − √target. Without the phase, derivatives would vanish where nothing is reflected.
+        # Squares sum to the squares of |r| − √target. Without the phase, derivatives would vanish where nothing is
+        # reflected.
         return (r - root * torch.sgn(r)) / self.target.numel() ** 0.5
 
 
@@ -146,9 +147,9 @@ def needle_design(
     Notes
     -----
     A. V. Tikhonravov, M. K. Trubetskov and G. W. DeBell, Appl. Opt. 35, 5493 (1996). The derivative of the merit by the
-    thickness of a film that is not there yet, the function P(z, n), is exact: that of films of thickness 0. Eight
-    places and media where it is most negative are refined side by side by Levenberg and Marquardt's method, and the
-    best remains. Films below a thousandth of the mean wavelength are left out. The design ends when P is nowhere
+    thickness of a film that is not there yet, the function P(z, n), is exact, as it is taken with films of thickness 0.
+    Eight places and media where it is most negative are refined side by side by Levenberg and Marquardt's method, and
+    the best remains. Films below a thousandth of the mean wavelength are left out. The design ends when P is nowhere
     negative, when a needle gains less than a thousandth of the merit, or at the largest number of films. It is a local
     optimum, which depends on the start.
 

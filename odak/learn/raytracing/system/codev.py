@@ -183,7 +183,7 @@ class _Reader:
                 item.glass = word.lstrip("'")
 
     def _of_surface(self, number: int, key: str, words: list[str], line: str) -> None:
-        """Read a command about a surface: that of a qualifier Sk, or the last one."""
+        """Read a command about the surface named by a qualifier Sk, or about the last one."""
         place = len(self.surfaces) - 1
         if words and re.fullmatch(r"[Ss](\d+|[OoIi])", words[0]) and key not in ("RET", "GLB"):
             name = words.pop(0)[1:].upper()
@@ -406,8 +406,8 @@ def _settings(reader: _Reader, places: dict, points, far: bool, numbers, context
         found.append(("fields", None, rows))
     if count > 1:
         context.notes.append(
-            f"the file has {count} zoom positions: the system is the one that its surfaces describe, its settings are "
-            "those of all (see configurations)"
+            f"the file has {count} zoom positions: the surfaces give the system's own numbers, "
+            "its settings hold the numbers of all positions (see configurations)"
         )
     if unused:
         context.notes.append(f"entries of zoom positions that are not used: {', '.join(unused)}")
@@ -496,7 +496,7 @@ def _from_own_tilt(tilt) -> tuple[float, float, float]:
 
 
 def _bent(tilt) -> tuple[float, float, float]:
-    """Return the second rotation of a bend, behind which the axis is that of the reflected ray."""
+    """Return the second rotation of a bend, behind which the axis follows the reflected ray."""
     if not tilt[2] and not (tilt[0] and tilt[1]):
         return tilt
     first = _rotation(tilt)
@@ -576,7 +576,7 @@ def _limits(entry: _Surface, scale: float) -> tuple[float | None, list[Aperture]
         label = tuple(word for word in words if word not in ("CLR",))
         shape = "CIR" if key == "CIR" else key[:2]
         if key[:2] in ("AD", "AR"):
-            # A centre or an angle is that of the last aperture.
+            # A centre or an angle belongs to the last aperture.
             last = next(reversed(groups), None)
             if last is None:
                 raise ValueError(f"{key} must follow an aperture")

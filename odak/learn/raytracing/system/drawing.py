@@ -1,4 +1,4 @@
-"""Figures of optical systems: sections, spots, fans, field curves, transfer functions, and those of other analyses.
+"""Figures of optical systems: sections, spots, fans, field curves, transfer functions and other analyses.
 
 The other analyses are through focus, wavefronts, distortion, illumination, footprints, polarisation and tolerances. A
 report shows all of them, the prescription and first-order properties in one HTML file.
@@ -231,7 +231,7 @@ def _curves(system, rays) -> dict[int, np.ndarray]:
 
 
 def _with_curves(path: np.ndarray, curves: dict[int, np.ndarray], stations: int) -> np.ndarray:
-    """Return the points of a ray at its stations, the last of which are surfaces, with those of its curves between."""
+    """Return the points of a ray at its stations, the last of which are surfaces, and on its curves between them."""
     first = len(path) - stations
     parts = [path[:first]]
     for i in range(stations):
@@ -254,7 +254,7 @@ def field_label(system, i: int) -> str:
 
 
 def image_unit(system) -> str:
-    """Return the unit of small lengths in the image: those of afocal systems are angles."""
+    """Return the unit of small lengths in the image; afocal systems have angles instead."""
     return "µrad" if system.afocal else "µm"
 
 
@@ -1348,7 +1348,7 @@ def lens_report(
     }
     parts = [f"<h1>{html.escape(system.name or 'Optical system')}</h1>", f"<p>{html.escape(system.source)}</p>"]
     if figures is not None and not isinstance(figures, dict):
-        raise TypeError(f"figures must be those of report_figures, got {type(figures).__name__}")
+        raise TypeError(f"figures must be a result of report_figures, got {type(figures).__name__}")
     quality = _quality(system, aim, quality)
     figures = report_figures(system, aim, quality) if figures is None else figures
     for name in headings:
@@ -1394,7 +1394,7 @@ def _table(head, rows) -> str:
 
 @torch.no_grad()
 def _first_order_rows(system) -> list[tuple[str, Any]]:
-    """Return names and values of first-order properties; those of afocal systems include no focal length."""
+    """Return names and values of first-order properties; afocal systems have no focal length among them."""
     unit, scale = unit_of(system), MICROMETRES[system.unit]
     properties = first_order(system)
     rows: list[Any] = [(name.replace("_", " "), value) for name, value in properties._asdict().items()]

@@ -75,7 +75,7 @@ class SurfaceRecord(NamedTuple):
 
 
 class SurfaceGradients(NamedTuple):
-    """Gradients of one surface's numbers, ``[rows]`` each: as in Numbers, with those of the indices on both sides."""
+    """Gradients of one surface's numbers, ``[rows]`` each: as in Numbers, and of the indices on both sides."""
 
     curvature: Any
     conic: Any
@@ -528,7 +528,7 @@ def _vector_jacobian_product(sequence, records, gradients) -> tuple[list[torch.T
 
 
 def _accumulate(totals: Numbers, rows: tuple, i: int, change: SurfaceGradients) -> None:
-    """Add the gradients of surface `i` to those of the systems `rows`."""
+    """Add the gradients of surface `i` to the totals of the systems `rows`."""
     own, behind = (*rows, i), (*rows, i + 1)
     totals.curvature[own] += change.curvature
     totals.conic[own] += change.conic
@@ -545,7 +545,7 @@ def _sum(value):
 
 
 def _backward(e: Element, p, g, path):
-    """Return the gradients before a surface, those of its shape, and those of the two indices."""
+    """Return the gradients before a surface, of its shape, and of the two indices."""
     x, y, z, *direction = g
     before, behind = 0.0, 0.0
     normal = None
@@ -610,7 +610,7 @@ def _flat(value):
 
 
 def _normal_backward(e: Element, p, normal, x, y, z):
-    """Return the shape's gradients through the normal, and those of the point with them added."""
+    """Return the shape's gradients through the normal, and the point's gradients with theirs added."""
     a, b, c = normal
     if e.kind is Conic:
         factor = e.c * (1 + e.k)
@@ -644,7 +644,7 @@ def _surface_backward(e: Element, p, weight, shape):
     if e.kind is Conic:
         bowl, conic, root, powers = p.z * p.z * (1 + e.k) + squared, p.z * p.z * e.c, 2.0, []
     else:
-        # For an asphere, z is that of its conic part alone.
+        # For an asphere, z is the height of its conic part alone.
         root = (1 - (1 + e.k) * e.c * e.c * squared).sqrt()
         z = e.c * squared / (1 + root)
         bowl, conic, root = squared + (1 + e.k) * z * z, e.c * z * z, 2 * root

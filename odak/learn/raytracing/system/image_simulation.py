@@ -267,7 +267,7 @@ def _ray_samples(system, count: int, options) -> tuple[torch.Tensor, torch.Tenso
 
 
 def _ring_weights(count: int) -> torch.Tensor:
-    """Return the areas of the pupil represented by points of rings: those of the edge are weighted by one half."""
+    """Return the areas of the pupil represented by points of rings; points at the edge are weighted by one half."""
     weights = torch.ones(1 + 3 * count * (count + 1), dtype=torch.float64)
     weights[-6 * count :] = 0.5 - 0.125 / count
     weights[0] = 0.75

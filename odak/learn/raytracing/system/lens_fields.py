@@ -1,4 +1,4 @@
-"""Fields through a lens system: diffraction between two planes, whose phase and amplitude are those of rays."""
+"""Fields through a lens system: diffraction between two planes, with phase and amplitude from rays."""
 
 import itertools
 import math
@@ -352,7 +352,7 @@ class _Characteristic:
         return found
 
     def alone(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the parts of either plane alone at its samples, in wavelengths; the second with that of the axis."""
+        """Return the parts of either plane alone at its samples, in wavelengths; the second includes the axis."""
         near = self._lines("near", self.element.grid)
         return _spread(self.first, near), _spread(self.second, self._lines("far", (self.element.points,) * 2))
 
@@ -436,7 +436,7 @@ class _Characteristic:
 
     @torch.no_grad()
     def _check(self):
-        """Warn if paths between other points than those of the polynomials differ from them."""
+        """Warn if traced paths between the nodes of the polynomials differ from the polynomials."""
         if not is_readable(self.path) or self.path.requires_grad:
             return
         between = [np.array([(t[0] + t[1]) / 2]) for t in map(_nodes, self.element.grid)]

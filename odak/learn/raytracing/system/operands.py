@@ -162,8 +162,8 @@ def edge_thicknesses(
     shares : sequence of float
         Shares of these distances at which the thickness is taken.
     flanges : bool
-        Whether each surface is a plane beyond its own clear semi-diameter times the largest share, as those of moulded
-        lenses are, rather than of the same shape up to that of its neighbour.
+        Whether each surface is a plane beyond its own clear semi-diameter times the largest share, as in moulded
+        lenses, rather than of the same shape up to its neighbour's semi-diameter.
     """
     p = view.prescription
     count = p.thickness.shape[-1]
@@ -313,7 +313,7 @@ def _distortion(view: View) -> torch.Tensor:
 
 
 def _lateral_color(view: View) -> torch.Tensor:
-    """Distances of the chief rays from that of the reference wavelength, at all wavelengths and fields."""
+    """Distances of the chief rays from the chief ray at the reference wavelength, at all wavelengths and fields."""
     return lateral_color(view.system, **view.options).flatten(-2)
 
 
@@ -492,7 +492,7 @@ def merit_residuals(operands: list[Operand], view: View) -> torch.Tensor:
 
 
 def merit_deviations(operands: list[Operand], view: View) -> tuple[torch.Tensor, list[bool]]:
-    """Return residuals of all operands ``[..., R]``, those of bounds negative within them, and which are of bounds."""
+    """Return residuals of all operands ``[..., R]``, negative for a bound that is kept, and which belong to bounds."""
     parts = [part for item in operands for part in item._deviations(values_of(item, view))]
     lead = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
     bounds = [bool(k % 2) for k, part in enumerate(parts) for _ in range(part.shape[-1])]

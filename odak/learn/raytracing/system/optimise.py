@@ -305,7 +305,7 @@ def _with_limits(value, jacobian, limits=None):
 
 
 def _counted(value: torch.Tensor, limits: torch.Tensor) -> torch.Tensor:
-    """Return residuals with those of limits that are kept set to 0."""
+    """Return residuals; where a limit is kept, its residual is 0."""
     return torch.where(limits, value.clamp_min(0.0), value)
 
 
@@ -814,7 +814,7 @@ def _linearly_compensated(system, numbers: Prescription, entries: list, iteratio
     start = torch.zeros(len(held["thickness"]), len(entries), dtype=torch.float64, device=held["thickness"].device)
 
     def rays(p: Prescription) -> torch.Tensor:
-        """Return distances from the centroids, ``[..., F, rays]``, whose squares sum to those of the spots."""
+        """Return distances from the centroids, ``[..., F, rays]``, whose squares sum to the squared spot sizes."""
         traced = trace_fields(system, "rings", 6, prescription=p)
         share = wavelength_shares(system, p, traced.x)[:, None, None] * traced.arrived
         number = share.sum((-3, -1), keepdim=True)
@@ -835,7 +835,7 @@ def _linearly_compensated(system, numbers: Prescription, entries: list, iteratio
         for _ in range(iterations):
             fall = found.flatten(-2).nan_to_num() @ slopes
             step = -fall @ inverse
-            # The squares fall by the projection on the slopes, if rays move as those of the system as drawn.
+            # The squares fall by the projection on the slopes, if rays move as in the system as drawn.
             open_ = open_ & ((-step * fall).sum(-1) > LINEAR * best)
             if not bool(open_.any()):
                 break
@@ -888,7 +888,7 @@ def _mover(numbers: Prescription, entries: list) -> tuple[Callable, dict]:
     held = {name: value.detach() for name, value in held.items() if value is not None}
 
     def moved(x: torch.Tensor) -> Prescription:
-        # Several trials of each system stand on an axis behind that of the systems.
+        # Several trials of each system stand on an axis behind the axis of systems.
         values = {name: value[:, None] if x.ndim == 3 else value for name, value in held.items()}
         for j, (name, place, axis) in enumerate(entries):
             own = values[name]
@@ -905,7 +905,7 @@ def _mover(numbers: Prescription, entries: list) -> tuple[Callable, dict]:
 
 
 def _with_trials(shape):
-    """Return a shape with an axis for trials behind that of the systems."""
+    """Return a shape with an axis for trials behind the axis of systems."""
     pairs = zip(map(torch.as_tensor, shape.parameters()), shape.ranks_of_parameters(), strict=True)
     return type(shape)(*(v.unsqueeze(v.ndim - own) if v.ndim > own else v for v, own in pairs))
 
@@ -1068,7 +1068,7 @@ def _draw(item: Perturbation, samples: int, places: int, axes: int, generator) -
         drawn = torch.randn(shape, generator=generator, dtype=torch.float64)
     else:
         drawn = 2 * torch.rand(shape, generator=generator, dtype=torch.float64) - 1
-    # The squares of the parts of an irregularity add up to that of its size.
+    # The squares of the parts of an irregularity add up to the square of its size.
     size = item.size / (axes**0.5 if item.name == "irregularity" else 1.0)
     return (size * drawn).expand(samples, places, axes)
 

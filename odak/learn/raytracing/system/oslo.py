@@ -1,6 +1,6 @@
 """Lens files of OSLO (.len), read and written.
 
-The commands are those of the OSLO Program Reference (Lambda Research Corporation, 2011): lens data and surface data.
+The commands follow the OSLO Program Reference (Lambda Research Corporation, 2011): lens data and surface data.
 """
 
 import math
@@ -89,7 +89,7 @@ def read_len(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optic
 
 
 def _commands(path: Path, ignored: list[str]) -> tuple[dict, list[dict]]:
-    """Return the entries of the whole lens and those of each surface, by their commands."""
+    """Return the entries of the whole lens and of each surface, by their commands."""
     head: dict[str, Any] = {}
     surfaces: list[dict[str, Any]] = [{}]
     ended = False

@@ -364,7 +364,7 @@ def matrix(p: Prescription, index: torch.Tensor, start: int, stop: int, gap: boo
     """Return the matrix of surfaces `start` to `stop` − 1, optionally with the gap behind the last of them."""
     one = torch.ones(p.batch, dtype=torch.float64, device=index.device)
     found = Matrix(one, 0 * one, 0 * one, one)
-    # Indices at the vertices: those of a graded medium differ from that of its material, and at its two ends.
+    # Indices at the vertices: a graded medium has others than its material, and different ones at its two ends.
     graded = None if start == 0 or p.gradients is None else _graded_gap(p, index, start - 1)
     for i in range(start, stop):
         before = index[..., i] if graded is None else graded[4][1]
@@ -512,7 +512,7 @@ def seidel_sums(system: Any, field: Any = None, prescription: Prescription | Non
     check_image_space(system, p)
     for i, item in enumerate(system.surfaces):
         if item.is_off_axis and not is_break(item):
-            raise ValueError(f"surfaces[{i}] is shifted or tilted: Seidel sums are those of centred systems")
+            raise ValueError(f"surfaces[{i}] is shifted or tilted: Seidel sums are defined for centred systems")
     one = p.at(system.reference)
     n = signed_indices(system, one)
     pupil = entrance_pupil(system, prescription=one)
@@ -729,7 +729,7 @@ def ghost_system(system: Any, first: int, second: int) -> optical_system:
 
     with torch.no_grad():
         sequence = [passed(i, items[i].thickness, medium(i)) for i in range(second)]
-        # The reflecting interfaces are those of the media on both sides, with their coatings.
+        # The reflecting interfaces lie between the same media, and have their coatings.
         sequence.append(passed(second, -items[second - 1].thickness, "mirror", False, medium(second)))
         sequence += [passed(i, -items[i - 1].thickness, medium(i - 1), True) for i in range(second - 1, first, -1)]
         sequence.append(passed(first, items[first].thickness, "mirror", True, medium(first - 1)))

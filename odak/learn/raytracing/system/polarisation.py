@@ -81,8 +81,8 @@ class PolarizedRays(NamedTuple):
     def retardance(self) -> torch.Tensor:
         """Phase in radians between the two eigenstates, 0 … π, ``[...]``; NaN for rays that are lost.
 
-        It is that of the unitary part of QᵀP: rotations by folded ways do not count (Yun, McClain and Chipman, Appl.
-        Opt. 50, 2866 (2011)). A perfect mirror has none; one total reflection of Fresnel's phase difference δ has
+        It is computed from the unitary part of QᵀP, which excludes rotations by folded paths (Yun, McClain and Chipman,
+        Appl. Opt. 50, 2866 (2011)). A perfect mirror has none; one total reflection of Fresnel's phase difference δ has
         π − δ, two in one plane have 2δ.
         """
         unitary = _unitary(self.jones)
@@ -243,7 +243,7 @@ def _across(k, normal):
     across = torch.linalg.cross(k, normal)
     size = across.square().sum(-1, keepdim=True)
     oblique = size > 1e-20
-    # At normal incidence the direction is arbitrary: that of the axis farthest from the ray.
+    # At normal incidence the direction is arbitrary: the axis farthest from the ray is taken.
     axis = torch.eye(3, dtype=k.dtype, device=k.device)[k.abs().argmin(-1)]
     other = torch.linalg.cross(k, axis)
     other = other / other.square().sum(-1, keepdim=True).sqrt()

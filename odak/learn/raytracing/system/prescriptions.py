@@ -211,7 +211,7 @@ class Prescription(NamedTuple):
         return Numbers(*parts, waves, placed[0], torch.deg2rad(placed[1]), others)
 
     def _with(self, image):
-        """Return curvatures, conic constants and coefficients with those of the image behind them."""
+        """Return curvatures, conic constants and coefficients of all surfaces, the image last."""
         pad = torch.nn.functional.pad
         if image is None or image.own_shape is not None:
             return pad(self.curvature, (0, 1)), pad(self.conic, (0, 1)), pad(self.coefficients, (0, 0, 0, 1))

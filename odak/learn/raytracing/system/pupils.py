@@ -22,7 +22,7 @@ ROUNDS, MARCHES = 8, 60
 # Angle beyond which real rays are looked for across the field's direction, since the plane of the pupil is seen edge
 # on, and distances of the pupil in front of it at which they start.
 WIDE, BEFORE = 80.0, 20.0
-# Newton's method ends with steps this small relative to that of its differences; one more follows.
+# Newton's method ends with steps this small relative to the step of its differences; one more follows.
 CLOSE = 1e-6
 # The same on the way of a continuation, and steps tried at once there.
 NEAR, SHARES = 1e-2, 16
@@ -47,7 +47,7 @@ def pupil_samples(
     Parameters
     ----------
     pattern : str
-        "rings": the centre and `count` rings of 6, 12, 18 … points. "grid": those of a square grid of `count` ×
+        "rings": the centre and `count` rings of 6, 12, 18 … points. "grid": the points of a square grid of `count` ×
         `count` that lie in the disc. "x", "y": `count` points along a diameter. "random": `count` random points.
         "gauss": the points of :func:`pupil_quadrature` for a clear pupil.
     count : int
@@ -496,7 +496,7 @@ def _beyond(system, fields, distance, px, py) -> Rays:
     cosine = torch.cos(angle).prod(-1)
     u, v = (torch.where(beyond, torch.sin(angle[..., i]), tangent[..., i] / size) for i in range(2))
     w = torch.where(beyond, cosine, 1 / size)
-    # Of two directions across, the first is that of x turned with the field, the second that of y.
+    # Of two directions across, the first is the x axis turned with the field, the second the y axis.
     share = 1 / (1 + w)
     across = (1 - u * u * share, -u * v * share, -u)
     along = (-u * v * share, 1 - v * v * share, -v)
@@ -507,7 +507,7 @@ def _beyond(system, fields, distance, px, py) -> Rays:
 
 
 def _near(system, fields, bend, sx, sy) -> Rays:
-    """Return rays of near points; the given slopes are relative to those of the field towards the pupil's centre."""
+    """Return rays of near points; given slopes are relative to the field's slopes towards the pupil's centre."""
     sx, sy = sx - bend * fields[..., 0], sy - bend * fields[..., 1]
     w = 1 / (1 + sx * sx + sy * sy).sqrt()
     x, y = (fields[..., i].expand(sx.shape) for i in range(2))

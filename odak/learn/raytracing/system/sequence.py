@@ -31,7 +31,7 @@ def arrive(gradient: Gradient, base, frame, point, direction, shape: Shape, sign
     base : torch.Tensor
         Index of its material.
     frame : Frame
-        Frame of the surface in that of the medium.
+        Frame of the surface in the medium's frame.
     point, direction : tuple of torch.Tensor
         Rays in the medium's frame where they enter; unit directions.
     shape : Shape
@@ -247,7 +247,7 @@ def _adjoint(kind, end, time, base, parameters, gradient, needed) -> list:
     return [value if need else None for value, need in zip((start, *totals), needed, strict=True)]
 
 
-# Shapes whose parameters are in `curvature`, `conic` and `coefficients`; those of all others are listed separately.
+# Shapes with parameters in `curvature`, `conic` and `coefficients`; other shapes list their parameters separately.
 STANDARD = (Plane, Conic, EvenAsphere)
 HIT = int(RayStatus.HIT)
 
@@ -401,7 +401,7 @@ class Passage(NamedTuple):
         What befell the rays up to and at the surface.
     change : Frame or tuple, optional
         For a break, the change of the frame. For a "bend", the path through a graded medium: the frame of the axis in
-        that of the medium, and rotations of the field ``[..., 3, 3]`` in the latter.
+        the medium's frame, and rotations of the field ``[..., 3, 3]`` in the latter.
     """
 
     place: int
@@ -431,9 +431,9 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable | None 
 
     Notes
     -----
-    Every step is that of a single surface: :func:`odak.raytracing.surfaces.intersection`, then
-    :func:`odak.raytracing.interfaces.refracted` or its siblings. Failed rays continue along the axis, so that no NaN
-    enters a gradient.
+    Every surface takes the same step as a single one: :func:`odak.raytracing.surfaces.intersection`, then
+    :func:`odak.raytracing.interfaces.refracted` or a related function. Failed rays continue along the axis, so that no
+    NaN enters a gradient.
     """
     walk = _Walk(layout, tensors[:6], tensors[6:], record)
     for i in range(len(layout.kinds)):
@@ -623,7 +623,7 @@ def _with_event(status, good, otherwise):
 
 
 def _on_axis(status, sign: int, point, direction):
-    """Return points and directions, those of failed rays at the vertex and along the axis."""
+    """Return points and directions; failed rays are put at the vertex, along the axis."""
     kept = status == HIT
     x, y, z, u, v = (torch.where(kept, value, 0.0) for value in (*point, *direction[:2]))
     return (x, y, z), (u, v, torch.where(kept, direction[2], float(sign)))
@@ -680,7 +680,7 @@ class Graded(NamedTuple):
     base : torch.Tensor
         Index of its material.
     frame : Frame
-        Frame of the axis, as far as one has come, in that of the medium, where the rays are held.
+        Frame of the axis, up to the present surface, in the medium's frame, in which the rays are held.
     """
 
     gradient: Any
@@ -693,7 +693,7 @@ class Graded(NamedTuple):
 
 
 class Frames:
-    """Frames of the axis at the surfaces of a sequence, in that of the first vertex."""
+    """Frames of the axis at the surfaces of a sequence, in the frame of the first vertex."""
 
     def __init__(self):
         self.here, self.found = IDENTITY, []
@@ -707,7 +707,7 @@ class Frames:
         self.found.append(self.here)
 
     def change(self, place: Frame, order) -> Frame:
-        """Change to the frame of a coordinate break, or back to that of an earlier surface; return the change."""
+        """Change to the frame of a coordinate break, or back to the frame of an earlier surface; return the change."""
         if isinstance(order, int):
             place = self.here.inverse().then(self.found[order])
         self.here = self.here.then(place)

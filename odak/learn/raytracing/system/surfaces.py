@@ -129,7 +129,7 @@ class Coating:
 
         Notes
         -----
-        :func:`odak.jones.thin_film_stack`, whose signs are those of Born and Wolf: r_p = −r_s at normal incidence.
+        :func:`odak.jones.thin_film_stack`, with the signs of Born and Wolf: r_p = −r_s at normal incidence.
         """
         xp = namespace(cosine)
         n1, n2, cosine, wavelength = (
@@ -1220,7 +1220,8 @@ def wavelengths_of(system, numbers: Prescription) -> torch.Tensor:
     Parameters
     ----------
     system : optical_system
-        The system. Numbers without wavelengths are those of its own: of all of them, or of its reference wavelength.
+        The system. Numbers without wavelengths belong to the system's own: to all of them, or to its reference
+        wavelength.
     numbers : Prescription
         Its numbers.
     """
@@ -1234,7 +1235,7 @@ def wavelengths_of(system, numbers: Prescription) -> torch.Tensor:
 
 
 def reference_of(system, prescription: Prescription | None) -> int:
-    """Return the place of the reference wavelength among those of a prescription: 0 of a single one."""
+    """Return the place of the reference wavelength in a prescription; 0 if it has a single wavelength."""
     return 0 if prescription is not None and prescription.index.shape[-2] == 1 else system.reference
 
 
@@ -1254,7 +1255,7 @@ def wavelength_shares(system, prescription: Prescription | None, like: torch.Ten
     system : optical_system
         The system.
     prescription : Prescription or None
-        The numbers that were traced; None for those of the system.
+        The numbers that were traced; None for the system's own.
     like : torch.Tensor
         Tensor of the dtype and the device.
     """

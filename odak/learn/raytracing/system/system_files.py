@@ -269,7 +269,7 @@ def plain(value):
 
 
 def _kinds(base: type) -> dict[str, type]:
-    """Return the classes derived from one by their names, those of the user's program included."""
+    """Return the classes derived from one by their names, including classes of the user's program."""
     found: dict[str, type] = {}
     children: list[type] = base.__subclasses__()
     for child in children:
@@ -300,7 +300,7 @@ def _medium(item: Any) -> dict:
     if not isinstance(item.material, Material):
         return entry
     with suppress(ValueError):
-        # A range that a file extended beyond that of the glass.
+        # A range that a file extended beyond the range of the glass.
         if tuple(item.material.range) != tuple(_material(str(entry["material"])).range):
             entry["material_range"] = list(item.material.range)
     return entry
@@ -532,7 +532,7 @@ def about_fixed_axes(about_x: float, about_y: float) -> tuple[float, float, floa
 
 
 def catalogued(number: int, name: str, context: Context) -> tuple[Material | None, str]:
-    """Return a glass by its name, or by that of its successor, and what is wrong with the name otherwise."""
+    """Return a glass by its name or its successor's, and otherwise None and what is wrong with the name."""
     makers, problem = context.makers, ""
     first = makers[: makers.index("schott")] if "schott" in makers else makers
     for maker in (*(f"{maker}:" for maker in first), "", *(f"{maker}:" for maker in makers)):
@@ -541,7 +541,7 @@ def catalogued(number: int, name: str, context: Context) -> tuple[Material | Non
         except ValueError as error:
             problem = str(error) if not maker else problem
     several = [maker for maker in glass_makers() if f"'{maker}:{name}'" in problem]
-    # Names of glasses with lead and arsenic, and those of their successors.
+    # Names of glasses with lead and arsenic, and the names of their successors.
     former = re.fullmatch(r"([A-Z]+?)N?(\d+\w*)", name.upper())
     for maker, prefix in (("schott", "N"), ("hoya", "E"), ("cdgm", "H"), ("hikari", "J")):
         if former and (maker in makers or (prefix == "N" and not makers and not several)):
@@ -554,7 +554,7 @@ def catalogued(number: int, name: str, context: Context) -> tuple[Material | Non
                     context.notes.append(f"surface {number}: {name} is not known; its successor {found.name} is taken")
                     return found, ""
     if several:
-        context.notes.append(f"surface {number}: {name} is a glass of several makers; that of {several[0]} is taken")
+        context.notes.append(f"surface {number}: {name} is a glass of several makers; the one by {several[0]} is taken")
         return material(f"{several[0]}:{name}"), ""
     return None, problem
 
@@ -603,7 +603,7 @@ def fields_of_image_heights(
     aim : str
         Of :func:`launch`; where chief rays through the paraxial pupil do not arrive, "real" in any case.
     notes : list, optional
-        To which heights out of reach are appended; their fields are those of the farthest chief rays that arrive.
+        To which heights out of reach are appended; the field of the farthest chief ray that arrives replaces theirs.
     """
     properties = first_order(system)
     scale = float(properties.focal_length if system.at_infinity else properties.magnification)

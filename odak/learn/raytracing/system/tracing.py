@@ -192,7 +192,7 @@ def _trace(system, rays, prescription, until, vignetting):
 
 
 def checked_rays(rays) -> Rays:
-    """Return rays after checking that they are, those of a tensor ``[..., 2, 3]`` as components."""
+    """Return rays as components, given as Rays or as a tensor ``[..., 2, 3]``; TypeError for anything else."""
     if isinstance(rays, torch.Tensor):
         rays = Rays.from_tensor(rays)
     if not isinstance(rays, Rays):

@@ -36,7 +36,7 @@ from odak.raytracing.geometry import safe_sqrt
 from odak.raytracing.intersections import RayStatus
 
 PLANES = ("axis", "chief")
-# Extent of the grid over that of the field.
+# Extent of the grid over the extent of the field.
 MARGIN = 1.1
 # Samples computed at a time, with some ten rays each.
 PIECE = 1 << 18
@@ -49,7 +49,7 @@ STEP = 3e-4
 CLOSE, MOST, ZOOMS = 0.25, 301, 6
 # Rings of the quadratures among which the first converged one is taken, and the change that is small enough.
 RING_COUNTS, SMALL = (8, 16, 32, 64), 1e-3
-# Root mean square of wavefronts in waves above which transfer functions are those of the rays.
+# Root mean square of wavefronts in waves above which transfer functions are computed from rays.
 LARGE = 2.0
 
 
@@ -63,7 +63,7 @@ class PlaneRays(NamedTuple):
     u, v, cosine : torch.Tensor
         Direction cosines along the plane's axes and its normal.
     path : torch.Tensor
-        Optical path less that of the chief ray.
+        Optical path minus the chief ray's.
     status : torch.Tensor
         int8, numbers of :class:`odak.raytracing.RayStatus`: what befell the ray first.
     """
@@ -680,7 +680,7 @@ def airy_pattern(radius: torch.Tensor, wavelength: float, numerical_aperture: fl
 
 
 class _Bessel(torch.autograd.Function):
-    """The Bessel functions J₀ and J₁ with their derivatives, which those of torch.special do not have."""
+    """The Bessel functions J₀ and J₁ with their derivatives, which torch.special does not have."""
 
     generate_vmap_rule = True
 
@@ -930,7 +930,7 @@ def exit_field(
 class _Grid(NamedTuple):
     """Samples that rays may reach: their numbers ``[P]``, places ``[P, 2]`` and guessed pupil places ``[..., P, 2]``.
 
-    `sign` is that of the map's Jacobian, ``[..., 1]``.
+    `sign` is the sign of the map's Jacobian, ``[..., 1]``.
     """
 
     pitch: float

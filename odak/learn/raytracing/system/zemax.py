@@ -100,7 +100,7 @@ class Line(NamedTuple):
 
 
 def read_lines(path) -> tuple[list[Line], list[list[Line]]]:
-    """Return the lines that concern the whole system, and those of each surface.
+    """Return the lines that concern the whole system, and the lines of each surface.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ _OF_SURFACES = (
     "COMM HIDE MIRR SLAB POPS SSID TYPE CURV CONI PARM XDAT DISZ GLAS STOP CLAP FLAP OBSC OBDC SQAP SQOB ELAP"
 )
 _SURFACE_KEYS = frozenset(re.findall(r"\w+", _OF_SURFACES)) | {"ELOB"}
-# Operands of configurations, and those of them without effect on rays.
+# Operands of configurations, and among them the operands without effect on rays.
 _IDLE_OPERANDS = frozenset(("MOFF", "LTTL", "NCOM", "MNUM"))
 _OF_CONFIGURATIONS = "THIC CRVT CURV CONN SDIA APER GLSS XFIE YFIE WAVE PRAM TEMP PRES IGNR WLWT FLWT"
 _OPERANDS = _IDLE_OPERANDS | frozenset(_OF_CONFIGURATIONS.split())
@@ -364,8 +364,8 @@ def _settings(general, head, surfaces, form: str, context: Context) -> list[tupl
     if count < 2:
         return []
     context.notes.append(
-        f"the file holds {count} configurations: the system is the one that its surfaces describe, its settings are "
-        "those of all (see configurations)"
+        f"the file holds {count} configurations: the surfaces give the system's own numbers, "
+        "its settings hold the numbers of all configurations (see configurations)"
     )
     scale, unused = context.scale, set()
     held: dict[tuple[str, int], dict[int, Line]] = {}
@@ -384,7 +384,7 @@ def _settings(general, head, surfaces, form: str, context: Context) -> list[tupl
     for (key, place), lines in held.items():
 
         def values(name: str, start: float, scale: float = 1.0, place=place, lines=lines) -> list[float]:
-            """Return the values of an operand, that of the surface's own line `name` where it has none."""
+            """Return the values of an operand; where it has none, the value of the surface's own line `name`."""
             own = _of(surfaces[place], name, start) if name else start
             return [scale * (lines[i].value(2) if i in lines else own) for i in range(1, count + 1)]
 
@@ -970,7 +970,7 @@ def _zmx_text(system) -> str:
 
 
 def _written_settings(system, scale: float, factor: float) -> list[str]:
-    """Return the operands of the configurations; those of temperatures with what they change."""
+    """Return the operands of the configurations; temperatures with all numbers that they change."""
     settings, weather = _resolved(system)
     lines = [f"MNUM {len(system.settings[0][2])} 1"] if system.settings else []
 

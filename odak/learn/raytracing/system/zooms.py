@@ -131,9 +131,7 @@ class configurations(torch.nn.Module):
         key = self._numbers.get((name, place))
         if key is None:
             held = ", ".join(kind if i is None else f"{kind} of surface {i}" for kind, i in self._numbers) or "none"
-            what = (
-                "name must be that of a setting" if place is None else f"place must be that of a setting of the {name}"
-            )
+            what = "name must be among the settings" if place is None else f"place must have a setting of the {name}"
             raise ValueError(f"{what}, got {name if place is None else place}; the settings have {held}")
         if key in self._buffers:
             value: Any = self._buffers.pop(key)

@@ -290,7 +290,7 @@ def test_settings_of_temperatures_are_checked():
     with pytest.raises(ValueError, match="place in settings must be None for mount"):
         configurations(lens, [("mount", 1, [0.0])])
     zoom = configurations(lens, SETTINGS)
-    with pytest.raises(ValueError, match="name must be that of a setting, got mirror; the settings have temperature"):
+    with pytest.raises(ValueError, match="name must be among the settings, got mirror; the settings have temperature"):
         zoom.vary("mirror")
     with pytest.raises(ValueError, match="variables must not be glasses"):
         zoom_design(zoom, ["spot"], Variable("glass", 0))
