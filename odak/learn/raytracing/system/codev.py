@@ -3,9 +3,9 @@
 import dataclasses
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -174,7 +174,7 @@ class _Reader:
         self.ended = key == "SI"
         item = self.surfaces[place]
         bend = _number(number, key, words[0])
-        item.bend = (1 / bend if bend else 0.0) if self.by_radius else bend
+        item.bend = _reciprocal(bend) if self.by_radius else bend
         item.thickness = _number(number, key, words[1]) if len(words) > 1 else 0.0
         for word in words[2:]:
             if word.upper().startswith("REFL"):
@@ -190,50 +190,105 @@ class _Reader:
             place = 0 if name == "O" else len(self.surfaces) - 1 if name == "I" else int(name)
         if not 0 <= place < len(self.surfaces):
             raise ValueError(f"line {number}: {key} must follow a surface (SO, S, SI)")
-        item = self.surfaces[place]
-        value = _number(number, key, words[-1]) if words and _is_number(words[-1]) else None
-        if key == "STO":
-            item.stop = True
-        elif key in _FORMS:
-            item.form = key
-        elif key == "SPS":
-            item.form = f"SPS {words[0].upper() if words else ''}"
-        elif key == "SCO" and words and value is not None:
-            item.values[f"SCO {words[0].upper()}"] = value
-        elif key in ("THI", "CUY", "RDY", "GLA", "RMD"):
-            if key == "THI":
-                item.thickness = _number(number, key, words[0])
-            elif key == "GLA":
-                item.glass = words[0].lstrip("'")
-            elif key == "RMD":
-                item.mirror = words[0].upper().startswith("REFL")
-            else:
-                bend = _number(number, key, words[0])
-                item.bend = bend if key == "CUY" else (1 / bend if bend else 0.0)
-        elif key == "RDX" and value is not None:
-            item.values["CUX"] = 1 / value if value else 0.0
-        elif key in ("DAR", "BEN", "REV"):
-            item.back = key
-        elif key in ("RET", "GLB"):
-            item.back, item.frame = key, int(_number(number, key, (words or ["?"])[0].upper().lstrip("S") or "0"))
-        elif re.fullmatch(r"(CIR|RE[XY]|EL[XY]|AD[XY]|ARO)", key) and value is not None:
-            item.limits.append((key, tuple(word.upper() for word in words[:-1]), value))
-        elif key == "DIF":
-            item.phase["kind"] = words[0].upper() if words else ""
-        elif key in ("HOR", "HWL") and value is not None:
-            item.phase[key] = value
-        elif key == "HCT":
-            item.phase["HCT"] = words[0].upper() if words else ""
-        elif key == "HCO" and len(words) > 1 and re.fullmatch(r"[Cc]\d+", words[0]):
-            item.phase.setdefault("HCO", {})[int(words[0][1:])] = _number(number, key, words[1])
-        elif (key in _PLACES or key in ("K", "KX", "KY", "CUX", "CUF", "XOD", "YOD", "ZOD") or _is_term(key)) and words:
-            item.values[key] = _number(number, key, words[-1])
-        else:
-            raise ValueError(f"{line:.90}: {key} is a command that is not understood")
+        command = _Command(number, line, key, words)
+        for pattern, enter in _ENTRIES.items():
+            if re.fullmatch(pattern, key):
+                enter(self.surfaces[place], command)
+                return
+        raise command.unknown()
 
 
-def _is_term(key: str) -> bool:
-    return (len(key) == 1 and key in LETTERS) or bool(re.fullmatch(r"[A-D][RP]", key))
+class _Command(NamedTuple):
+    """A command about a surface: number and text of its line, its name and its words."""
+
+    number: int
+    line: str
+    key: str
+    words: list[str]
+
+    @property
+    def word(self) -> str:
+        """The first word in capitals; "" where there is none."""
+        return self.words[0].upper() if self.words else ""
+
+    def value(self, place: int = -1) -> float:
+        """Return one of the words as a number, by default the last."""
+        if len(self.words) <= max(place, 0):
+            raise ValueError(f"line {self.number}: {self.key} must have a number, got none")
+        return _number(self.number, self.key, self.words[place])
+
+    def unknown(self) -> ValueError:
+        """Return the error of a command that is not understood."""
+        return ValueError(f"{self.line:.90}: {self.key} is a command that is not understood")
+
+
+def _enter_number(item: _Surface, command: _Command) -> None:
+    if command.key == "THI":
+        item.thickness = command.value(0)
+    elif command.key == "CUY":
+        item.bend = command.value(0)
+    elif command.key == "RDX":
+        item.values["CUX"] = _reciprocal(command.value())
+    else:
+        item.bend = _reciprocal(command.value(0))
+
+
+def _enter_medium(item: _Surface, command: _Command) -> None:
+    if not command.words:
+        raise ValueError(f"line {command.number}: {command.key} must have a name, got none")
+    if command.key == "GLA":
+        item.glass = command.words[0].lstrip("'")
+    else:
+        item.mirror = command.word.startswith("REFL")
+
+
+def _enter_form(item: _Surface, command: _Command) -> None:
+    if command.key == "STO":
+        item.stop = True
+    else:
+        item.form = f"SPS {command.word}" if command.key == "SPS" else command.key
+
+
+def _enter_frame(item: _Surface, command: _Command) -> None:
+    item.back = command.key
+    if command.key in ("RET", "GLB"):
+        item.frame = int(_number(command.number, command.key, (command.word or "?").lstrip("S") or "0"))
+
+
+def _enter_limit(item: _Surface, command: _Command) -> None:
+    item.limits.append((command.key, tuple(word.upper() for word in command.words[:-1]), command.value()))
+
+
+def _enter_phase(item: _Surface, command: _Command) -> None:
+    key = command.key
+    if key in ("HOR", "HWL"):
+        item.phase[key] = command.value()
+    elif key != "HCO":
+        item.phase["kind" if key == "DIF" else key] = command.word
+    elif re.fullmatch(r"C\d+", command.word):
+        item.phase.setdefault(key, {})[int(command.word[1:])] = command.value(1)
+    else:
+        raise command.unknown()
+
+
+def _enter_coefficient(item: _Surface, command: _Command) -> None:
+    item.values[f"SCO {command.word}" if command.key == "SCO" else command.key] = command.value()
+
+
+# Which function enters a command into its surface, by patterns of its name.
+_ENTRIES: dict[str, Callable[[_Surface, _Command], None]] = {
+    "THI|CUY|RDY|RDX": _enter_number,
+    "GLA|RMD": _enter_medium,
+    "|".join(("STO", "SPS", *_FORMS)): _enter_form,
+    "DAR|BEN|REV|RET|GLB": _enter_frame,
+    "CIR|RE[XY]|EL[XY]|AD[XY]|ARO": _enter_limit,
+    "DIF|HOR|HWL|HCT|HCO": _enter_phase,
+    "|".join(("SCO|K|KX|KY|CUX|CUF|XOD|YOD|ZOD|[A-D][RP]", f"[{LETTERS}]", *_PLACES)): _enter_coefficient,
+}
+
+
+def _reciprocal(value: float) -> float:
+    return 1 / value if value else 0.0
 
 
 def _is_number(word: str) -> bool:
@@ -390,7 +445,7 @@ def _settings(reader: _Reader, places: dict, points, far: bool, numbers, context
                 away = [value * scale if value * scale < FAR else math.inf for value in given]
                 found.append(("object_distance", None, away))
             elif key in ("CUY", "RDY") and place is not None:
-                bends = [value if key == "CUY" else (1 / value if value else 0.0) for value in given]
+                bends = [value if key == "CUY" else _reciprocal(value) for value in given]
                 found.append(("curvature", place, [value / scale for value in bends]))
             elif key == "K" and place is not None:
                 found.append(("conic", place, given))

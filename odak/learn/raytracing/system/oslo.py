@@ -5,7 +5,7 @@ The commands follow the OSLO Program Reference (Lambda Research Corporation, 201
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -92,46 +92,61 @@ def _commands(path: Path, ignored: list[str]) -> tuple[dict, list[dict]]:
     """Return the entries of the whole lens and of each surface, by their commands."""
     head: dict[str, Any] = {}
     surfaces: list[dict[str, Any]] = [{}]
-    ended = False
+    for number, words in _sentences(path):
+        key, rest = words[0].upper(), words[1:]
+        if key == "END":
+            return head, surfaces
+        if key == "NXT":
+            surfaces.append({})
+        elif key in _INERT:
+            ignored.append(f"line {number}: {' '.join(words)}")
+        elif not (_of_lens(head, number, key, rest) or _of_surface(surfaces[-1], head, number, key, rest)):
+            raise ValueError(f"line {number}: {key} is a command that is not understood, got {' '.join(words)!r:.80}")
+    raise ValueError("a lens must end with END")
+
+
+def _sentences(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield the words of each command with the number of its line; texts keep their quotation marks."""
     for number, line in enumerate(lens_text(path).splitlines(), start=1):
         for text in re.findall(r"(?:\"[^\"]*\"|[^;\"])+", line.split("//")[0]):
-            words = re.findall(r"\"[^\"]*\"|[^\s,]+", text)
-            if not words or ended:
-                continue
-            key, rest, here = words[0].upper(), words[1:], surfaces[-1]
-            if key == "LEN":
-                head["name"] = next((word.strip('"') for word in rest if word.startswith('"')), "")
-            elif key == "NXT":
-                surfaces.append({})
-            elif key == "END":
-                ended = True
-            elif key in ("EBR", "NAO", "FNO", "ANG", "OBH", "UNI"):
-                head[key] = _value(number, key, rest)
-            elif key in ("WV", "WW"):
-                head[key] = [_value(number, key, [word]) for word in rest]
-                if key == "WV":
-                    head["waves"] = head[key]
-            elif re.fullmatch(r"W[VW]\d+", key):
-                head.setdefault("more", {})[key] = _value(number, key, rest)
-            elif key in ("AIR", "AIF", "RFL", "RFH", "AST"):
-                here[{"AIF": "AIR", "RFH": "RFL"}.get(key, key)] = True
-            elif key in ("GLA", "GLF"):
-                here["GLA"] = [word.strip('"') for word in rest], list(head.get("waves", WAVES))
-            elif key in ("RD", "RDF", "CV", "CVF", "TH", "THF", "CC", "PFL", *_POWERS):
-                here[key[:2] if key != "PFL" else key] = _value(number, key, rest)
-            elif key in ("AP", "APF"):
-                here["AP"] = _value(number, key, rest[-1:]), rest[0].upper() == "CHK" if rest else False
-            elif key == "PY" and rest and _value(number, key, rest) == 0:
-                here["PY"] = True
-            elif key in _INERT:
-                ignored.append(f"line {number}: {' '.join(words)}")
-            else:
-                raise ValueError(
-                    f"line {number}: {key} is a command that is not understood, got {' '.join(words)!r:.80}"
-                )
-    if not ended:
-        raise ValueError("a lens must end with END")
-    return head, surfaces
+            if words := re.findall(r"\"[^\"]*\"|[^\s,]+", text):
+                yield number, words
+
+
+def _of_lens(head: dict, number: int, key: str, words: list[str]) -> bool:
+    """Enter a command about the whole lens; return whether it is one."""
+    if key == "LEN":
+        head["name"] = next((word.strip('"') for word in words if word.startswith('"')), "")
+    elif key in ("EBR", "NAO", "FNO", "ANG", "OBH", "UNI"):
+        head[key] = _value(number, key, words)
+    elif key in ("WV", "WW"):
+        head[key] = [_value(number, key, [word]) for word in words]
+    elif re.fullmatch(r"W[VW]\d+", key):
+        values = head.setdefault(key[:2], list(WAVES) if key[1] == "V" else [1.0] * len(head.get("WV", WAVES)))
+        place = int(key[2:])
+        if not 1 <= place <= len(values) + 1:
+            raise ValueError(f"line {number}: {key} must follow {key[:2]}{len(values)}")
+        values[place - 1 : place] = [_value(number, key, words)]
+    else:
+        return False
+    return True
+
+
+def _of_surface(entry: dict, head: dict, number: int, key: str, words: list[str]) -> bool:
+    """Enter a command about a surface; return whether it is one."""
+    if key in ("AIR", "AIF", "RFL", "RFH", "AST"):
+        entry[{"AIF": "AIR", "RFH": "RFL"}.get(key, key)] = True
+    elif key in ("GLA", "GLF"):
+        entry["GLA"] = [word.strip('"') for word in words], list(head.get("WV", WAVES))
+    elif key in ("RD", "RDF", "CV", "CVF", "TH", "THF", "CC", "PFL", *_POWERS):
+        entry[key[:2] if key != "PFL" else key] = _value(number, key, words)
+    elif key in ("AP", "APF"):
+        entry["AP"] = _value(number, key, words[-1:]), words[0].upper() == "CHK"
+    elif key == "PY" and words and _value(number, key, words) == 0:
+        entry["PY"] = True
+    else:
+        return False
+    return True
 
 
 def _value(number: int, key: str, words: list[str]) -> float:

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -367,67 +367,130 @@ def _settings(general, head, surfaces, form: str, context: Context) -> list[tupl
         f"the file holds {count} configurations: the surfaces give the system's own numbers, "
         "its settings hold the numbers of all configurations (see configurations)"
     )
-    scale, unused = context.scale, set()
+    unused = set()
     held: dict[tuple[str, int], dict[int, Line]] = {}
-    weather: dict[str, list[float]] = {}
     for line in general:
         if line.key in _OPERANDS - _IDLE_OPERANDS and len(line.words) > 2 and 1 <= line.whole(1) <= count:
             held.setdefault((line.key, line.whole()), {})[line.whole(1)] = line
         elif line.key in _OPERANDS - _IDLE_OPERANDS:
             unused.add(line.key)
-    stop = next((i for i, lines in enumerate(surfaces) if any(line.key == "STOP" for line in lines)), 1)
-    kind = _count(head, 0)
-    factor = scale if kind in (1, 2, 3) else 1.0
-    found: list[tuple] = []
-    points = _listed_points(head, factor)
-    fields, waves = [list(map(list, points)) for _ in range(count)], [list(context.waves) for _ in range(count)]
-    for (key, place), lines in held.items():
-
-        def values(name: str, start: float, scale: float = 1.0, place=place, lines=lines) -> list[float]:
-            """Return the values of an operand; where it has none, the value of the surface's own line `name`."""
-            own = _of(surfaces[place], name, start) if name else start
-            return [scale * (lines[i].value(2) if i in lines else own) for i in range(1, count + 1)]
-
-        inside = 1 <= place <= len(surfaces) - 2
-        if key == "THIC" and inside:
-            found.append(("thickness", place - 1, values("DISZ", 0.0, scale)))
-        elif key == "THIC" and place == 0 and kind not in (0, 4):
-            far = [value if value < FAR else math.inf for value in values("DISZ", math.inf, scale)]
-            found.append(("object_distance", None, far))
-        elif key in ("CRVT", "CURV") and inside:
-            found.append(("curvature", place - 1, values("CURV", 0.0, 1 / scale)))
-        elif key == "CONN" and inside:
-            found.append(("conic", place - 1, values("CONI", 0.0)))
-        elif key == "SDIA" and place == stop and form == "stop":
-            found.append(("aperture", None, values("DIAM", 0.0, 2 * scale)))
-        elif key == "SDIA" and inside and any(line.key == "FLAP" for line in surfaces[place]):
-            found.append(("semi_diameter", place - 1, values("DIAM", 0.0, scale)))
-        elif key == "APER" and form != "stop" and len(lines) == count:
-            found.append(("aperture", None, values("", 1.0, scale if form == "EPD" else 1.0)))
-        elif key == "GLSS" and inside:
-            found.append(("material", place - 1, _glasses_of(place, surfaces, lines, count, context)))
-        elif key in ("XFIE", "YFIE") and 1 <= place <= len(points) and kind != 4:
-            axis = 0 if key == "XFIE" else 1
-            for row, value in zip(fields, values("", points[place - 1][axis] / factor, factor), strict=True):
-                row[place - 1][axis] = value
-        elif key == "WAVE" and 1 <= place <= len(context.waves):
-            for row, value in zip(waves, values("", context.waves[place - 1] * 1e3, 1e-3), strict=True):
-                row[place - 1] = value
-        elif key in WEATHER:
-            weather[key] = [WEATHER[key][1] * value for value in values("", WEATHER[key][0])]
-        elif key != "SDIA":
-            unused.add(f"{key} {place}")
-    if kind in (2, 3):
-        found.append((("image_heights", "real_image_heights")[kind - 2], None, fields))
-    elif any(row != fields[0] for row in fields):
-        found.append(("fields", None, fields))
-    if any(row != waves[0] for row in waves):
-        found.append(("wavelengths", None, waves))
-    if weather:
-        found = _in_weather(found, surfaces, weather, count, context)
+    read = _Configurations(count, head, surfaces, form, context)
+    unused |= {f"{key} {place}" for (key, place), lines in held.items() if not read.enter(key, place, lines)}
+    found = read.settings()
     if unused:
         context.notes.append(f"operands of configurations that are not used: {', '.join(sorted(unused))}")
     return found
+
+
+class _Configurations:
+    """Settings of the configurations of a file, entered operand by operand.
+
+    The methods that enter an operand return whether it is used. They take its name, the number of its surface, field
+    or wavelength, and its lines by the number of their configuration.
+    """
+
+    def __init__(self, count: int, head, surfaces, form: str, context: Context):
+        self.count, self.surfaces, self.form, self.context = count, surfaces, form, context
+        self.stop = next((i for i, lines in enumerate(surfaces) if any(line.key == "STOP" for line in lines)), 1)
+        self.kind = _count(head, 0)
+        self.factor = context.scale if self.kind in (1, 2, 3) else 1.0
+        self.points = _listed_points(head, self.factor)
+        self.fields = [list(map(list, self.points)) for _ in range(count)]
+        self.waves = [list(context.waves) for _ in range(count)]
+        self.weather: dict[str, list[float]] = {}
+        self.found: list[tuple] = []
+
+    def enter(self, key: str, place: int, lines: dict[int, Line]) -> bool:
+        """Enter an operand."""
+        enter: dict[str, Callable[[str, int, dict[int, Line]], bool]] = {
+            **dict.fromkeys(("THIC", "CRVT", "CURV", "CONN"), self._number),
+            **dict.fromkeys(("XFIE", "YFIE"), self._field),
+            **dict.fromkeys(WEATHER, self._weather),
+            "SDIA": self._semi_diameter,
+            "APER": self._aperture,
+            "GLSS": self._material,
+            "WAVE": self._wave,
+        }
+        return key in enter and enter[key](key, place, lines)
+
+    def settings(self) -> list[tuple]:
+        """Return all settings: name, place of the surface or None, and values."""
+        if self.kind in (2, 3):
+            self.found.append((("image_heights", "real_image_heights")[self.kind - 2], None, self.fields))
+        elif any(row != self.fields[0] for row in self.fields):
+            self.found.append(("fields", None, self.fields))
+        if any(row != self.waves[0] for row in self.waves):
+            self.found.append(("wavelengths", None, self.waves))
+        if self.weather:
+            return _in_weather(self.found, self.surfaces, self.weather, self.count, self.context)
+        return self.found
+
+    def _values(self, lines: dict[int, Line], own: float, scale: float = 1.0) -> list[float]:
+        """Return the values of an operand, `own` in configurations without it."""
+        return [scale * (lines[i].value(2) if i in lines else own) for i in range(1, self.count + 1)]
+
+    def _is_inside(self, place: int) -> bool:
+        return 1 <= place <= len(self.surfaces) - 2
+
+    def _number(self, key: str, place: int, lines: dict[int, Line]) -> bool:
+        scale = self.context.scale
+        if key == "THIC" and place == 0 and self.kind not in (0, 4):
+            values = self._values(lines, _of(self.surfaces[0], "DISZ", math.inf), scale)
+            self.found.append(("object_distance", None, [value if value < FAR else math.inf for value in values]))
+            return True
+        if not self._is_inside(place):
+            return False
+        name, line, unit = {"THIC": ("thickness", "DISZ", scale), "CONN": ("conic", "CONI", 1.0)}.get(
+            key, ("curvature", "CURV", 1 / scale)
+        )
+        self.found.append((name, place - 1, self._values(lines, _of(self.surfaces[place], line, 0.0), unit)))
+        return True
+
+    def _semi_diameter(self, key: str, place: int, lines: dict[int, Line]) -> bool:
+        scale = self.context.scale
+        if place == self.stop and self.form == "stop":
+            own = _of(self.surfaces[place], "DIAM", 0.0)
+            self.found.append(("aperture", None, self._values(lines, own, 2 * scale)))
+        elif self._is_inside(place) and any(line.key == "FLAP" for line in self.surfaces[place]):
+            own = _of(self.surfaces[place], "DIAM", 0.0)
+            self.found.append(("semi_diameter", place - 1, self._values(lines, own, scale)))
+        # Elsewhere it limits no rays.
+        return True
+
+    def _aperture(self, key: str, place: int, lines: dict[int, Line]) -> bool:
+        used = self.form != "stop" and len(lines) == self.count
+        if used:
+            values = self._values(lines, 1.0, self.context.scale if self.form == "EPD" else 1.0)
+            self.found.append(("aperture", None, values))
+        return used
+
+    def _material(self, key: str, place: int, lines: dict[int, Line]) -> bool:
+        if self._is_inside(place):
+            media = _glasses_of(place, self.surfaces, lines, self.count, self.context)
+            self.found.append(("material", place - 1, media))
+        return self._is_inside(place)
+
+    def _field(self, key: str, place: int, lines: dict[int, Line]) -> bool:
+        used = 1 <= place <= len(self.points) and self.kind != 4
+        if used:
+            axis = 0 if key == "XFIE" else 1
+            values = self._values(lines, self.points[place - 1][axis] / self.factor, self.factor)
+            for row, value in zip(self.fields, values, strict=True):
+                row[place - 1][axis] = value
+        return used
+
+    def _wave(self, key: str, place: int, lines: dict[int, Line]) -> bool:
+        used = 1 <= place <= len(self.context.waves)
+        if used:
+            values = self._values(lines, self.context.waves[place - 1] * 1e3, 1e-3)
+            for row, value in zip(self.waves, values, strict=True):
+                row[place - 1] = value
+        return used
+
+    def _weather(self, key: str, place: int, lines: dict[int, Line]) -> bool:
+        start, scale = WEATHER[key]
+        self.weather[key] = self._values(lines, start, scale)
+        return True
 
 
 def _glasses_of(place: int, surfaces, lines: dict, count: int, context: Context) -> list:
@@ -519,13 +582,41 @@ def _surface(number: int, surfaces, context: Context) -> surface:
         )
 
 
+class _Entries(NamedTuple):
+    """Numbers of a surface from which its shape is made; lengths in millimetres but for `p`.
+
+    `p` are its lines PARM, `extra` its terms of lines XDAT, and `norm` their radius of normalisation.
+    """
+
+    number: int
+    kind: str
+    lines: list[Line]
+    scale: float
+    curvature: float
+    conic: float
+    p: dict[int, float]
+    extra: list[float]
+    norm: float
+    strong: bool
+
+    def heights(self) -> list[float]:
+        """Return the terms of lines XDAT as heights."""
+        return [value * self.scale for value in self.extra]
+
+    def powers(self, step: int = 2) -> list[float]:
+        """Return the coefficients of r to the power of `step`, 2·`step`, … of lines PARM."""
+        last = min(max((i for i, value in self.p.items() if value), default=0), 8)
+        return [self.p.get(i, 0.0) * self.scale ** (1 - step * i) for i in range(1, last + 1)]
+
+
 def _form(number: int, kind: str, lines, scale: float) -> tuple[Shape, Phase | None]:
     """Return the shape and the phase of a surface."""
     curvature, conic = _of(lines, "CURV", 0.0) / scale, _of(lines, "CONI", 0.0)
     p, x = _parameters(lines, "PARM"), _parameters(lines, "XDAT")
+    strong = x.get(1, 0.0) == 1
     if kind == "QED_TYPE":
         # The kind of the polynomials, then as the others.
-        strong, x = x.get(1, 0.0) == 1, {i - 1: value for i, value in x.items() if i > 1}
+        x = {i - 1: value for i, value in x.items() if i > 1}
     terms, norm = int(x.get(1, 0.0)), x.get(2, 1.0) * scale or 1.0
     if not 0 <= terms <= MAXIMUM_TERMS:
         raise ValueError(f"surface {number}: XDAT must contain at most {MAXIMUM_TERMS} terms, got {terms}")
@@ -533,69 +624,113 @@ def _form(number: int, kind: str, lines, scale: float) -> tuple[Shape, Phase | N
     last = max((i for i, value in p.items() if value), default=0)
     if kind in ("EVENASPH", "ODDASPHE") and last > 8:
         raise ValueError(f"surface {number}: PARM must be 1 to 8, got {last}")
-    step = 1 if kind == "ODDASPHE" else 2
-    given = [p.get(i, 0.0) * scale ** (1 - step * i) for i in range(1, min(last, 8) + 1)]
-    if kind == "DGRATING":
-        return Conic(curvature, conic), LinearGrating(0.0, p.get(1, 0.0) * 1e3, p.get(2, 0.0))
-    if kind == "PARAXIAL":
-        return Conic(curvature, conic), IdealLens(p.get(1, 100.0) * scale)
-    if kind == "STANDARD" or kind.startswith("GRINSUR"):
-        return Conic(curvature, conic), None
-    if kind in ("EVENASPH", "BINARY_1", "BINARY_2"):
-        phases = {"BINARY_1": PolynomialPhase, "BINARY_2": RadialPhase}
-        phase = phases[kind](extra, norm, p.get(0, 1.0)) if kind in phases and extra else None
-        return EvenAsphere(curvature, conic, given), phase
-    if kind == "ODDASPHE":
-        return OddAsphere(curvature, conic, given or [0.0]), None
-    if kind in ("XASPHERE", "XOSPHERE"):
-        # Powers of r over the radius of normalisation.
-        step = 2 if kind == "XASPHERE" else 1
-        given = [value * scale / norm ** (step * i) for i, value in enumerate(extra, start=1)]
-        return (EvenAsphere if step == 2 else OddAsphere)(curvature, conic, given or [0.0]), None
-    if kind == "QED_TYPE":
-        given = [value * scale for value in extra]
-        return QconAsphere(curvature, conic, given, norm) if strong else QbfsAsphere(curvature, given, norm), None
-    if kind == "IRREGULA":
-        return _irregular(number, curvature, conic, p, _of(lines, "DIAM", 0.0) * scale, scale), None
-    if kind == "TILTSURF":
-        return PolynomialFreeform(0.0, 0.0, [p.get(1, 0.0), p.get(2, 0.0)], 1.0), None
-    if kind == "TOROIDAL":
-        if terms:
-            raise ValueError(
-                f"surface {number}: TOROIDAL with Zernike terms (XDAT) is not supported, got {terms} terms"
-            )
-        rotation = p.get(1, 0.0) * scale
-        given = [p.get(i, 0.0) * scale ** (3 - 2 * i) for i in range(2, max(last, 1) + 1)]
-        return Toroid(1 / rotation if rotation else 0.0, curvature, conic, given), None
-    if kind == "BICONICX":
-        radius = p.get(1, 0.0) * scale
-        return Biconic(1 / radius if radius else 0.0, curvature, p.get(2, 0.0), conic), None
-    heights = [value * scale for value in extra] or [0.0]
-    if kind == "XPOLYNOM":
-        return PolynomialFreeform(curvature, conic, heights, norm), None
-    if p.get(9, 0.0) or p.get(10, 0.0):
-        shift = p.get(9, 0.0), p.get(10, 0.0)
+    made = _SHAPES[kind](_Entries(number, kind, lines, scale, curvature, conic, p, extra, norm, strong))
+    return made if isinstance(made, tuple) else (made, None)
+
+
+def _conic(e: _Entries) -> Shape:
+    return Conic(e.curvature, e.conic)
+
+
+def _grating(e: _Entries) -> tuple[Shape, Phase]:
+    return _conic(e), LinearGrating(0.0, e.p.get(1, 0.0) * 1e3, e.p.get(2, 0.0))
+
+
+def _paraxial(e: _Entries) -> tuple[Shape, Phase]:
+    return _conic(e), IdealLens(e.p.get(1, 100.0) * e.scale)
+
+
+def _asphere(e: _Entries) -> Shape:
+    if e.kind == "ODDASPHE":
+        return OddAsphere(e.curvature, e.conic, e.powers(1) or [0.0])
+    return EvenAsphere(e.curvature, e.conic, e.powers())
+
+
+def _diffractive(e: _Entries) -> tuple[Shape, Phase | None]:
+    phase = PolynomialPhase if e.kind == "BINARY_1" else RadialPhase
+    return _asphere(e), phase(e.extra, e.norm, e.p.get(0, 1.0)) if e.extra else None
+
+
+def _extended_asphere(e: _Entries) -> Shape:
+    """Return an asphere in powers of r over the radius of normalisation."""
+    made, step = (EvenAsphere, 2) if e.kind == "XASPHERE" else (OddAsphere, 1)
+    given = [value * e.scale / e.norm ** (step * i) for i, value in enumerate(e.extra, start=1)]
+    return made(e.curvature, e.conic, given or [0.0])
+
+
+def _forbes(e: _Entries) -> Shape:
+    if e.strong:
+        return QconAsphere(e.curvature, e.conic, e.heights(), e.norm)
+    return QbfsAsphere(e.curvature, e.heights(), e.norm)
+
+
+def _tilted(e: _Entries) -> Shape:
+    return PolynomialFreeform(0.0, 0.0, [e.p.get(1, 0.0), e.p.get(2, 0.0)], 1.0)
+
+
+def _toroid(e: _Entries) -> Shape:
+    if e.extra:
         raise ValueError(
-            f"surface {number}: {kind} with shifted Zernike terms (PARM 9 and 10) is not supported: {shift}"
+            f"surface {e.number}: TOROIDAL with Zernike terms (XDAT) is not supported, got {len(e.extra)} terms"
         )
-    modes = _fringe_modes(len(heights)) if kind == "FZERNSAG" else None
-    return ZernikeFreeform(curvature, conic, _zernike_terms(heights, modes, given, norm), norm), None
+    rotation = e.p.get(1, 0.0) * e.scale
+    last = max((i for i, value in e.p.items() if value), default=1)
+    given = [e.p.get(i, 0.0) * e.scale ** (3 - 2 * i) for i in range(2, last + 1)]
+    return Toroid(1 / rotation if rotation else 0.0, e.curvature, e.conic, given)
 
 
-def _irregular(number: int, curvature: float, conic: float, p: dict, reach: float, scale: float) -> Shape:
+def _biconic(e: _Entries) -> Shape:
+    radius = e.p.get(1, 0.0) * e.scale
+    return Biconic(1 / radius if radius else 0.0, e.curvature, e.p.get(2, 0.0), e.conic)
+
+
+def _polynomial(e: _Entries) -> Shape:
+    return PolynomialFreeform(e.curvature, e.conic, e.heights() or [0.0], e.norm)
+
+
+def _zernike(e: _Entries) -> Shape:
+    if e.p.get(9, 0.0) or e.p.get(10, 0.0):
+        shift = e.p.get(9, 0.0), e.p.get(10, 0.0)
+        raise ValueError(
+            f"surface {e.number}: {e.kind} with shifted Zernike terms (PARM 9 and 10) is not supported: {shift}"
+        )
+    heights = e.heights() or [0.0]
+    modes = _fringe_modes(len(heights)) if e.kind == "FZERNSAG" else None
+    return ZernikeFreeform(e.curvature, e.conic, _zernike_terms(heights, modes, e.powers(), e.norm), e.norm)
+
+
+def _irregular(e: _Entries) -> Shape:
     """Return a conic plus Zs·ρ⁴ + Za·ρ_y² + Zc·ρ²·ρ_y, ρ being the distance from the axis over the semi-diameter.
 
     Ansys Zemax OpticStudio 2024 R2 help, "Irregular".
     """
-    s, a, c = (p.get(i, 0.0) * scale for i in (5, 6, 7))
+    s, a, c = (e.p.get(i, 0.0) * e.scale for i in (5, 6, 7))
     if not (s or a or c):
-        return Conic(curvature, conic)
+        return _conic(e)
+    reach = _of(e.lines, "DIAM", 0.0) * e.scale
     if not reach:
-        raise ValueError(f"surface {number}: IRREGULA needs a semi-diameter (DIAM), at which its terms are given")
-    if p.get(8, 0.0) and (a or c):
-        raise ValueError(f"surface {number}: IRREGULA turned by an angle (PARM 8) is not supported: {p[8]:g}")
+        raise ValueError(f"surface {e.number}: IRREGULA needs a semi-diameter (DIAM), at which its terms are given")
+    if e.p.get(8, 0.0) and (a or c):
+        raise ValueError(f"surface {e.number}: IRREGULA turned by an angle (PARM 8) is not supported: {e.p[8]:g}")
     terms = [0.0, 0.0, 0.0, 0.0, a, 0.0, c, 0.0, c, s, 0.0, 2 * s, 0.0, s]
-    return PolynomialFreeform(curvature, conic, terms, reach)
+    return PolynomialFreeform(e.curvature, e.conic, terms, reach)
+
+
+_SHAPES: dict[str, Callable[[_Entries], Shape | tuple[Shape, Phase | None]]] = {
+    **dict.fromkeys(("STANDARD", "GRINSUR1", "GRINSUR2", "GRINSUR3"), _conic),
+    **dict.fromkeys(("EVENASPH", "ODDASPHE"), _asphere),
+    **dict.fromkeys(("XASPHERE", "XOSPHERE"), _extended_asphere),
+    **dict.fromkeys(("BINARY_1", "BINARY_2"), _diffractive),
+    **dict.fromkeys(("SZERNSAG", "FZERNSAG"), _zernike),
+    "TOROIDAL": _toroid,
+    "BICONICX": _biconic,
+    "TILTSURF": _tilted,
+    "XPOLYNOM": _polynomial,
+    "QED_TYPE": _forbes,
+    "IRREGULA": _irregular,
+    "DGRATING": _grating,
+    "PARAXIAL": _paraxial,
+}
 
 
 def _fringe_modes(count: int) -> list[tuple[int, int]]:
@@ -683,61 +818,95 @@ def _limits(number: int, lines, scale: float) -> tuple[float | None, list[Apertu
     return limit, found
 
 
+class _Glass(NamedTuple):
+    """A line GLAS: name, code of its kind, index and Abbe number at d, and deviation of the partial dispersion.
+
+    `own` is true where the line itself defines the glass, `stated` where it gives index and Abbe number.
+    """
+
+    name: str
+    code: str
+    nd: float
+    vd: float
+    dpgf: float
+    own: bool
+    stated: bool
+
+    @classmethod
+    def of(cls, line: Line) -> "_Glass":
+        """Return the entries of a line."""
+        name, code = line.words[0], line.words[1] if len(line.words) > 1 else "0"
+        own = name == "___BLANK" or code == "1"
+        nd = line.value(3) if len(line.words) > 3 else 0.0
+        unknown = len(line.words) <= 4 or (own and line.words[4].strip("?") == "")
+        vd = 0.0 if unknown else line.value(4)
+        stated = nd > 1 and vd > 0 and (own or (round(nd, 6), round(vd, 6)) != _PLACEHOLDER)
+        return cls(name, code, nd, vd, line.value(5) if len(line.words) > 5 else 0.0, own, stated)
+
+
 def _glass(number: int, surfaces, context: Context):
     """Return the medium behind a surface."""
     line = next((line for line in surfaces[number] if line.key == "GLAS" and line.words), None)
     if line is None:
         return "air"
-    name, code = line.words[0], line.words[1] if len(line.words) > 1 else "0"
-    if name in context.glasses:
-        return context.glasses[name]
-    if name.upper() == "MIRROR":
+    if line.words[0] in context.glasses:
+        return context.glasses[line.words[0]]
+    if line.words[0].upper() == "MIRROR":
         return MIRROR
-    own = name == "___BLANK" or code == "1"
-    nd = line.value(3) if len(line.words) > 3 else 0.0
-    unknown = own and len(line.words) > 4 and line.words[4].strip("?") == ""
-    vd = 0.0 if unknown or len(line.words) <= 4 else line.value(4)
-    if own and nd == -1:
-        context.notes.append(f"surface {number}: {name} of index -1 is a mirror")
+    glass = _Glass.of(line)
+    if glass.own and glass.nd == -1:
+        context.notes.append(f"surface {number}: {glass.name} of index -1 is a mirror")
         return MIRROR
-    if own and nd > 0 and not vd:
-        if nd != 1:
-            context.notes.append(f"surface {number}: {name} of index {nd:g} has no Abbe number: no dispersion")
-        return nd
-    if code == "2" and len(line.words) > 2 and not (nd > 1 and vd > 0):
+    if glass.own and glass.nd > 0 and not glass.vd:
+        if glass.nd != 1:
+            context.notes.append(
+                f"surface {number}: {glass.name} of index {glass.nd:g} has no Abbe number: no dispersion"
+            )
+        return glass.nd
+    if glass.code == "2" and len(line.words) > 2 and not (glass.nd > 1 and glass.vd > 0):
         source = line.whole(2)
         if 0 < source < number:
             return _glass(source, surfaces, context)
-    if code == "4" and (nd or vd):
-        context.notes.append(f"surface {number}: the offset of {name}, {nd:g} in nd and {vd:g} in Vd, is not used")
-    stated = nd > 1 and vd > 0 and (round(nd, 6), round(vd, 6)) != _PLACEHOLDER
-    dpgf = line.value(5) if len(line.words) > 5 else 0.0
-    if not own:
-        found, problem = catalogued(number, name, context)
-        thin = abs(_of(surfaces[number], "DISZ", 0.0)) * context.scale <= THIN
-        if found is None and thin and re.fullmatch(r"NOA-?\d+\w*", name.upper()) and not stated:
-            found = material("NOA61")
-            context.notes.append(f"surface {number}: {name}, a thin layer of an adhesive, is taken to be NOA61")
-        if found is not None:
-            return within(number, found, context)
-        digits = re.fullmatch(r"(\d{3})\.?(\d{3})", name)
-        if digits and not stated:
-            nd, vd, dpgf, stated = 1 + int(digits[1]) / 1000, int(digits[2]) / 10, 0.0, digits[2] != "000"
-        if not stated:
-            near = (
-                ""
-                if not nd > 1
-                else f" Nearest to its nd = {nd:g}, Vd = {vd:g}: {', '.join(nearest_materials(nd, vd))}."
-            )
-            raise ValueError(
-                f"surface {number}: {problem}.{near} Or pass glasses={{{name!r}: …}} to read_zmx, or "
-                "load a catalogue that holds it (load_materials; odak trace --glasses)"
-            )
-    elif not (nd > 1 and vd > 0):
+    if glass.code == "4" and (glass.nd or glass.vd):
+        context.notes.append(
+            f"surface {number}: the offset of {glass.name}, {glass.nd:g} in nd and {glass.vd:g} in Vd, is not used"
+        )
+    if glass.own:
+        return _modelled(number, glass, context)
+    thin = abs(_of(surfaces[number], "DISZ", 0.0)) * context.scale <= THIN
+    return _of_catalogue(number, glass, thin, context)
+
+
+def _of_catalogue(number: int, glass: _Glass, thin: bool, context: Context):
+    """Return a glass by its name, or a model of it where the line or a six-digit name states index and Abbe number."""
+    found, problem = catalogued(number, glass.name, context)
+    if found is None and thin and re.fullmatch(r"NOA-?\d+\w*", glass.name.upper()) and not glass.stated:
+        found = material("NOA61")
+        context.notes.append(f"surface {number}: {glass.name}, a thin layer of an adhesive, is taken to be NOA61")
+    if found is not None:
+        return within(number, found, context)
+    digits = re.fullmatch(r"(\d{3})\.?(\d{3})", glass.name)
+    if digits and not glass.stated:
+        nd, vd = 1 + int(digits[1]) / 1000, int(digits[2]) / 10
+        glass = glass._replace(nd=nd, vd=vd, dpgf=0.0, stated=vd > 0)
+    if not glass.stated:
+        nearest = ", ".join(nearest_materials(glass.nd, glass.vd)) if glass.nd > 1 else ""
+        near = f" Nearest to its nd = {glass.nd:g}, Vd = {glass.vd:g}: {nearest}." if nearest else ""
+        raise ValueError(
+            f"surface {number}: {problem}.{near} Or pass glasses={{{glass.name!r}: …}} to read_zmx, or "
+            "load a catalogue that holds it (load_materials; odak trace --glasses)"
+        )
+    return _modelled(number, glass, context)
+
+
+def _modelled(number: int, glass: _Glass, context: Context):
+    """Return a model glass of a stated index and Abbe number."""
+    name, nd, vd = glass.name, glass.nd, glass.vd
+    if not glass.stated:
         raise ValueError(f"surface {number}: {name} must state an index above 1 and an Abbe number, got {nd:g}, {vd:g}")
     near = ", ".join(nearest_materials(nd, vd, 2, context.makers or None))
     context.notes.append(f"surface {number}: {name} is a model glass of nd = {nd:g}, Vd = {vd:g}; nearest are {near}")
-    return within(number, model_glass(nd, vd, dpgf), context)
+    return within(number, model_glass(nd, vd, glass.dpgf), context)
 
 
 def _image(number: int, surfaces, context: Context) -> surface | None:

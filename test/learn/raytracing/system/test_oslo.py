@@ -76,6 +76,15 @@ def test_a_file_is_read_in_millimetres(tmp_path):
     assert any("DES" in line for line in report.ignored) and any("0.7" in note for note in report.notes)
 
 
+def test_wavelengths_beyond_the_third_are_read_by_their_number(tmp_path):
+    text = LENS.replace("END  4", "WV4 0.7065\nWW4 0.25\nWV2 0.48\nEND 4")
+    system, _ = read(tmp_path, text)
+    assert system.wavelengths == pytest.approx([587.56e-6, 480e-6, 656.27e-6, 706.5e-6])
+    assert system.wavelength_weights == (1.0, 0.5, 0.5, 0.25)
+    with pytest.raises(ValueError, match="WV6 must follow WV3"):
+        read(tmp_path, LENS.replace("END  4", "WV6 0.7\nEND 4"))
+
+
 def test_a_singlet_has_the_power_of_the_lensmaker(tmp_path):
     text = (
         'LEN NEW "x" 50 3\nEBR 2; ANG 0\nTH 1e20\nNXT\nGLA BK7; RD 20; TH 2\nNXT\nAIR; RD -20; TH 20\nNXT\nAIR\nEND 3\n'
