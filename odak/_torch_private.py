@@ -48,7 +48,16 @@ def outside_functional_transforms(*tensors: torch.Tensor) -> AbstractContextMana
 
 def in_forward_mode() -> bool:
     """Return whether forward-mode differentiation is running."""
-    return torch.autograd.forward_ad._current_level >= 0
+    return torch.autograd.forward_ad._current_level >= 0 and torch._C._is_fwd_grad_enabled()
+
+
+def without_derivatives() -> AbstractContextManager:
+    """Return a context without derivatives and transforms, for a computation that none of them wraps a tensor of."""
+    contexts = ExitStack()
+    contexts.enter_context(torch.no_grad())
+    contexts.enter_context(torch.autograd.forward_ad._set_fwd_grad_enabled(False))
+    contexts.enter_context(outside_functional_transforms())
+    return contexts
 
 
 def is_transformed(*tensors: torch.Tensor) -> bool:

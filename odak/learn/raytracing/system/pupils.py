@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from odak import _show, _validate
-from odak._array import is_readable, is_wrapped
+from odak import _show, _torch_private, _validate
+from odak._array import is_compiling, is_readable
 from odak.learn._tensors import checked_device, checked_dtype
 from odak.learn.raytracing.system.paraxial import entrance_pupil
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.surfaces import checked_system, is_break
 from odak.learn.raytracing.system.tracing import Rays, Traced, in_surface_frame, trace
+from odak.raytracing.batches import needs_gradient
 
 PATTERNS = ("rings", "grid", "x", "y", "random", "gauss")
 AIMS = ("paraxial", "real")
@@ -26,9 +27,14 @@ WIDE, BEFORE = 80.0, 20.0
 CLOSE = 1e-6
 # The same on the way of a continuation, and steps tried at once there.
 NEAR, SHARES = 1e-2, 16
-# Chief rays that were found last, by all that they depend on: an analysis aims the same fields many times.
+# Chief rays that were found last, and charts of the pupil about them, by all that they depend on: an analysis aims the
+# same fields many times.
 KEPT = 8
 _CHIEF_RAYS: dict[tuple, tuple[torch.Tensor, ...]] = {}
+# From this number of rays on a chart is worth its own rays, those of a Gaussian quadrature of some rings; the degree of
+# its polynomials.
+CHARTED, CHART_RINGS, DEGREE = 200, 6, 8
+POWERS = [(i, n - i) for n in range(DEGREE + 1) for i in range(n + 1)]
 # Spokes of the Gaussian quadrature for each of its rings. Steps along a spoke in which its clear parts are looked for,
 # and halvings by which their ends are found.
 SPOKES, STEPS, HALVINGS = 4, 48, 13
@@ -541,77 +547,115 @@ def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: to
     -----
     The chief ray of each field first, by Newton's method from the paraxial pupil. Where that fails, as for the outer
     fields of wide lenses, whose pupils lie far from the paraxial one, it is followed from the axis to the field. The
-    other rays start as the chief ray and its derivatives say; those that fail are followed from it outwards.
+    other rays start as the chief ray and its derivatives say; those that fail are followed from it outwards. Many rays
+    start from a chart, polynomials that a few such rays determine: its derivatives serve all steps of theirs.
     """
-    radius = pupil.stop_radius[..., None, None, None]
-    step = 1e-4 * pupil.reach[..., None, None, None]
+    given: Any = (numbers, pupil, points, fields)
+    constants = _constant(given)
+    graph = needs_gradient(*(value for value in numbers if isinstance(value, torch.Tensor)), points, fields)
+    # The search has no derivatives: it is done apart from transforms of torch.func where these wrap no number of it.
+    apart = _is_plain(system, *constants)
+    with _torch_private.without_derivatives() if apart else torch.no_grad():
+        known = _key(system, constants[0], constants[3], wide) if apart else None
+        x, y, found, jacobian = _search(system, constants if apart else given, wide, known, graph)
+    if jacobian is not None:
+        # One more step with a graph carries the gradient; its Jacobian has none.
+        errors = _misses(system, numbers, pupil, fields, wide)
+        ex, ey, kept = errors(x, y, points)
+        dx, dy = _newton([torch.where(kept & found, value, 0.0) for value in (ex, ey)], jacobian)
+        x, y = x - dx, y - dy
+    return torch.where(found, x, torch.inf), torch.where(found, y, torch.inf)
+
+
+def _constant(value):
+    """Return tensors, also those in tuples, without what grad, jvp or another transform of torch.func wraps."""
+    if isinstance(value, tuple):
+        parts = map(_constant, value)
+        return value._make(parts) if hasattr(value, "_make") else tuple(parts)
+    return _torch_private.as_constant(value) if isinstance(value, torch.Tensor) else value
+
+
+def _is_plain(system, numbers: Prescription, pupil, points, fields) -> bool:
+    """Return whether a search has nothing but tensors on the processor that no transform wraps."""
+    image = [] if system.image is None else [*system.image.parameters(), *system.image.buffers()]
+    values = [points, fields, *image, *(value for value in numbers if value is not None)]
+    if not all(isinstance(value, torch.Tensor) and value.device.type == "cpu" for value in values):
+        return False
+    return not is_compiling() and not _torch_private.is_wrapped(*values, *pupil[:5], *pupil.middle)
+
+
+def _misses(system, numbers: Prescription, pupil, fields: torch.Tensor, wide: bool) -> Callable:
+    """Return the function by which rays through places of the entrance pupil are judged."""
 
     def errors(px, py, goals, where=fields):
         """Return by how much rays of fields miss points of the stop, and whether they exist."""
         x, y, kept = at_stop(system, numbers, through_places(system, where, pupil, px, py, wide))
+        radius = pupil.stop_radius[..., None, None, None]
         return x - radius * goals[..., 0], y - radius * goals[..., 1], kept
 
-    with torch.no_grad():
-        centre = torch.zeros_like(points[..., :1, :])
-        batch = (*pupil.reach.shape, 1, len(fields), 1)
-        shape = torch.broadcast_shapes(batch, (*numbers.batch, 1, 1, 1), points.shape[:-1])
-        goals = points.expand(*shape, 2)
-        known = _key(system, numbers, fields, wide)
-        held = None if known is None else _CHIEF_RAYS.pop(known, None)
-        if held is None:
-            held = _chief_rays(errors, places_of(pupil, centre), centre.expand(*shape[:-1], 1, 2), fields, step, radius)
-        if known is not None:
-            _CHIEF_RAYS[known] = held
-            if len(_CHIEF_RAYS) > KEPT:
-                # Another thread may have taken the oldest at the same time.
-                _CHIEF_RAYS.pop(next(iter(tuple(_CHIEF_RAYS)), ()), None)
-        cx, cy, reached = held
-        (ex, ey, _), jacobian = _differences(errors, cx, cy, step, centre)
-        dx, dy = _newton((ex - radius * goals[..., 0], ey - radius * goals[..., 1]), jacobian)
-        near = reached & torch.isfinite(dx + dy)
-        x, y = (
-            torch.where(near, c - d, own)
-            for c, d, own in zip((cx, cy), (dx, dy), places_of(pupil, points), strict=True)
-        )
-        x, y, found = _solve(errors, x, y, step, radius, goals)
-        lost = reached & ~found
-        if bool(lost.any()):
-            # Those lost in any system of a batch, as fields of one ray each.
-            some = lost.flatten(0, -3).any(0)
-            fx, fy = (value.expand(shape)[..., some, None] for value in (cx, cy))
-            ends, which = goals[..., some, :][..., None, :], fields.expand(*shape[-2:], 2)[some][:, None]
-            px, py, met = _continuation(errors, fx, fy, step, radius, lambda s: (s[..., None] * ends, which))
-            px, py, met = (value[..., 0] for value in (px, py, met))
-            better = met & lost[..., some]
-            x[..., some], y[..., some] = (
-                torch.where(better, px, x[..., some]),
-                torch.where(better, py, y[..., some]),
-            )
-            found[..., some] = found[..., some] | better
-    safe = [torch.where(found, value, 0.0) for value in (x, y)]
+    return errors
 
-    with torch.no_grad():
-        # One more step with a graph carries the gradient; its Jacobian, by central differences, has none.
-        (px, py), (nx, ny) = safe, [value - step for value in safe]
-        sides = _side_by_side(errors, [(px + step, py), (nx, py), (px, py + step), (px, ny)], goals)
-        jacobian = [
-            [torch.where(found & a[2] & b[2], (a[i] - b[i]) / (2 * step), 0.0) for i in range(2)]
-            for a, b in (sides[:2], sides[2:])
-        ]
-    ex, ey, kept = errors(safe[0], safe[1], points)
-    dx, dy = _newton([torch.where(kept & found, value, 0.0) for value in (ex, ey)], jacobian)
-    x, y = safe[0] - dx, safe[1] - dy
-    return torch.where(found, x, torch.inf), torch.where(found, y, torch.inf)
+
+def _search(system, given: tuple, wide: bool, known: tuple | None, graph: bool) -> tuple:
+    """Return coordinates of rays, which of them were found, and the Jacobian of the misses there if asked for.
+
+    Those that were not found have coordinates 0. `given` is prescription, entrance pupil, points and fields; `known`
+    the key of the chief rays, None if it has none.
+    """
+    numbers, pupil, points, fields = given
+    errors, radius = _misses(system, numbers, pupil, fields, wide), pupil.stop_radius[..., None, None, None]
+    step = 1e-4 * pupil.reach[..., None, None, None]
+    centre = torch.zeros_like(points[..., :1, :])
+    batch = (*pupil.reach.shape, 1, len(fields), 1)
+    shape = torch.broadcast_shapes(batch, (*numbers.batch, 1, 1, 1), points.shape[:-1])
+    goals = points.expand(*shape, 2)
+    held = None if known is None else _CHIEF_RAYS.pop(known, None)
+    if held is None:
+        held = _chief_rays(errors, places_of(pupil, centre), centre.expand(*shape[:-1], 1, 2), fields, step, radius)
+    cx, cy, reached, *chart = held
+    charted = known is not None and points.shape[-2] >= CHARTED and bool(reached.all())
+    if charted and not chart:
+        nodes = pupil_samples("gauss", CHART_RINGS).to(points)
+        ends = nodes.expand(*shape[:-1], *nodes.shape)
+        chart = [_chart(nodes, *_beside(errors, held, places_of(pupil, nodes), step, radius, ends))]
+    if known is not None:
+        _CHIEF_RAYS[known] = (cx, cy, reached, *chart)
+        if len(_CHIEF_RAYS) > KEPT:
+            # Another thread may have taken the oldest at the same time.
+            _CHIEF_RAYS.pop(next(iter(tuple(_CHIEF_RAYS)), ()), None)
+    if charted:
+        x, y, found = _by_chart(errors, chart[0], points, step, radius, goals)
+    else:
+        x, y, found = _beside(errors, held, places_of(pupil, points), step, radius, goals)
+    lost = reached & ~found
+    if bool(lost.any()):
+        # Those lost in any system of a batch, as fields of one ray each.
+        some = lost.flatten(0, -3).any(0)
+        fx, fy = (value.expand(shape)[..., some, None] for value in (cx, cy))
+        ends, which = goals[..., some, :][..., None, :], fields.expand(*shape[-2:], 2)[some][:, None]
+        px, py, met = _continuation(errors, fx, fy, step, radius, lambda s: (s[..., None] * ends, which))
+        px, py, met = (value[..., 0] for value in (px, py, met))
+        better = met & lost[..., some]
+        x[..., some], y[..., some] = (
+            torch.where(better, px, x[..., some]),
+            torch.where(better, py, y[..., some]),
+        )
+        found[..., some] = found[..., some] | better
+    x, y = (torch.where(found, value, 0.0) for value in (x, y))
+    if charted and not graph:
+        return x, y, found, None
+    sides = _side_by_side(errors, [(x + step, y), (x - step, y), (x, y + step), (x, y - step)], goals)
+    jacobian = [
+        [torch.where(found & a[2] & b[2], (a[i] - b[i]) / (2 * step), 0.0) for i in range(2)]
+        for a, b in (sides[:2], sides[2:])
+    ]
+    return x, y, found, jacobian
 
 
 def _key(system, numbers: Prescription, fields: torch.Tensor, wide: bool) -> tuple | None:
-    """Return all that chief rays depend on, None where it is more than can be compared at once."""
+    """Return all that chief rays depend on, None where it cannot be read."""
     values: list[Any] = [value for value in (*numbers, fields) if value is not None]
-    if not all(
-        isinstance(value, torch.Tensor) and value.device.type == "cpu" and is_readable(value) for value in values
-    ):
-        return None
-    if any(map(is_wrapped, values)):
+    if not all(map(is_readable, values)):
         return None
     kinds = tuple((item.reflects, is_break(item), item.order) for item in system.surfaces)
     whole = system.stop, system.object_distance, system.telecentric, wide, kinds
@@ -628,6 +672,52 @@ def _chief_rays(errors, middle, centre, fields, step, radius):
         done = met & ~found
         x, y, found = torch.where(done, px, x), torch.where(done, py, y), found | done
     return x, y, found
+
+
+def _beside(errors, held, places, step, radius, goals):
+    """Return coordinates of rays that start as the chief rays and their derivatives say, and which were found."""
+    cx, cy, reached = held[:3]
+    centre = torch.zeros_like(goals[..., :1, :])
+    (ex, ey, _), jacobian = _differences(errors, cx, cy, step, centre)
+    dx, dy = _newton((ex - radius * goals[..., 0], ey - radius * goals[..., 1]), jacobian)
+    near = reached & torch.isfinite(dx + dy)
+    x, y = (torch.where(near, c - d, own) for c, d, own in zip((cx, cy), (dx, dy), places, strict=True))
+    return _solve(errors, x, y, step, radius, goals)
+
+
+def _powers(points: torch.Tensor) -> torch.Tensor:
+    """Return the products of powers of the coordinates up to a degree, ``[..., P, K]``."""
+    rows = [[torch.ones_like(value)] for value in points.unbind(-1)]
+    for row, value in zip(rows, points.unbind(-1), strict=True):
+        for _ in range(DEGREE):
+            row.append(row[-1] * value)
+    return torch.stack([rows[0][i] * rows[1][j] for i, j in POWERS], -1)
+
+
+def _chart(nodes, x, y, found) -> torch.Tensor:
+    """Return polynomials of points of the stop, ``[..., F, K, 6]``: a ray's coordinates and their derivatives."""
+    kept = found[..., None]
+    places = torch.where(kept, torch.stack([x, y], -1), 0.0)
+    whole = torch.linalg.lstsq(kept * _powers(nodes), places).solution
+    slopes = torch.zeros(2, len(POWERS), len(POWERS)).to(whole)
+    for column, (i, j) in enumerate(POWERS):
+        for axis, (count, lower) in enumerate(((i, (i - 1, j)), (j, (i, j - 1)))):
+            if count:
+                slopes[axis, POWERS.index(lower), column] = count
+    return torch.cat([whole, slopes[0] @ whole, slopes[1] @ whole], -1)
+
+
+def _by_chart(errors, chart, points, step, radius, goals):
+    """Return coordinates of rays after steps with the derivatives of the chart, and which reach their points."""
+    x, y, xx, yx, xy, yy = (_powers(points) @ chart).unbind(-1)
+    for _ in range(5):
+        ex, ey, kept = errors(x, y, goals)
+        dx, dy = (xx * ex + xy * ey) / radius, (yx * ex + yy * ey) / radius
+        usable = kept & torch.isfinite(dx + dy)
+        x, y = x - torch.where(usable, dx, 0.0), y - torch.where(usable, dy, 0.0)
+        if bool(((torch.maximum(dx.abs(), dy.abs()) <= CLOSE * step.abs()) | ~usable).all()):
+            break
+    return x, y, usable & (torch.maximum(ex.abs(), ey.abs()) <= 1e-7 * radius)
 
 
 def _solve(errors, x, y, step, radius, *goals, rounds: int = 8, close: float = CLOSE):

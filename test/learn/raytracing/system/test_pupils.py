@@ -6,6 +6,7 @@ import math
 import pytest
 import torch
 
+from odak._torch_private import load_forward_rules
 from odak.learn.raytracing.system import (
     distortion,
     distortion_grid,
@@ -588,6 +589,37 @@ def test_wide_fields_are_aimed_in_few_traces(monkeypatch):
     pupils._CHIEF_RAYS.clear()
     assert all(torch.equal(a, b) for a, b in zip(bent, launch(lens, points, aim="real"), strict=True))
     assert not torch.equal(bent.y, first.y)
+
+
+def test_many_rays_start_from_a_chart_and_end_where_few_do(monkeypatch):
+    """Rays of a batch of lenses, with their derivatives in both modes, in a third of the traces."""
+    traced, points = [], pupil_samples("rings", 6)
+    monkeypatch.setattr(pupils, "trace", lambda *a, **b: (traced.append(a[1].x.shape[-1]), trace(*a, **b))[1])
+    lens = wide("120")
+    lens.fields = ((0.0, 0.0), (0.0, 60.0))
+    numbers = lens.prescription()
+    bends = (torch.tensor([[1.0], [1.001]], dtype=F64) * numbers.curvature).requires_grad_()
+
+    def found(place, bent=bends):
+        rays = launch(lens, place, aim="real", prescription=numbers._replace(curvature=bent))
+        return torch.stack(rays[:2])
+
+    results, costs = [], []
+    for least in (len(points) + 1, 1):
+        monkeypatch.setattr(pupils, "CHARTED", least)
+        pupils._CHIEF_RAYS.clear()
+        with torch.no_grad():
+            found(points)
+            traced.clear()
+            plain = found(points)
+        costs.append(sum(traced))
+        (slopes,) = torch.autograd.grad(found(points).square().sum(), bends)
+        load_forward_rules()
+        _, change = torch.func.jvp(lambda place: found(place, bends.detach()), (points,), (points.flip(-1),))
+        results.append((plain, slopes, change))
+    assert 3 * costs[1] < costs[0] and results[0][0].shape == (2, 2, 1, 2, 127)
+    for a, b in zip(*results, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-9, atol=1e-10)
 
 
 @pytest.mark.parametrize("slope", [30.0, 51.0])
