@@ -19,7 +19,18 @@ from odak.learn.raytracing.system.paraxial import (
     signed_indices,
 )
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
-from odak.learn.raytracing.system.pupils import at_stop, field_points, launch, pupil_of, trace_fields, weights_of
+from odak.learn.raytracing.system.pupils import (
+    AIMS,
+    at_stop,
+    field_points,
+    launch,
+    places_of,
+    pupil_of,
+    real_places,
+    through_places,
+    trace_fields,
+    weights_of,
+)
 from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
 from odak.learn.raytracing.system.surfaces import (
     checked_system,
@@ -456,9 +467,15 @@ def footprint(
 
 
 def pupil_aberration(
-    system: Any, axis: str = "y", count: int = 21, *, prescription: Prescription | None = None, fields: Any = None
+    system: Any,
+    axis: str = "y",
+    count: int = 21,
+    *,
+    prescription: Prescription | None = None,
+    fields: Any = None,
+    aim: str = "paraxial",
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return how far from their paraxial places rays through the paraxial entrance pupil meet the stop.
+    """Return how far from their paraxial places rays meet the stop, or the entrance pupil.
 
     Parameters
     ----------
@@ -472,13 +489,17 @@ def pupil_aberration(
         Numbers in place of the system's own, a batch of systems perhaps.
     fields : sequence or torch.Tensor, optional
         Field points in place of the system's.
+    aim : str
+        "paraxial": rays through points of the paraxial entrance pupil, by how far they miss the same points of the
+        stop. "real": rays through points of the stop, by how far they miss the same points of the paraxial entrance
+        pupil; if a field is beyond 80 degrees, in the plane through its centre across each field's direction.
 
     Returns
     -------
     tuple of torch.Tensor
-        Pupil coordinates ``[count]``, −1 … 1, and distances along the axis in radii of the stop at the reference
-        wavelength, ``[..., F, count]``; NaN for rays that do not reach it. Where they are large, aim "real" changes the
-        results.
+        Pupil coordinates ``[count]``, −1 … 1, and distances along the axis in radii of the stop or of the entrance
+        pupil at the reference wavelength, ``[..., F, count]``; NaN for rays that do not reach it. Where they are large,
+        aim "real" changes the results.
 
     Examples
     --------
@@ -487,19 +508,27 @@ def pupil_aberration(
     >>> float(error[0, 2].abs()) < 1e-12
     True
     """
-    axis = _validate.one_of("axis", axis, ("x", "y"))
+    axis, aim = _validate.one_of("axis", axis, ("x", "y")), _validate.one_of("aim", aim, AIMS)
     if _validate.integer("count", count, minimum=3) % 2 == 0:
         raise ValueError(f"count must be odd, got {count}")
     given = checked_prescription(prescription)
     numbers = (checked_system(system).prescription() if given is None else given).at(system.reference)
-    rays = launch(system, axis, count, prescription=numbers, fields=fields)
-    x, y, kept = at_stop(system, numbers, rays)
-    radius = entrance_pupil(system, prescription=numbers).stop_radius[..., None, None]
-    line = torch.linspace(-1, 1, count, dtype=torch.float64, device=x.device)
-    place = (x if axis == "x" else y)[..., 0, :, :] / radius
+    pupil, points = entrance_pupil(system, prescription=numbers), pupil_of(axis, count, system)
+    chosen, which = field_points(system, fields).to(points.device)[:, None], ("x", "y").index(axis)
+    line = points[:, which]
+    if aim == "real":
+        places = real_places(system, numbers, pupil, points, chosen)[which]
+        place = ((places - pupil.middle[which][..., None, None, None]) / pupil.reach[..., None, None, None])[
+            ..., 0, :, :
+        ]
+        kept = torch.isfinite(place)
+    else:
+        rays = through_places(system, chosen, pupil, *places_of(pupil, points))
+        *found, arrived = at_stop(system, numbers, rays)
+        place, kept = found[which][..., 0, :, :] / pupil.stop_radius[..., None, None], arrived[..., 0, :, :]
     # Behind an intermediate image the stop is upside down.
-    turned = torch.sign((torch.where(kept[..., 0, :, :], place, 0.0) * line).sum(-1, keepdim=True)).detach()
-    return line, torch.where(kept[..., 0, :, :], turned * place - line, torch.nan)
+    turned = torch.sign((torch.where(kept, place, 0.0) * line).sum(-1, keepdim=True)).detach()
+    return line, torch.where(kept, turned * place - line, torch.nan)
 
 
 class Incidence(NamedTuple):

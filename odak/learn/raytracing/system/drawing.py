@@ -970,14 +970,14 @@ def pupil_figure(system: Any, place: int | None = None, aim: str = "paraxial") -
     place : int, optional
         Number of the surface; by default the one with the largest angle of incidence.
     aim : str
-        "paraxial" or "real", how :func:`launch` aims for the angles of incidence.
+        "paraxial" or "real", how :func:`launch` aims; "real" for fields at 90 degrees and beyond.
 
     Returns
     -------
     matplotlib.figure.Figure
         Three panels: heights of the marginal ray over heights of the chief ray at the surfaces, the image an open
-        point; deviations at the stop along y in percent of its radius; angles of incidence over the height on the
-        surface.
+        point; deviations along y at the stop, with `aim` "real" in the entrance pupil, in percent of its radius
+        (:func:`pupil_aberration`); angles of incidence over the height on the surface.
 
     Examples
     --------
@@ -1001,7 +1001,7 @@ def pupil_figure(system: Any, place: int | None = None, aim: str = "paraxial") -
         first.annotate(str(i), (chief[i], marginal[i]), (4, 3), textcoords="offset points", fontsize=7)
     first.set(xlabel=f"chief ray ({unit_of(system)})", ylabel=f"marginal ray ({unit_of(system)})")
     first.set_title("y–ȳ diagram", fontsize=9)
-    pupil, error = (value.cpu() for value in pupil_aberration(system))
+    pupil, error = (value.cpu() for value in pupil_aberration(system, aim=aim))
     numbers = system.prescription().at(system.reference)
     found = incidence_angles(system, "y", 41, prescription=numbers, aim=aim)
     if place is None:
@@ -1019,7 +1019,8 @@ def pupil_figure(system: Any, place: int | None = None, aim: str = "paraxial") -
         height, angle = (value[column, 0, i].cpu() for value in (found.y, found.angle))
         third.plot(height, angle, color=color_of(i), lw=1.2)
     second.axhline(0, color=FAINT, lw=0.6)
-    second.set(xlabel="pupil y", ylabel="deviation at the stop (%)")
+    where = "at the stop" if aim == "paraxial" else "in the entrance pupil"
+    second.set(xlabel="pupil y", ylabel=f"deviation {where} (%)")
     second.set_title("aberration of the pupil", fontsize=9)
     second.legend(fontsize=8, frameon=False, title="field", title_fontsize=8)
     third.set(xlabel=f"y on the surface ({unit_of(system)})", ylabel="angle of incidence (°)", ylim=(0, None))

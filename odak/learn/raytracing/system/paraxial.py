@@ -214,7 +214,8 @@ def paraxial_rays(system: Any, field: Any = None, prescription: Prescription | N
     system : optical_system
         The system.
     field : float, optional
-        Field angle in degrees, or object height for a near object; by default the largest of the system's.
+        Field angle in degrees, or object height for a near object; by default the largest of the system's. At 90
+        degrees and beyond the slope of the chief ray is the angle, as for an image of height f·θ.
     prescription : Prescription, optional
         Numbers in place of the system's own, a batch of systems perhaps.
 
@@ -240,7 +241,7 @@ def paraxial_rays(system: Any, field: Any = None, prescription: Prescription | N
     index, pupil = signed_indices(system, p), entrance_pupil(system, prescription=p)
     size = max(math.hypot(*point) for point in system.fields) if field is None else _validate.constant("field", field)
     if system.at_infinity:
-        slope = math.tan(math.radians(size)) + 0 * pupil.distance
+        slope = _field_slope(size) + 0 * pupil.distance
         starts = (pupil.radius, 0 * pupil.radius), (-pupil.distance * slope, slope)
     else:
         slope = -size * pupil.bend
@@ -252,6 +253,11 @@ def paraxial_rays(system: Any, field: Any = None, prescription: Prescription | N
             found[2 * k].append(whole.a * y + whole.b * index[..., 0] * u)
             found[2 * k + 1].append((whole.c * y + whole.d * index[..., 0] * u) / index[..., i])
     return ParaxialRays(*(torch.stack(torch.broadcast_tensors(*values), -1) for values in found))
+
+
+def _field_slope(angle: float) -> float:
+    """Return the slope of the paraxial chief ray of a field angle in degrees; where it has no tangent, the angle."""
+    return math.tan(math.radians(angle)) if abs(angle) < 90 else math.radians(angle)
 
 
 class EntrancePupil(NamedTuple):
@@ -468,7 +474,8 @@ def seidel_sums(system: Any, field: Any = None, prescription: Prescription | Non
     system : optical_system
         A system of rotationally symmetric surfaces.
     field : float, optional
-        Field angle in degrees, or object height for a near object; by default the largest of the system's.
+        Field angle in degrees, or object height for a near object; by default the largest of the system's. At 90
+        degrees and beyond the slope of the chief ray is the angle, as for an image of height f·θ.
     prescription : Prescription, optional
         Numbers in place of the system's own, with the indices of all wavelengths.
 
@@ -523,7 +530,7 @@ def seidel_sums(system: Any, field: Any = None, prescription: Prescription | Non
     largest = max(math.hypot(*point) for point in system.fields)
     size = largest if field is None else _validate.constant("field", field)
     if system.at_infinity:
-        chief_slope = math.tan(math.radians(size)) + 0 * pupil.distance
+        chief_slope = _field_slope(size) + 0 * pupil.distance
         y, u = pupil.radius, 0 * pupil.radius
         yb, ub = -pupil.distance * chief_slope, chief_slope
     else:

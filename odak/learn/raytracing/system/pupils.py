@@ -424,14 +424,17 @@ def through_pupil(system, points: torch.Tensor, fields: torch.Tensor, prescripti
     """Return rays through points of the pupil, ``[P, 2]`` or ``[..., F, P, 2]``, from field points ``[F, 1, 2]``."""
     numbers = (system.prescription() if prescription is None else prescription).at(system.reference)
     pupil = entrance_pupil(system, prescription=numbers)
-    place = places_of(pupil, points)
     if aim == "real" and not system.telecentric:
-        # Of a device that is not read, the system's own fields decide.
-        given = fields.flatten().tolist() if is_readable(fields) else sum(system.fields, ())
-        wide = system.at_infinity and max(map(abs, given)) > WIDE
-        x, y = aimed(system, numbers, pupil, points, fields, wide)
-        return through_places(system, fields, pupil, x, y, wide)
-    return through_places(system, fields, pupil, *place)
+        return through_places(system, fields, pupil, *real_places(system, numbers, pupil, points, fields))
+    return through_places(system, fields, pupil, *places_of(pupil, points))
+
+
+def real_places(system, numbers: Prescription, pupil, points: torch.Tensor, fields: torch.Tensor) -> tuple:
+    """Return coordinates (x, y) of rays that pass the stop at given points, and whether they are across the fields."""
+    # Of a device that is not read, the system's own fields decide.
+    given = fields.flatten().tolist() if is_readable(fields) else sum(system.fields, ())
+    wide = system.at_infinity and max(map(abs, given)) > WIDE
+    return *aimed(system, numbers, pupil, points, fields, wide), wide
 
 
 def places_of(pupil, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

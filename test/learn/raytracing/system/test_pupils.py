@@ -18,6 +18,9 @@ from odak.learn.raytracing.system import (
     launch,
     load_system,
     optical_system,
+    paraxial_rays,
+    pupil_aberration,
+    pupil_figure,
     pupil_samples,
     pupils,
     read_zmx,
@@ -513,6 +516,12 @@ def test_each_field_may_have_points_of_its_own_in_the_pupil():
 
 def traced_back(slope):
     """Return the angle in the object space, in degrees, of a ray from the centre of the stop of :func:`dome`."""
+    _, way = ray_back(slope)
+    return math.degrees(math.atan2(way[0], way[1]))
+
+
+def ray_back(slope):
+    """Return point (y, z) and direction in the object space of a ray from the centre of the stop of :func:`dome`."""
     point, way = [0.0, 12.0], [-math.sin(slope), -math.cos(slope)]
     for vertex, radius, ratio in ((2.0, 8.0, 1 / 1.8), (0.0, 30.0, 1.8)):
         off = [point[0], point[1] - vertex - radius]
@@ -523,7 +532,7 @@ def traced_back(slope):
         cosine = normal[0] * way[0] + normal[1] * way[1]
         bend = math.sqrt(1 - ratio**2 * (1 - cosine**2)) - ratio * cosine
         way = [ratio * w + bend * n for w, n in zip(way, normal, strict=True)]
-    return math.degrees(math.atan2(-way[0], -way[1]))
+    return point, [-w for w in way]
 
 
 def dome(fields):
@@ -649,6 +658,27 @@ def test_distortion_of_a_pinhole_and_of_a_sphere_around_it():
         assert torch.allclose(distortion(lens)[0], heights / theta.tan() - 1, atol=1e-12)
     with pytest.raises(ValueError, match='projection must be "tangent" for an object at 100, got "angle"'):
         distortion(optical_system([surface(thickness=40.0)], 1.0, object_distance=100.0), projection="angle")
+
+
+@pytest.mark.parametrize("slope", [30.0, 51.0])
+def test_aberration_of_the_pupil_beyond_90_degrees(slope):
+    """How far the ray traced back passes the paraxial pupil's centre, across it, or in its plane for small fields."""
+    (y, z), (v, w) = ray_back(math.radians(slope))
+    angle = traced_back(math.radians(slope))
+    for lens, shift, axis in ((dome([0.0, angle]), 0, "y"), (dome([(-angle, 0.0)]), 1, "x")):
+        found = first_order(lens)
+        off = z - float(found.entrance_pupil_distance)
+        passed = y * w - off * v if angle > 80 else y - off * v / w
+        expected = passed / (float(found.entrance_pupil_diameter) / 2) * (-1 if shift else 1)
+        error = pupil_aberration(lens, axis, 3, aim="real")[1]
+        assert float(error[-1, 1]) == pytest.approx(expected, rel=1e-6) and abs(expected) > 0.3
+        assert len(lens.fields) == 1 or abs(float(error[0, 1])) < 1e-9
+    panel = pupil_figure(dome([0.0, angle]), aim="real").axes[1]
+    assert panel.lines[1].get_ydata()[10] == pytest.approx(100 * abs(expected) * math.copysign(1, passed), rel=1e-6)
+    # A paraxial chief ray of the slope θ where there is no tangent of it.
+    rays, tangent = paraxial_rays(dome([0.0, angle])), paraxial_rays(dome([0.0, 45.0]))
+    size = math.tan(math.radians(angle)) if angle < 90 else math.radians(angle)
+    torch.testing.assert_close(rays.chief_height, size * tangent.chief_height, rtol=1e-12, atol=1e-12)
 
 
 def test_figures_of_a_lens_beyond_90_degrees():
