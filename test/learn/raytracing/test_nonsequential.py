@@ -428,6 +428,54 @@ def test_a_graded_out_coupler_fills_the_eye_evenly():
     assert shares.tolist() == pytest.approx([1 / count] * count, abs=1e-9)
 
 
+def test_an_expander_in_two_directions_fills_a_lattice():
+    """Periods of 473.12 nm to couple in and out and of 332.43 nm to turn, Sci. Rep. 14 (2024),
+    doi:10.1038/s41598-024-75766-7, figure 7: the three grating vectors close a triangle, which turns light by 90.73
+    degrees. Every exit is a whole number of hops along both ways, with the product of the shares of its hops.
+    """
+    outer, inner, index, thickness, fold, share = 473.12e-6, 332.43e-6, 1.9, 0.5, 0.3, 0.25
+    turn = 2 * math.asin(outer / inner / 2)
+    assert math.degrees(turn) == pytest.approx(90.73, abs=0.005)
+    first = tensor([0.0, 1 / outer])
+    second = tensor([math.sin(turn), math.cos(turn)]) / outer
+    couple, bend = LinearGrating(*first.tolist()), LinearGrating(*(second - first).tolist())
+    assert float((second - first).norm()) == pytest.approx(1 / inner, rel=1e-12)
+    gratings = [
+        (Interface({}, {1: 1.0}, phase=couple), (0.0, 0.0), (0.3, 0.3)),
+        (Interface({0: 1 - fold, 1: fold}, {}, phase=bend), (0.0, 5.35), (0.35, 5.0)),
+        (
+            Interface({0: 1 - share}, {-1: share}, phase=LinearGrating(*second.tolist())),
+            (8.35, 5.35),
+            (8.0, 6.0),
+        ),
+    ]
+    parts = [
+        Element(Plane(), (1.0, index), what, aperture=RectangularAperture(center=place, half_width=w, half_height=h))
+        for what, place, (w, h) in gratings
+    ]
+    rear = Element(Plane(), (index, 1.0), center=(0, 0, thickness))
+    light = light_source("collimated", 10, (0.2, 0.2), center=(0, 0, -0.01), angles=(-1.0, 2.0, 0.0))
+    # Light that is guided to the ends of the gratings passes the screen by.
+    eye = screen(-5.0, aperture=RectangularAperture(center=(8.35, 5.35), half_width=8.6, half_height=7.5))
+    found = Scene([*parts, rear, eye]).trace(light, WAVE, split=True, threshold=1e-9)
+    held, way = found.received["screen"], light.rays[0, 1]
+    assert len(held.power) > 500 and (held.direction - way * tensor([1.0, 1.0, -1.0])).abs().max() < 1e-12
+    hops = []
+    for lines in (first, second):
+        inside = (way[:2] + WAVE * lines) / index
+        hops.append(2 * thickness * inside / (1 - inside.square().sum()).sqrt())
+    # Back from the screen to the plate, and from there to the point where the ray came in.
+    out = held.point[:, :2] - 5.0 * way[:2] / way[2]
+    start = light.rays[:, 0, :2] - light.rays[:, 0, 2:] * way[:2] / way[2]
+    counts = torch.linalg.solve(torch.stack(hops, -1), (out - start[held.ray]).T)
+    whole = counts.round()
+    assert (counts - whole).abs().max() < 1e-9 and float(whole.min()) == 1 and float(whole[1].max()) > 10
+    a, b = whole
+    expected = fold * (1 - fold) ** (a - 1) * share * (1 - share) ** (b - 1) / 10
+    torch.testing.assert_close(held.power, expected, rtol=1e-12, atol=0)
+    assert abs(balance(found)) < 1e-12
+
+
 def test_a_hologram_couples_light_as_its_lines_do():
     n, pitch = 64, 2e-3
     ramp = 2 * math.pi * 100.0 * pitch * (torch.arange(n, dtype=torch.float64) - n // 2)
