@@ -50,7 +50,7 @@ REASONS = {
         raytracing/system/optimise: _deviated _dispersed iso_10110_tolerances
         raytracing/system/paraxial: _check_forward _near_reach ghost_system medium passed seidel_sums
         raytracing/system/polarisation: jones_vector ghosts
-        raytracing/system/pupils: _far through_pupil
+        raytracing/system/pupils: _far real_places
         raytracing/system/surfaces: _any _fields _image _optional checked_settings is_off_axis number_or_infinity vary
         raytracing/system/waves: _derivatives _exit_pupil _length _sign exit_field
         raytracing/mesh: _checked_faces _checked_vertices components
