@@ -55,7 +55,7 @@ SPREAD_OF_RESPONSE = 0.01
 # Residual of a first registration behind a lens in pixels, above which its spots were not found.
 LARGEST_RESIDUAL = 10.0
 # Share of the last change of the wavefront that is taken as its error.
-REST = 0.4
+REST = 0.2
 # Uncertainties above which calibrate_table warns: rad, pixel, rad.
 LIMITS = {"phases": 0.015, "registration": 0.1, "wavefront": 2 * np.pi / 200}
 # Error of a wavefront in radians that is left without noise, a five-hundredth of a wavelength.
@@ -64,6 +64,8 @@ SMALLEST_ERROR = 2 * np.pi / 500
 # of its lenslets too much to tell the distance; shares of the distance on either side among which the focus is searched
 # for there, at first and later; focal lengths of the last search, and patterns of the illumination.
 FEWEST, FAR, NEAR, FOCI, PATTERNS = 5.5, 0.15, 0.03, 7, 40
+# Captures of grids of spots for the first registration, those between, and the last.
+FIRST_GRIDS, GRIDS, LAST_GRIDS = 2, 4, 4
 # Rows and columns of regions where the response varies.
 REGIONS = (3, 3)
 
@@ -264,8 +266,8 @@ def calibrate_table(
         plane the camera is.
     rounds : int
         Number of measurements of the registration and the wavefront; up to twice as many as long as the wavefront
-        changes by more than a twentieth of a wavelength. With two, a calibration without a lens takes about 230
-        captures, a seventh of them to set exposures, and 270 with cameras of fewer than 10 bits.
+        changes by more than a twentieth of a wavelength. With two, a calibration without a lens takes about 180
+        captures, and 220 with cameras of fewer than 10 bits.
     regions : sequence of int, optional
         Rows and columns of regions whose phase response is measured too, after the second registration, and used in
         the later steps; a response that varies over the modulator acts as an aberration and shifts the image. The
@@ -349,7 +351,10 @@ def calibrate_table(
     for turn in range(2 * rounds):
         if turn >= rounds and change < UNSETTLED:
             break
-        registration = registered(*there, distance, response, wavefront, middle=turn == 0, start=registration)
+        grids = FIRST_GRIDS if turn == 0 else GRIDS
+        registration = registered(
+            *there, distance, response, wavefront, middle=turn == 0, captures=grids, start=registration
+        )
         if turn == 0 and behind_lens and registration.residual > LARGEST_RESIDUAL:
             spacing = 1e3 * wavelength * abs(ray_matrix(distance)[1]) / modulator.pitch
             rows, columns = (1e3 * n * camera.pitch for n in camera.shape)
@@ -390,7 +395,7 @@ def calibrate_table(
         if turn == 0:
             found, doubt = wavefront_with_uncertainty(*known, iterations=5, captures=1)
         else:
-            found, doubt = wavefront_with_uncertainty(*known, iterations=3, start=wavefront)
+            found, doubt = wavefront_with_uncertainty(*known, iterations=3, start=wavefront, captures=2)
         if isinstance(distance, Lens):
             # An aberration does not change the scale and the shear of spots of which each has the light of all pixels.
             found = without(found, low)
@@ -420,7 +425,7 @@ def calibrate_table(
         uncertainty["distance"] = math.hypot(doubt, defocus)
         far = 0.35 * math.hypot(*modulator.shape) * modulator.pitch
         by_distance = far * uncertainty["distance"] / (distance * camera.pitch)
-    registration = registered(*there, distance, response, wavefront, start=registration)
+    registration = registered(*there, distance, response, wavefront, captures=LAST_GRIDS, start=registration)
     uncertainty["registration"] = math.hypot(registration.uncertainty, by_distance)
     registration = replace(registration, uncertainty=uncertainty["registration"])
     for text in _doubts(uncertainty):

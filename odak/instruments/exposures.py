@@ -130,6 +130,25 @@ def set_exposure(camera: Camera, show: Callable[[], None] | None = None, level: 
     return camera.exposure
 
 
+def exposed(camera: CheckedCamera, pattern: str, level: float = EXPOSED) -> np.ndarray:
+    """Return a capture whose brightest pixel has about a share of the range.
+
+    The exposure begins with that of the last pattern of the same name, and is set only where it does not fit.
+    """
+    camera.exposure = camera.exposures.get(pattern, camera.exposure)
+    for _ in range(6):
+        frame = camera.capture(1)[0].astype(float)
+        share = frame.max() / camera.top
+        if camera.examined and 0.75 * level < share < 1.2 * level:
+            break
+        if camera.examined and share > PROPORTIONAL * level:
+            camera.exposure *= level / share if share < SATURATED else 0.25
+        else:
+            set_exposure(camera, level=level)
+    camera.exposures[pattern] = camera.exposure
+    return frame
+
+
 def _examine(camera: CheckedCamera) -> bool:
     """Check that the counts of a camera follow its exposure; return whether stuck pixels were found and replaced."""
     before = camera.exposure

@@ -1,14 +1,13 @@
 """Distance from modulator to camera and astigmatism, from the sharpness of a spot over focal lengths."""
 
 import math
-from functools import partial
 
 import numpy as np
 from scipy.ndimage import uniform_filter
 
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.instruments.exposures import set_exposure
+from odak.instruments.exposures import exposed, set_exposure
 from odak.instruments.mapping import Lens, Registration
 from odak.instruments.phase_response import nearest_levels, without_lens
 from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
@@ -119,13 +118,13 @@ def astigmatism_by_focus(
     phases: np.ndarray,
     registration: Registration,
     wavefront: np.ndarray,
-    captures: int = 1,
 ) -> np.ndarray:
     """Return a wavefront in radians with the astigmatism of the sharpest focus on the axis.
 
     Unlike the displacements of the spots of lenslets, the sharpness does not depend on the registration. Its logarithm
     is a parabola of the astigmatism, through three captures for each of the two directions.
     """
+    camera = checked_camera(camera)
     modes = aberration_modes(modulator, 2)
     low = modes[[0, 1, DEFOCUS]]
     read_around(camera, np.rint(registration.camera_pixels(np.zeros(2))).astype(int), 14)
@@ -134,16 +133,16 @@ def astigmatism_by_focus(
     def show(surface: np.ndarray) -> None:
         modulator.show(nearest_levels(lens - surface, phases))
 
-    # The focus of the right astigmatism may be three times as bright.
-    set_exposure(camera, partial(show, wavefront), level=0.25)
     for mode in modes[[DEFOCUS - 1, DEFOCUS + 1]]:
         mode = without(mode, low)
         mode = mode * (ASTIGMATISM / mode.std())
         values = []
-        for step in (-1, 0, 1):
+        for step in (0, -1, 1):
             show(wavefront + step * mode)
-            values.append(math.log(_sharpness(averaged(camera, captures))))
-        below, middle, above = values
+            # The focus of the right astigmatism may be three times as bright.
+            frame = averaged(camera, 1) if step else exposed(camera, "focus", 0.25)
+            values.append(math.log(_sharpness(frame)))
+        middle, below, above = values
         bend = below + above - 2 * middle
         # Far from the peak, the curve is no parabola.
         peak = np.clip((below - above) / (2 * bend), -2, 2) if bend < 0 else np.sign(above - below)

@@ -211,6 +211,7 @@ class CheckedCamera:
             limits = _validate.several("camera.exposure_limits", limits, 2, positive=True)
         self.limits = (0.0, np.inf) if limits is None else (float(limits[0]), float(limits[1]))
         self.examined = False
+        self.exposures: dict[str, float] = {}
         self._stuck = np.zeros((0, 2), dtype=int)
 
     @property

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.instruments.exposures import set_exposure
+from odak.instruments.exposures import exposed, set_exposure
 from odak.instruments.mapping import Lens, Registration, ray_matrix
 from odak.instruments.phase_response import nearest_levels
 from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
@@ -29,8 +29,9 @@ STRIPE = 0.8
 BLUR = 0.4
 # Distance from the axis of spots of a first estimate of the registration, as a share of that of the others.
 NEAR = 0.4
-# Captures of a single spot at most, from which its place follows roughly.
-SINGLE = 2
+# Steps toward the curvature of the wavefront at most, and the change in radians from peak to valley that ends them:
+# about as much is left.
+CURVATURES, FLAT = 4, 0.5
 # Pixels around the spots of the outermost lenslets, and share of the modulator that is calibrated, at least.
 LEAST_MARGIN, SMALLEST_SHARE = 8, 0.3
 
@@ -169,25 +170,19 @@ def registered(
 
     around = max(8, math.ceil(1.5 * wavelength * abs(b) / (size.min() * pitch * camera.pitch)))
 
-    def places_of(points: np.ndarray, count: int) -> np.ndarray:
+    def places_of(points: np.ndarray) -> np.ndarray:
         """Return the pixels of single spots; light that does not move with them cancels."""
         frames = []
         for point in points:
             show(point[None])
-            frames.append(averaged(camera, count))
+            frames.append(averaged(camera, 1))
         moving = np.stack(frames) - np.roll(frames, 1, axis=0)
         return np.stack([centroid(frame, brightest(frame), around) for frame in moving])
 
     captures = _validate.integer("captures", captures, minimum=1)
 
-    def single_spots() -> tuple[np.ndarray, np.ndarray]:
-        """Return three points and the pixels of their spots."""
-        show(origin[None])
-        set_exposure(camera)
-        # Spots near the axis tell which of the farther ones the camera sees.
-        steps = NEAR * np.diag(half)
-        first, *beside = places_of(origin + np.vstack([np.zeros(2), steps]), 1)
-        roughly = (np.array(beside) - first) / (NEAR * half[:, None])
+    def far_spots(first: np.ndarray, roughly: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return three points and the pixels of their spots, from those near the axis."""
         three = np.diag(half)
         for number in range(2):
             for share in (1, -1, 0.8, -0.8, 0.6, -0.6, 0.4, -0.4):
@@ -196,16 +191,21 @@ def registered(
                 if (there >= around).all() and (there <= np.array(camera.shape[::-1]) - 1 - around).all():
                     break
             else:
-                three[number] = steps[number]
+                three[number] = NEAR * np.diag(half)[number]
         three = np.vstack([np.zeros(2), three])
         wanted, three = three @ roughly, origin + three
-        pixels = places_of(three, min(captures, SINGLE))
+        pixels = places_of(three)
         missed = np.linalg.norm(pixels - first - wanted, axis=-1)
         _check_places(first, roughly, camera, bool((missed > 2 * around + 0.3 * np.abs(wanted).max()).any()))
         return three, pixels
 
     if start is None:
-        three, pixels = single_spots()
+        show(origin[None])
+        set_exposure(camera)
+        # Spots near the axis tell which of the farther ones the camera sees.
+        three = origin + np.vstack([np.zeros(2), NEAR * np.diag(half)])
+        pixels = places_of(three)
+        _check_places(pixels[0], (pixels[1:] - pixels[0]) / (NEAR * half[:, None]), camera, False)
     else:
         three = origin + np.vstack([np.zeros(2), np.diag(half)])
         pixels = start.camera_pixels(three)
@@ -213,12 +213,16 @@ def registered(
     if middle:
         near = 0.45 * half.min() if behind_lens else half.min()
         blur = min(BLUR, 0.6 * near / (size.max() * pitch)) if behind_lens else BLUR
-        for _ in range(4):
-            curved += _curvature(
-                *(modulator, camera, partial(show, three[:1]), wavelength, b, moments, matrix, origin, near, blur)
+        for _ in range(CURVATURES):
+            change = _curvature(
+                *(modulator, camera, partial(show, origin[None]), wavelength, b, moments, matrix, origin, near, blur)
             )
+            curved += change
+            if np.ptp(change[lit]) < FLAT:
+                break
+    if start is None:
         # Spots that the aberration had spread are smaller now.
-        pixels = places_of(three, min(captures, SINGLE))
+        three, pixels = far_spots(matrix[2] + origin @ matrix[:2], matrix[:2])
         matrix = np.linalg.solve(np.column_stack([three, np.ones(3)]), pixels)
     down, across = _validate.size("grid", grid)
     y, x = (np.linspace(-h, h, n) for h, n in ((half[1], down), (half[0], across)))
@@ -226,9 +230,8 @@ def registered(
     expected = np.column_stack([points, np.ones(len(points))]) @ matrix
     spacing = np.abs(np.linalg.norm(matrix[:2], axis=-1) * 2 * half / np.maximum([across - 1, down - 1], 1)).min()
     show(points)
-    set_exposure(camera)
-    frame = np.zeros(tuple(camera.shape))
-    for seed in range(captures):
+    frame = exposed(camera, "grid")
+    for seed in range(1, captures):
         show(points, seed)
         frame += averaged(camera, 1)
     reach = int(0.4 * spacing)
@@ -350,8 +353,7 @@ def _curvature(modulator, camera, show, wavelength, distance, moments, matrix, o
     near = np.abs(away).max(-1) < reach
     for sign in (1, -1):
         show(extra=sign * added / 2 * (x**2 + y**2))
-        set_exposure(camera)
-        frame = averaged(camera, SINGLE)
+        frame = exposed(camera, "spot", 0.7)
         difference += sign * back.T @ _second_moments(frame, near) @ back
     scale = (wavelength * distance / (2 * np.pi)) ** 2 * np.add.outer(moments, moments)
     hessian = -difference / (2 * scale * added)

@@ -7,7 +7,7 @@ import numpy as np
 
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.instruments.exposures import set_exposure
+from odak.instruments.exposures import exposed
 from odak.instruments.mapping import Lens, Registration, ray_matrix
 from odak.instruments.phase_response import nearest_levels
 from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
@@ -208,10 +208,9 @@ def wavefront_with_uncertainty(
             targets = middles + np.clip(wanted - middles, -limit, limit)
             phase = np.where(used[cell], lenses(cell, targets), deflected(modulator))
             modulator.show(nearest_levels(phase - wavefront, phases))
-            if pair == (0, 0) and not wavefront.any():
-                # Spots of an aberration that is corrected are brighter.
-                set_exposure(camera, level=0.4)
-            frame = averaged(camera, 1)
+            # Spots of an aberration that is corrected are brighter.
+            first = pair == (0, 0) and not wavefront.any()
+            frame = exposed(camera, "coarse lenslets", 0.4) if first else averaged(camera, 1)
             places = registration.camera_pixels(targets[used])
             reach = int(0.45 * np.linalg.norm(places[1:3] - places[0], axis=-1).min())
             seen = np.stack([centroid(frame, brightest_near(frame, place, reach), reach) for place in places])
@@ -242,9 +241,8 @@ def wavefront_with_uncertainty(
         for capture in range(captures):
             turn = np.pi * (2 * capture + step % 2) / captures
             modulator.show(nearest_levels(phase - wavefront + turn, phases))
-            if step == 0 and capture == 0:
-                set_exposure(camera)
-            frame += averaged(camera, 1) / captures
+            seen = exposed(camera, "lenslets") if step == 0 and capture == 0 else averaged(camera, 1)
+            frame += seen / captures
         frame[dark] = np.quantile(frame, 0.02)
         seen = np.stack([centroid(frame, place, reach) for place in places])
         lit = _lit(modulator, frame, seen, middles, reach) if amplitude is None else amplitude

@@ -6,9 +6,10 @@ import warnings
 import numpy as np
 import pytest
 from laboratory import Altered, Laboratory
+from tables import Counting
 
 from odak import AccuracyWarning, instruments
-from odak.instruments import phase_response, protocols, spots
+from odak.instruments import exposures, phase_response, protocols, spots
 
 SMALL = {"shape": (32, 32), "distance": 4e-3, "camera_shape": (48, 48)}
 
@@ -297,3 +298,19 @@ def test_a_response_that_ends_early_is_named():
     with pytest.warns(AccuracyWarning, match=r"leave out 0\.5π of 2π"):
         found = response(table, lambda frames, _: frames)
     assert np.abs(found - table.phases).max() < 0.01
+
+
+def test_exposures_of_patterns_are_remembered():
+    table = instruments.SimulatedTable(fresh_seed(5), **SMALL)
+    table.modulator.show(np.zeros((32, 32), int))
+    counting = Counting(table.camera)
+    camera = protocols.checked_camera(counting)
+    exposures.exposed(camera, "even")
+    right = camera.exposure
+    # The last one of the pattern fits; half of it is doubled.
+    for remembered, captures in ((right, 1), (right / 2, 2)):
+        camera.exposure, camera.exposures["even"] = 100 * right, remembered
+        before = counting.taken
+        frame = exposures.exposed(camera, "even")
+        assert counting.taken == before + captures
+        assert 0.4 < frame.max() / camera.top < 0.75

@@ -22,7 +22,7 @@ def test_sharpest_focus_has_the_astigmatism_of_the_table():
     there = (*instruments_of(table), 532e-9, truth.distance, truth.phases, known)
     # Parabolas through sharpness of a tenth of a wavelength beside the peak, and then nearer to it.
     for _ in range(3):
-        wrong = focus.astigmatism_by_focus(*there, wrong, captures=4)
+        wrong = focus.astigmatism_by_focus(*there, wrong)
     assert rms(spots.without(wrong - truth.wavefront, low)) < 2 * np.pi / 400
 
 
