@@ -222,7 +222,7 @@ def thumbnails(group: str, up: str = "") -> str:
 
 
 def on_files(files, config):
-    """Add the pages of the scripts to those of the site."""
+    """Add the pages of the scripts to the site."""
     from mkdocs.structure.files import File
 
     for path in scripts():

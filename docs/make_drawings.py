@@ -2,9 +2,9 @@
 
     PYTHONPATH=. python docs/make_drawings.py
 
-Each function below draws one figure of docs/course/drawings/; its title is the alternative text. The eye is to scale: its
-surfaces and rays are those of `navarro_eye`. test/docs/test_drawings.py checks that the files agree with this script and
-that no two labels overlap.
+Each function below draws one figure of docs/course/drawings/; its title is the alternative text. The eye is to scale:
+its surfaces and rays come from `navarro_eye`. test/docs/test_drawings.py checks that the files agree with this script
+and that no two labels overlap.
 """
 
 import math

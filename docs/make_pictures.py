@@ -74,7 +74,7 @@ def run_page(path: Path, folder: Path) -> list[tuple[Block, str]]:
     try:
         for block in read_blocks(path):
             printed = io.StringIO()
-            # The newlines in front make line numbers in a traceback those of the page.
+            # With the newlines in front, a traceback states line numbers of the page.
             code = compile("\n" * (block.line - 1) + block.code, str(path), "exec")
             with contextlib.redirect_stdout(printed):
                 exec(code, namespace)

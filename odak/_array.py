@@ -113,9 +113,9 @@ def placement(
     *values : array, number or sequence
         What the result is computed from.
     xp : module, optional
-        Array library of the result; by default that of the arrays among the values, NumPy if there is none.
+        Array library of the result; by default the library of the arrays among the values, NumPy if there is none.
     device : optional
-        Device of the result; by default that of the first array of this library, else the library's default.
+        Device of the result; by default the device of the first array of this library, else the library's default.
     dtype : optional
         Real dtype of the result; by default the widest precision of the floating arrays of this library, else the
         library's default.

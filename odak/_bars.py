@@ -1,4 +1,4 @@
-"""Progress bars: those of tqdm, in notebooks as widgets where these can be shown."""
+"""Progress bars of tqdm, in notebooks as widgets where these can be shown."""
 
 import importlib.util
 import sys

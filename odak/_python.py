@@ -25,9 +25,9 @@ sys.path += [folder for folder in [site.getusersitepackages()] if folder not in 
 def python_command(code: str, *arguments: str) -> list[str]:
     """Return the command that runs code in another process of this interpreter.
 
-    The search path is that of this process, without the current folder: a file ``uuid.py`` that lies among the user's
-    pictures would otherwise be imported, and run, in place of the module of that name. Processes that the new one
-    starts with :mod:`multiprocessing` inherit this.
+    The search path is the same as in this process, without the current folder: a file ``uuid.py`` that lies among the
+    user's pictures would otherwise be imported, and run, in place of the module of that name. Processes that the new
+    one starts with :mod:`multiprocessing` inherit this.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def python_command(code: str, *arguments: str) -> list[str]:
 def other_python_command(python: str, code: str, *arguments: str) -> list[str]:
     """Return the command that runs code in a given interpreter, as :func:`python_command` does in this one.
 
-    Another interpreter keeps its own search path; this interpreter gets that of this process.
+    Another interpreter keeps its own search path; this interpreter gets the search path of this process.
     """
     path = _search_path() if python == sys.executable else _OTHER
     return [python, "-I", "-c", f"{path}{code}", *arguments]

@@ -1,7 +1,7 @@
 """Objects in notebooks and prompts: a page with pictures, numbers and warnings, and a description in one line.
 
 A class takes part by ``_repr_html_``, which calls :func:`page` with a function of the object that returns a
-:class:`View`, or with the name "module:function" of one: that of a module which itself imports the class, as drawings
+:class:`View`, or with the name "module:function" of one, in a module which itself imports the class, as drawings
 import lenses. Such a module is loaded when an object is first shown.
 """
 
@@ -100,7 +100,7 @@ def source(picture: bytes | str) -> str:
     picture : bytes or str
         Bytes of a PNG file or the text of an SVG file.
     """
-    # As an image: what an SVG file contains cannot reach the page, nor its names those of another one's.
+    # As an image: what an SVG file contains cannot reach the page, nor do its names clash with another picture's.
     kind = "image/svg+xml" if isinstance(picture, str) else "image/png"
     content = picture.encode() if isinstance(picture, str) else picture
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"

@@ -61,7 +61,7 @@ def _threads(count: int) -> ThreadPoolExecutor:
             for _ in range(count):
                 pool.submit(bool)
             ready.wait()
-            # The setting holds for the workers; that of the process is restored.
+            # The setting holds for the workers; the setting of the process is restored.
             torch.set_num_threads(count)
             _pool = ((os.getpid(), count), pool)
         return _pool[1]

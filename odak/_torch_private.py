@@ -225,7 +225,7 @@ def count_of_writes(tensor: torch.Tensor) -> int:
 
 
 def has_hooks(tensor: torch.Tensor) -> bool:
-    """Return whether functions are called with the gradient of a tensor, those of a file included."""
+    """Return whether a tensor has hooks: functions that are called with its gradient."""
     return bool(tensor._backward_hooks)
 
 

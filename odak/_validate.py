@@ -35,7 +35,7 @@ _OVERSHOT = 8
 _LEAST_PICTURE = 16
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12}
-# Wavelengths per pixel of no grid: light does not leave the pixels of the first, and that of the second is evanescent.
+# Wavelengths per pixel of no grid: light does not leave the pixels of the first, and is evanescent behind the second.
 # Between the second pair there are grids, of near fields and of telescopes, which are rare: a warning.
 COARSEST, FINEST = 5e6, 1e-3
 _COARSE, _FINE = 1e5, 1e-2
@@ -463,7 +463,7 @@ def place_in(name: str, value, count: int) -> int:
 def takes_units(*lengths: str, degrees: Sequence[str] = ()) -> Callable[[F], F]:
     """Return a decorator by which named arguments are lengths in metres, or angles in degrees.
 
-    Lengths may be numbers, texts such as "15cm" and "532nm", quantities with a method ``to(unit)`` as those of pint and
+    Lengths may be numbers, texts such as "15cm" and "532nm", quantities with a method ``to(unit)`` as in pint and
     astropy, or lists of these; the function gets numbers. A wavelength, a pixel pitch and a distance that cannot belong
     together are refused, with what was probably meant. Keywords that the function does not have are named, with the
     nearest one. Tensors are left alone: a GPU is never waited for.

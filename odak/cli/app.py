@@ -95,8 +95,8 @@ PixelPitch = Annotated[
     typer.Option(
         parser=pitch,
         metavar=f"{LENGTH}[,{LENGTH}]",
-        help="Pixel pitch of the modulator, in metres or with a unit (8um); two of them, with a comma, where that of "
-        "rows differs from that of columns (8um,6.4um).",
+        help="Pixel pitch of the modulator, in metres or with a unit (8um); two of them, with a comma, where rows "
+        "and columns have different pitches (8um,6.4um).",
         show_default="8um",
     ),
 ]
@@ -250,7 +250,7 @@ CalibrationFile = Annotated[
         "--calibration",
         metavar="FILE",
         help="Results of `odak calibrate` (calibration.h5): pixel pitch, resolution, bits, wavelength and, unless it "
-        "is given, distance are taken from it; levels are those of the measured phase response, the aberration is "
+        "is given, distance are taken from it; levels follow the measured phase response, the aberration is "
         "corrected, and the image is computed with the measured illumination, for which the method sgd optimises.",
     ),
 ]
@@ -282,7 +282,7 @@ Cluster = Annotated[
     str | None,
     typer.Option(
         metavar="local|ADDRESS",
-        help="Compute the pictures on worker processes of this machine (local), or on those of a Dask scheduler, such "
+        help="Compute the pictures on worker processes of this machine (local) or of a Dask scheduler, such "
         "as tls://10.0.0.1:8786. The results of each picture are written to a folder of its name.",
         show_default="one picture after another in this process",
     ),
@@ -570,7 +570,7 @@ def _start(
     "comparison.png and report.json; with planes also focal_stack.png.\n\n"
     "Several pictures, or folders of them, are computed one after another or, with --cluster, in parallel. The results "
     "of each are written to a folder of its name in the output folder. Results of the same options that exist already "
-    "are kept; those of other options are listed before they are replaced."
+    "are kept; results of other options are listed before they are replaced."
 )
 def hologram(
     context: typer.Context,
@@ -614,7 +614,7 @@ def hologram(
     tls_key: Key = None,
     trusted_network: TrustedNetwork = False,
 ) -> None:
-    """Compute the holograms of pictures; the parameters are those of :class:`odak.cli.job.Job`."""
+    """Compute the holograms of pictures; the parameters are as in :class:`odak.cli.job.Job`."""
     values = dict(locals())
     given = _given(values.pop("context"))
     with _messages():
@@ -737,9 +737,9 @@ def certificates(
 
 @app.command(
     help="Make a picture that looks the same as another to an eye with a fixed gaze.\n\n"
-    "Away from the gaze its details are displaced; its local statistics are those of the picture. Writes metamer.png, "
-    "pooling_map.png (the width of the pooling regions of the eye, on a logarithmic scale), comparison.png and "
-    "report.json."
+    "Away from the gaze its details are displaced; its local statistics are the same as the picture's. Writes "
+    "metamer.png, pooling_map.png (the width of the pooling regions of the eye, on a logarithmic scale), "
+    "comparison.png and report.json."
 )
 def metamer(
     image: MetamerImage = "photo",
@@ -769,12 +769,12 @@ def metamer(
     if not quiet:
         psnr = "exact" if report["psnr_db"] is None else f"{report['psnr_db']:.2f} dB"
         typer.echo(
-            f"PSNR {psnr}, metameric loss {report['loss']:.3g}, that of white noise of the same PSNR "
+            f"PSNR {psnr}, metameric loss {report['loss']:.3g}, loss of white noise of the same PSNR "
             f"{report['noise_loss']:.3g}, largest pooling region {report['largest_pooling']:.3g} px"
         )
         if report["texture_distance"] is not None:
             typer.echo(
-                f"distance by statistics of textures {report['texture_distance']:.3g}, that of the noise "
+                f"distance by statistics of textures {report['texture_distance']:.3g}, distance of the noise "
                 f"{report['noise_texture_distance']:.3g}"
             )
         typer.echo(f"metamer.png, pooling_map.png, comparison.png, report.json in {output}")
@@ -804,7 +804,7 @@ def eyebox(
     quiet: Quiet = False,
     again: Again = False,
 ) -> None:
-    """Compute a hologram for an eyebox; the parameters are those of :class:`odak.cli.eyebox_views.EyeboxJob`."""
+    """Compute a hologram for an eyebox; the parameters are as in :class:`odak.cli.eyebox_views.EyeboxJob`."""
     values = dict(locals())
     notices = _notices(values.pop("again"), quiet)
     values["images"] = tuple(images or ["photo"])
@@ -863,7 +863,7 @@ def trace(
 
 
 @app.command(
-    help="Tolerance a lens: trace many with random deviations of their numbers, those of ISO 10110-11 for drawings "
+    help="Tolerance a lens: trace many with random deviations of their numbers: by ISO 10110-11 for drawings "
     "without any, or as large as a --yield allows.\n\n"
     "Each lens is refocused. Writes figures of the yield, with histograms, and of the sensitivities, report.html and "
     "report.json. The same seed gives the same lenses."
@@ -904,7 +904,7 @@ def tolerance(
     help="Design a lens: improve one that is there (a sample, a .json or a .zmx file) or, without one, make one from "
     "flat plates for --focal-length, --f-number, --field and --elements.\n\n"
     "Curvatures, thicknesses, the focus and what aspheres there are vary, so that the spots of all fields become small "
-    "under limits of distortion, edges and lengths; focal length, f-number and field are those asked for, or those of "
+    "under limits of distortion, edges and lengths; focal length, f-number and field are as asked for, or as in "
     "the SYSTEM. Writes lens.json, layout.png and report.json. The same seed gives the same lens."
 )
 def design(
@@ -927,7 +927,7 @@ def design(
     back: Back = None,
     distortion: Annotated[
         float | None,
-        typer.Option(metavar="RATIO", help="Largest distortion.", show_default="0.02, or that of the SYSTEM if larger"),
+        typer.Option(metavar="RATIO", help="Largest distortion.", show_default="0.02, or the SYSTEM's if larger"),
     ] = None,
     axial_color: AxialColor = None,
     chief_ray_angle: Annotated[
@@ -947,13 +947,13 @@ def design(
     glasses: Glasses = None,
     substitute: Annotated[
         str | None,
-        typer.Option(metavar="MAKERS", help="Vary the glasses, then take those of these makers: schott,ohara."),
+        typer.Option(metavar="MAKERS", help="Vary the glasses, then take glasses of these makers: schott,ohara."),
     ] = None,
     zmx: Annotated[bool, typer.Option("--zmx", help="Write lens.zmx, a Zemax file, too.")] = False,
     quiet: Quiet = False,
     again: Again = False,
 ) -> None:
-    """Design a lens; the parameters are those of :class:`odak.cli.lens_design.DesignJob`."""
+    """Design a lens; the parameters are as in :class:`odak.cli.lens_design.DesignJob`."""
     values = dict(locals()) | {"glasses": glasses or ()}
     notices = _notices(values.pop("again"), quiet)
     with _messages():
@@ -1084,7 +1084,7 @@ def _lengths_of_table(wavelength: str, distance: str, lens: str | None, given: s
 
 @app.command(
     help="Show a pattern on the modulator, and capture what it forms on the camera.\n\n"
-    "Instruments are those of `odak calibrate`; without names, the simulated table of the seed. Writes "
+    "Instruments are chosen as in `odak calibrate`; without names, the simulated table of the seed. Writes "
     "capture_NAME.png (the capture beside its prediction by the calibration, and their difference), captures.h5 and "
     "report.json."
 )
@@ -1207,7 +1207,7 @@ def _messages() -> Iterator[None]:
     except (OSError, FloatingPointError) as error:
         raise typer.Exit(_fail(str(error) or type(error).__name__, FAILURE)) from None
     except (MemoryError, RuntimeError) as error:
-        # PyTorch has an exception of its own for the memory of a GPU; for that of the processor the text names it.
+        # PyTorch has an exception of its own for the memory of a GPU; the processor's memory is named in the text.
         lacking = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
         if not lacking and "DefaultCPUAllocator" not in str(error):
             raise

@@ -34,10 +34,11 @@ DEFINITIONS = {
     "illumination, distance and registration of the calibration, or nominal ones; fitted to the capture by a factor "
     "and an offset.",
     "correlation": "Of the capture and the prediction over all pixels of the camera; 1 where they agree.",
-    "relative_error": "Root mean square of capture minus prediction over that of the capture less its offset.",
+    "relative_error": "Root mean square of (capture − prediction) over the root mean square of (capture − offset).",
     "brightest_share": "Largest mean count over the range of the camera.",
     "noise_share": "Root mean square of the noise of the mean capture, from the differences between captures, over "
-    "that of the capture less its offset: the relative_error of a perfect prediction. None for a single capture.",
+    "the root mean square of (capture − offset): the relative_error of a perfect prediction. None for a "
+    "single capture.",
     "lengths": "In metres; times in seconds.",
 }
 
@@ -65,7 +66,7 @@ def run(
     output : Path
         Folder to write to: ``capture_NAME.png`` for each pattern, ``captures.h5`` and ``report.json``.
     wavelength : float
-        Of the light in metres; that of the calibration where there is one.
+        Of the light in metres; taken from the calibration where there is one.
     distance : float or Lens
         From the modulator to the camera in metres, or the lens between them; likewise.
     calibration : Path, optional

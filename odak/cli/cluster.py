@@ -235,7 +235,7 @@ def find_frames(images: Sequence[str], values: dict[str, Any]) -> list[Frame]:
     Returns
     -------
     list of Frame
-        In the order given, those of a folder sorted by name, numbers in it by their value.
+        In the order given, files of a folder sorted by name, numbers in it by their value.
 
     Raises
     ------

@@ -197,7 +197,7 @@ def run(job: EyeboxJob, notices: files.Notices = files.SILENT) -> dict:
             callback=tick,
         )
         if done < job.iterations:
-            # After Ctrl-C the best result so far is returned, which must not be saved as that of the whole run.
+            # After Ctrl-C the best result so far is returned, which must not be saved as the result of the whole run.
             raise KeyboardInterrupt
     for name, frame in zip(names, hologram.reshape(-1, *job.resolution), strict=True):
         files.save_pattern(folder / name, files.quantise(frame, job.bits), job.bits)
@@ -251,7 +251,7 @@ def _seen(job: EyeboxJob, phases: torch.Tensor, place: tuple[float, float]) -> t
     """
     field = torch.polar(torch.ones_like(phases), phases)
     steps = [float(pitch) for pitch in pitches(job.pixel_pitch)]
-    # The finest fringes are those of the steepest light, from the far edge of the modulator to the rim of the pupil.
+    # The steepest light has the finest fringes: it goes from the far edge of the modulator to the rim of the pupil.
     aside = max(
         n * pitch / 2 + abs(middle) + job.pupil / 2
         for n, pitch, middle in zip(job.resolution, steps, place, strict=True)

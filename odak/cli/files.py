@@ -119,7 +119,7 @@ def claim(folder: Path, name: str = "--output") -> None:
 
 @contextmanager
 def locked(folder: Path, name: str = "--output") -> Iterator[None]:
-    """Hold the lock of a folder; parameters and errors are those of :func:`claim`.
+    """Hold the lock of a folder; parameters and errors are as in :func:`claim`.
 
     The lock is one of the operating system on a hidden file, which is removed at the end. It ends with the process.
     """
@@ -233,7 +233,7 @@ class Notices(NamedTuple):
     again : bool
         Compute anew what is complete already.
     kept : callable
-        Called with the folder whose results are kept, as they are those of this run.
+        Called with the folder whose results are kept, as an equal run has written them.
     replaces : callable
         Called before the computation with the folder and the names of the files that will be replaced, if there are
         any. It may raise an exception to end the run.
@@ -289,7 +289,7 @@ def digest_of(path: Path) -> str:
 
 
 def sources(job: Job) -> list[Path]:
-    """Return the file of the picture, and those of its depth map and of the modulator's response if there are any."""
+    """Return the files of the picture and, if there are any, of its depth map and the modulator's response."""
     known = [Path(os.path.expanduser(name)) for name in (job.calibration, job.lut) if name is not None]
     return [
         image_path(job.image),
@@ -436,7 +436,7 @@ def response_of(job: Job) -> Response | None:
 def image_pitches(job: Job) -> tuple[float, float]:
     """Return the distances of neighbouring points of the picture along rows and columns in metres.
 
-    They are those of the modulator's pixels or, behind a lens, λ·B/(rows·pitch) and λ·B/(columns·pitch), B being the
+    They are the modulator's pitches or, behind a lens, λ·B/(rows·pitch) and λ·B/(columns·pitch), B being the
     focal length for a picture at the focus.
     """
     response = response_of(job)
@@ -549,7 +549,7 @@ def calibrated(path: str, values: Mapping[str, Any], given: Collection[str]) -> 
         same = values[name] == value or (name in ("wavelengths", "pixel_pitch") and _close(values[name], value))
         if option in given and name != "distance" and not same:
             raise InputError(
-                f"--{option.replace('_', '-')} must be that of --calibration, {value!r}, got {values[name]!r}"
+                f"--{option.replace('_', '-')} must agree with --calibration, {value!r}, got {values[name]!r}"
             )
     if "preset" in given:
         raise InputError("--preset has no effect with --calibration, which states the modulator")

@@ -154,7 +154,7 @@ def check_training_range(job: Job, wavelengths: Sequence[float]) -> None:
     job : Job
         Parameters of the run.
     wavelengths : sequence of float
-        In metres, those of the target.
+        Wavelengths of the target in metres.
     """
     if isinstance(job.pixel_pitch, tuple):
         dy, dx = (value / UNITS["um"] for value in job.pixel_pitch)
@@ -186,7 +186,7 @@ def check_training_range(job: Job, wavelengths: Sequence[float]) -> None:
     ):
         if least > most:
             raise InputError(f"--method network takes no {name} for wavelengths as different as {colours}")
-        # The slack is that of the rounded ends in the message.
+        # The slack allows for the rounded ends in the message.
         if not 0.995 * least <= value <= 1.005 * most:
             least, most, value = (length / UNITS[unit] for length in (least, most, value))
             raise InputError(
@@ -308,7 +308,7 @@ def _channel(job: Job, target: Target, channel: int, paths: list[Path], device: 
 def _seen(job: Job, ideal: torch.Tensor, saved: torch.Tensor, wavelength: float) -> tuple[torch.Tensor, ...]:
     """Return what is seen of phases ``[frames, rows, columns]``, as the report states it and by the other figure.
 
-    The first image is that of the phases as computed, the other two are those of the phases as saved.
+    The first image is seen of the phases as computed, the other two of the phases as saved.
     """
     response = files.response_of(job)
     light = 1.0 if response is None else response.light(ideal)
@@ -641,7 +641,8 @@ def _progress(job: Job, description: str):
         yield clock
         clock.end()
     if clock.ticks < job.iterations:
-        # After Ctrl-C the optimizers return their best result so far, which must not be saved as that of the whole run.
+        # After Ctrl-C the optimizers return their best result so far, which must not be saved as the result of the
+        # whole run.
         raise KeyboardInterrupt
 
 
@@ -814,7 +815,7 @@ def _network_frames(job: Job, target: Target, volume: Volume) -> Frames:
 
 
 def _reconstruct_volume(job: Job, target: Target, volume: Volume, frames: Frames, fill: float | None) -> torch.Tensor:
-    """Return the intensity on each plane over that of each colour's source, ``[planes, channels, rows, columns]``.
+    """Return the intensity on each plane over each colour's source intensity, ``[planes, channels, rows, columns]``.
 
     Plane by plane with the method that its distance asks for, and not with the display of the optimizer.
     """

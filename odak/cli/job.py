@@ -123,9 +123,9 @@ class Job:
     bits : int
         Bits per pixel of the modulator, 1 to 16.
     fill_factor : float, optional
-        Share of the area of a square pixel that emits, 0.9 by default; the holograms are computed for such pixels, but
-        for those of the network, and pictures are means over the areas of pixels. 0 computes and reports points, as
-        runs in tiles and other propagation types do by default.
+        Share of the area of a square pixel that emits, 0.9 by default; the holograms are computed for such pixels,
+        except by the network, and pictures are means over the areas of pixels. 0 computes and reports points, as runs
+        in tiles and other propagation types do by default.
     device : str
         "auto", "cpu", "cuda", "cuda:1", …
     quiet : bool
@@ -485,7 +485,7 @@ def image_path(image: str) -> Path:
 
 
 def depth_map_path(depth_map: str) -> Path:
-    """Return the path of the requested depth map, as :func:`image_path` does that of the picture."""
+    """Return the path of the requested depth map, as :func:`image_path` does for the picture."""
     return _existing("--depth-map", depth_map, SHIPPED_DEPTH_MAPS)
 
 

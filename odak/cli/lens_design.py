@@ -1,6 +1,7 @@
 """Design of lenses for `odak design`: from a starting lens by least squares, or from flat plates by a curriculum."""
 
 import copy
+import functools
 import math
 import tempfile
 import time
@@ -50,6 +51,15 @@ LAYOUTS = {
     6: (CROWN, CROWN, FLINT, "stop", FLINT, CROWN, CROWN),
 }
 DEMANDS = ("focal_length", "f_number", "field", "elements")
+# Checks of the parameters that may be None.
+CHECKS: dict[str, Callable] = {
+    **dict.fromkeys(
+        ("focal_length", "f_number", "track", "distortion", "axial_color", "chief_ray_angle"),
+        functools.partial(_validate.number, positive=True),
+    ),
+    **dict.fromkeys(("field", "back"), functools.partial(_validate.number, least=0)),
+    **dict.fromkeys(("starts", "iterations"), functools.partial(_validate.integer, minimum=1)),
+}
 RINGS = 8
 DEFINITIONS = {
     "lengths": "In the unit of the lens; angles in degrees.",
@@ -75,12 +85,12 @@ class DesignJob:
     output : Path
         Folder to write to.
     focal_length : float or None
-        In metres; that of the system by default.
+        In metres; the system's own by default.
     f_number : float or None
-        Focal length over the diameter of the entrance pupil; that of the system by default.
+        Focal length over the diameter of the entrance pupil; the system's own by default.
     field : float or None
-        Largest field angle in degrees, of a near object its half height in the unit of the lens; that of the system
-        by default.
+        Largest field angle in degrees, of a near object its half height in the unit of the lens; the system's own by
+        default.
     elements : str or None
         Number of elements, 1 to 6, or their materials with commas between, "stop" among them.
     aspheric_terms : int
@@ -88,7 +98,7 @@ class DesignJob:
     track, back : float or None
         Largest distance from the first vertex to the image and least distance from the last one, in metres.
     distortion : float or None
-        Largest distortion; 0.02, or that of the system if larger, by default.
+        Largest distortion; by default 0.02, or the system's own if larger.
     axial_color : float or None
         Largest distance between the paraxial images of two wavelengths, in metres.
     chief_ray_angle : float or None
@@ -140,15 +150,9 @@ class DesignJob:
             if value is not None and value >= 5:
                 warn(f"{_option(name)} {value:g} is {value:g} metres; did you mean {value:g}mm?", ArgumentWarning)
         try:
-            for name in ("focal_length", "f_number", "track", "distortion", "axial_color", "chief_ray_angle"):
+            for name, check in CHECKS.items():
                 if getattr(self, name) is not None:
-                    _validate.number(_option(name), getattr(self, name), positive=True)
-            for name in ("field", "back"):
-                if getattr(self, name) is not None:
-                    _validate.number(_option(name), getattr(self, name), least=0)
-            for name in ("starts", "iterations"):
-                if getattr(self, name) is not None:
-                    _validate.integer(_option(name), getattr(self, name), minimum=1)
+                    check(_option(name), getattr(self, name))
             for name in ("aspheric_terms", "seed"):
                 _validate.integer(_option(name), getattr(self, name))
             _validate.one_of("--aim", self.aim, AIMS)
@@ -159,21 +163,25 @@ class DesignJob:
         if self.chief_ray_angle is not None and self.chief_ray_angle >= 90:
             raise InputError(f"--chief-ray-angle must be below 90 degrees, got {self.chief_ray_angle:g}")
         if self.system is None:
-            missing = [_option(name) for name in DEMANDS if getattr(self, name) is None]
-            if missing:
-                raise InputError(
-                    f"give a SYSTEM to begin with, or all of {', '.join(map(_option, DEMANDS))}; missing are "
-                    f"{', '.join(missing)}"
-                )
-            if self.aim != AIMS[0]:
-                raise InputError(f"--aim {self.aim} needs a SYSTEM; flat plates are designed with paraxial pupils")
-            if self.f_number is not None and self.f_number < 0.5:
-                raise InputError(f"--f-number must be at least 0.5, the limit of a lens in air; got {self.f_number:g}")
+            self._check_demands()
         elif self.elements is not None:
             raise InputError("--elements has no effect with a SYSTEM, whose elements are given")
 
+    def _check_demands(self) -> None:
+        """Check what a design from flat plates is asked for."""
+        missing = [_option(name) for name in DEMANDS if getattr(self, name) is None]
+        if missing:
+            raise InputError(
+                f"give a SYSTEM to begin with, or all of {', '.join(map(_option, DEMANDS))}; missing are "
+                f"{', '.join(missing)}"
+            )
+        if self.aim != AIMS[0]:
+            raise InputError(f"--aim {self.aim} needs a SYSTEM; flat plates are designed with paraxial pupils")
+        if self.f_number is not None and self.f_number < 0.5:
+            raise InputError(f"--f-number must be at least 0.5, the limit of a lens in air; got {self.f_number:g}")
+
     def makers(self) -> list[str]:
-        """Return the makers whose glasses replace those of the lens."""
+        """Return the makers whose glasses replace the glasses of the lens."""
         return [] if self.substitute is None else [word.strip().lower() for word in self.substitute.split(",")]
 
     def materials(self) -> list[str]:
@@ -336,7 +344,7 @@ def _substituted(names: Sequence[str]) -> str:
 
 
 def _set_semi_diameters(system: optical_system, aim: str) -> None:
-    """Set the semi-diameters of all surfaces to those of the beam."""
+    """Set the semi-diameters of all surfaces to the extent of the beam."""
     surfaces: list[Any] = list(system.surfaces)
     with torch.no_grad():
         for item, size in zip(surfaces, clear_heights(system, system.prescription(), aim=aim), strict=True):
@@ -385,7 +393,7 @@ def _from_system(job: DesignJob, step: Callable[[], Any]):
     did.append("varied " + ", ".join(names))
     if chosen:
         did.append(_substituted(chosen))
-    did.append(f"held the focal length at {f:.9g} {system.unit}; semi-diameters are those of the beam")
+    did.append(f"held the focal length at {f:.9g} {system.unit}; semi-diameters follow the beam")
     system.source = f"{system.source}; optimised by odak {versions()['odak']}, seed {job.seed}".lstrip("; ")
     return start, system, did, merit
 
@@ -397,7 +405,7 @@ def _check_start(system: optical_system, job: DesignJob) -> None:
             raise InputError(f"SYSTEM {job.system!r}: surface {i} is not centred on the axis, as a design needs it")
     if job.focal_length is not None and not system.at_infinity:
         raise InputError(
-            f"--focal-length needs an object at infinity; that of {job.system!r} is at {system.object_distance:g} "
+            f"--focal-length needs an object at infinity; in {job.system!r} it is at {system.object_distance:g} "
             f"{system.unit}"
         )
     if job.f_number is not None and system.telecentric:

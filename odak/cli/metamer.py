@@ -26,7 +26,7 @@ DEFINITIONS = {
     "metamer differs from the picture where the eye does not see it, so that a low value is no fault.",
     "loss": "Metameric loss of metamer.png: the squared difference of the statistics that the eye perceives.",
     "noise_loss": "The same of the picture with white noise of the same PSNR, for comparison.",
-    "texture_distance": "Mean squared difference of the texture statistics of metamer.png from those of the picture "
+    "texture_distance": "Mean squared difference between the texture statistics of metamer.png and the picture's "
     "(Portilla and Simoncelli, mean of channels), in squares of 128 pixels away from the gaze; null if there are none.",
     "noise_texture_distance": "The same of the picture with white noise of the same PSNR.",
     "largest_pooling": "Width in pixels of the largest region over which the eye pools.",
@@ -120,8 +120,8 @@ def run(job: MetamerJob, notices: files.Notices = files.SILENT) -> dict:
     -------
     dict
         The report: "psnr_db" of the metamer, "largest_pooling" in pixels, "loss": the metameric loss of the metamer as
-        saved, over the whole picture, and "noise_loss": that of the picture with white noise of the same squared error;
-        "texture_distance" and "noise_texture_distance": the same by the statistics of textures.
+        saved, over the whole picture, and "noise_loss": the loss of the picture with white noise of the same squared
+        error; "texture_distance" and "noise_texture_distance": the same by the statistics of textures.
 
     Raises
     ------

@@ -47,7 +47,7 @@ DEFINITIONS = {
     "of pixels).",
     "efficiency_lit": f"Energy of I where T is at least {LIT} of its maximum, divided by the modulator's energy.",
     "planes": "With several planes, I is taken from the plane that each pixel belongs to by the depth map, and "
-    "psnr_db, ssim, scale and efficiency above are those of this image. Each plane by itself is held against its own "
+    "psnr_db, ssim, scale and efficiency above belong to this image. Each plane by itself is held against its own "
     "target, the picture blurred outside the plane: over the picture's window (psnr_db, ssim) and over the pixels that "
     "belong to the plane (psnr_in_focus_db), all with the scale of the colour.",
     "source_amplitudes": "Amplitude of each wavelength's source in each frame. I is the sum over frames, divided by "
@@ -242,7 +242,7 @@ def find_device(name: str) -> torch.device:
         torch.empty(1, device=device)
     except (RuntimeError, AssertionError, NotImplementedError):
         here = ", ".join(["auto", *map(str, devices())])
-        raise InputError(f"--device must be one of those of this machine ({here}); got {name!r}") from None
+        raise InputError(f"--device must be a device of this machine ({here}); got {name!r}") from None
     return device
 
 

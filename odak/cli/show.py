@@ -175,7 +175,7 @@ def _pictured(path: Path, first: bool = False) -> str:
 
 
 def _together(fields: list, pitch, wavelength=None, quantities: Sequence[str] | None = None) -> list:
-    """Return figures of fields; those of one shape and kind share a figure with a slider."""
+    """Return figures of fields; fields of one shape and kind share a figure with a slider."""
     groups: dict[Any, list] = {}
     for values, name in fields:
         groups.setdefault((values.shape, values.dtype) if values.ndim == 2 else name, []).append((values, name))

@@ -240,7 +240,7 @@ def load_volume(job: Job, target: Target, device: torch.device) -> Volume:
 
 
 def _fitted_depth(job: Job, target: Target) -> torch.Tensor:
-    """Return the depth ``[rows, columns]`` on the modulator's frame, that of the last plane around the picture."""
+    """Return the depth ``[rows, columns]`` on the modulator's frame; around the picture it is the last plane's."""
     path = depth_map_path(str(job.depth_map))
     depth = to_grey(read_picture(path, "--depth-map"))
     if bool((depth == depth.flatten()[0]).all()):

@@ -92,7 +92,7 @@ def run(job: Job, notices: files.Notices = files.SILENT, again: bool = False, wo
 
 @contextmanager
 def _naming(folder: Path) -> Iterator[None]:
-    """Let errors of the disk name the folder: those of Zarr name no file."""
+    """Let errors of the disk name the folder: Zarr's errors name no file."""
     try:
         yield
     except OSError as error:
@@ -162,7 +162,7 @@ def _channel(job: Job, target: Target, index: int, folder: Path, stem: str, agai
 
 
 def _claim(state: Path, job: Job, index: int, again: bool) -> None:
-    """Make a folder the state of this picture's colour; raise InputError if it holds that of another."""
+    """Make a folder the state of this picture's colour; raise InputError if it holds the state of another."""
     if again:
         shutil.rmtree(state, ignore_errors=True)
     identity = {

@@ -59,10 +59,10 @@ DEFINITIONS = {
     "field reaches 90 degrees, over f·θ.",
     "wavefront_rms": "Standard deviation of the path to the reference sphere over the area of the pupil, at the "
     "reference wavelength.",
-    "strehl": "Peak of the diffraction image at the reference wavelength over that of the same pupil without "
+    "strehl": "Peak of the diffraction image at the reference wavelength over the peak of the same pupil without "
     "aberrations.",
     "modulation": "Modulation transfer at the reference wavelength and modulation_frequencies, in cycles per unit of "
-    "length, of gratings along x (tangential) and along y; of fields with more than 2 waves RMS that of the rays.",
+    "length, of gratings along x (tangential) and along y; from rays for fields with more than 2 waves RMS.",
     "passed": "Share of the area of the pupil that no aperture blocks.",
     "quadrature": "Rings of the Gaussian quadrature of rms_spot, wavefront_rms, strehl and passed, and the largest "
     "change of these from half as many rings: relative for the first two, absolute for the others.",
@@ -301,7 +301,7 @@ def run_tolerance(
     limit : float or None
         Largest spot that is accepted, in the unit of the lens; twice the largest as drawn by default.
     share : float or None
-        Yield that the deviations are scaled to; None for those of ISO 10110-11.
+        Yield that the deviations are scaled to; None for the deviations of ISO 10110-11.
     focus : bool
         Refocus each lens.
     notices : files.Notices

@@ -84,7 +84,7 @@ class Calibration:
         From the modulator to the plane of the camera in metres, or the lens between them, whose errors are in the
         registration and in the wavefront.
     phases : numpy.ndarray
-        Phase of each level in radians, less that of level 0.
+        Phase of each level in radians, relative to level 0.
     amplitude : numpy.ndarray
         Amplitude of the illumination at each pixel of the modulator, 1 at its largest.
     wavefront : numpy.ndarray
@@ -193,14 +193,14 @@ class Calibration:
 
     @property
     def response(self) -> np.ndarray:
-        """Phase of each level in regions of the modulator, where it was measured, or else that of all."""
+        """Phase of each level in regions of the modulator, where it was measured, or else of the whole modulator."""
         return self.phases if self.regional_phases is None else self.regional_phases
 
     def levels(self, phase: np.ndarray) -> np.ndarray:
         """Return the levels that show a phase in radians ``[rows, columns]`` with the aberration corrected.
 
-        Where the response of regions is known, each pixel takes that of a cubic spline through their middles, which
-        continues to the edges of the modulator.
+        Where the response of regions is known, a cubic spline through their middles, which continues to the edges of
+        the modulator, gives the response of each pixel.
         """
         return nearest_levels(np.asarray(phase) - self.wavefront, self.response)
 
@@ -272,7 +272,7 @@ def calibrate_table(
         Rows and columns of regions whose phase response is measured too, after the second registration, and used in
         the later steps; a response that varies over the modulator acts as an aberration and shifts the image. The
         phases are then the mean over the modulator. None, the default, measures 3 × 3 regions where the captures of the
-        phase response deviate by more than 1 % from those of levels with one phase at all pixels; (1, 1) measures none.
+        phase response deviate by more than 1 % from a response with one phase at all pixels; (1, 1) measures none.
     partial : bool
         If the camera does not see the whole modulator, calibrate the largest middle part that it sees; the amplitude of
         the other pixels is then 0.
@@ -299,11 +299,12 @@ def calibrate_table(
     Notes
     -----
     The uncertainty of the wavefront comes from the fit to its gradients and from what further repetitions would change.
-    It contributes to that of the distance, as a defocus, and the distance to that of the registration. The uncertainty
-    of the phases comes from what the captures deviate from those of one phase at all pixels, from the difference
-    between the results of the two halves of the modulator, and from that between all levels and every second one; with
-    regions, it is twice that of a mean of independent values. The factors between residuals and uncertainties were
-    chosen on 50 simulated tables that share no code with the package: uncertainties are estimates, not bounds.
+    It contributes to the uncertainty of the distance, as a defocus, and the distance to the uncertainty of the
+    registration. The uncertainty of the phases comes from the deviation of the captures from a response with one phase
+    at all pixels, from the difference between the results of the two halves of the modulator, and from the difference
+    between all levels and every second one; with regions, it is twice the uncertainty of a mean of independent values.
+    The factors between residuals and uncertainties were chosen on 50 simulated tables that share no code with the
+    package: uncertainties are estimates, not bounds.
 
     Examples
     --------
@@ -336,7 +337,7 @@ def calibrate_table(
     regions = _validate.size("regions", regions)
     if regions == (1, 1) and varies:
         warn(
-            f"the calibration is uncertain: captures deviate by {spread:.1%} from those of levels with one phase at "
+            f"the calibration is uncertain: captures deviate by {spread:.1%} from a response with one phase at "
             "all pixels; where the response varies over the panel, the phases are those near its middle, registration "
             "and distance deviate by some tenths of a pixel and of a percent"
             + ("" if behind_lens else ": use regions=(3, 3)"),
@@ -419,7 +420,7 @@ def calibrate_table(
     by_distance = 0.0
     if not isinstance(distance, Lens):
         distance, doubt = distance_with_uncertainty(*known, wavefront, NEAR if rounds == 1 else None, FOCI, 2)
-        # The wavefront π/λ·(x² + y²)/f is that of a lens.
+        # A lens has the wavefront π/λ·(x² + y²)/f.
         y, x = pixel_axes(modulator)
         defocus = 0.2 * uncertainty["wavefront"] / (x**2 + y**2).std() * wavelength * distance**2 / np.pi
         uncertainty["distance"] = math.hypot(doubt, defocus)

@@ -41,9 +41,9 @@ class ScreenModulator:
         Number of the screen, 0 for the first, see :meth:`identify`. By default the last one, where there are several:
         the only screen, which you work on, is taken if you ask for 0.
     shape : sequence of int, optional
-        Rows and columns; those of the screen by default. A warning says where they are not those of the screen.
+        Rows and columns; the screen's by default. A warning says where they differ from the screen's.
     settling_time : float
-        Seconds to wait after a pattern was drawn: that of the modulator and the delay of the screen.
+        Seconds to wait after a pattern was drawn: settling time of the modulator plus delay of the screen.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class ScreenModulator:
         if self.shape != (rows, columns):
             warn(
                 f"screen {display} has {rows} × {columns} pixels, the modulator {self.shape[0]} × {self.shape[1]}: set "
-                "its resolution to that of the modulator and its scale to 100 %, or pixels are interpolated",
+                "its resolution to the modulator's and its scale to 100 %, or pixels are interpolated",
                 ArgumentWarning,
             )
         self.pitch = float(_validate.number("pitch", pitch, positive=True))
@@ -467,7 +467,7 @@ class FileModulator:
     Parameters
     ----------
     folder : str or os.PathLike
-        Folder, such as that of a network share.
+        Folder, for example on a network share.
     shape : sequence of int
         Rows and columns.
     pitch : float
@@ -541,7 +541,7 @@ class FileCamera:
     Parameters
     ----------
     folder : str or os.PathLike
-        Folder, such as that of a network share.
+        Folder, for example on a network share.
     shape : sequence of int
         Rows and columns.
     pitch : float

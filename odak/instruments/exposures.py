@@ -65,7 +65,7 @@ def set_exposure(camera: Camera, show: Callable[[], None] | None = None, level: 
     Warns
     -----
     AccuracyWarning
-        If pixels are stuck, whose counts do not follow the exposure as those of the others do, or the exposure is at a
+        If pixels are stuck, so that their counts do not follow the exposure as the others do, or the exposure is at a
         limit of the camera.
 
     Examples
@@ -310,7 +310,7 @@ def capture_hdr(
 def combined(
     seen: np.ndarray, usable: np.ndarray, exposures: np.ndarray, noise: tuple[float, float] = (0.2, 1.0)
 ) -> np.ndarray:
-    """Return counts per second from those of several exposures without their offset.
+    """Return counts per second from counts of several exposures without their offset.
 
     Parameters
     ----------
@@ -404,7 +404,7 @@ def measure_settling(
     phases : numpy.ndarray
         Phase of each level in radians, from :func:`odak.instruments.measure_phase_response`.
     tolerance : float
-        Deviation of the phase in radians at which it counts as settled.
+        Deviation of the phase in radians below which it is settled.
     longest : float, optional
         Longest delay in seconds; the present settling time of the modulator by default.
     samples : int
@@ -552,7 +552,7 @@ def measure_polarisation(
     rotator : Rotator
         Mount of the polariser; it is left at the angle found.
     levels : numpy.ndarray
-        Pattern that focuses a spot, integers ``[rows, columns]``, such as that of a lens.
+        Pattern that focuses a spot, integers ``[rows, columns]``, such as a lens pattern.
     samples : int
         Number of angles, evenly spaced over 180°.
     captures : int

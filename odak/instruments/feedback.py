@@ -99,8 +99,8 @@ def equalise_spots(
     captures : int
         Number of captures that are averaged in each.
     radius : float, optional
-        Radius in metres of the disc around a spot; by default that of four Airy discs, or 0.4 of the smallest distance
-        between spots if that is less. The discs follow the centroids of the spots, which an aberration moves.
+        Radius in metres of the disc around a spot; by default the radius of four Airy discs, or 0.4 of the smallest
+        distance between spots if that is less. The discs follow the centroids of the spots, which an aberration moves.
 
     Returns
     -------

@@ -178,7 +178,7 @@ def _check_focus(camera: Camera, powers: np.ndarray) -> None:
             f"no focus was found among focal lengths from {1 / powers[-1]:.4g} m to {1 / powers[0]:.4g} m: at an "
             f"exposure of {camera.exposure:.3g} s the brightest of {frame.size} pixels has {frame.max():.0f} of "
             f"{(1 << camera.bits) - 1} counts, and those around it {beside:.0f} ± {noise:.2g}; check that the laser is "
-            "on, that the registration is that of this camera, and the distance, or use a larger span"
+            "on, that the registration belongs to this camera, and the distance, or use a larger span"
         )
 
 
@@ -196,7 +196,7 @@ def distance_with_uncertainty(
 ) -> tuple[float, float]:
     """Return the distance from a modulator to a camera, and its uncertainty in metres.
 
-    The parameters are those of :func:`measure_distance`, and a span of None for a distance that is known within the
+    The parameters are as in :func:`measure_distance`; a span of None is for a distance that is known within the
     depth of focus. The error of the wavefront is not in the uncertainty.
     """
     distance = without_lens(distance, "measure_wavefront finds the defocus")

@@ -26,7 +26,7 @@ DEPTH, EVEN = 0.7, 0.013
 # Bits of cameras below which each pattern is captured at a second exposure, longer by a factor, because most speckles
 # are much darker than the brightest; and electrons of a full pixel, from which the weights follow.
 FEW_BITS, LONGER, WELL = 10, 8, 20_000.0
-# Half the width of the places that are evaluated, as a share of that of the light of a cell, and pixels of it at most.
+# Half the width of the places that are evaluated, as a share of the width of a cell's light, and pixels of it at most.
 VIEW, WIDEST = 0.35, 12
 QUARTERS = np.arange(4) * (np.pi / 2)
 
@@ -49,7 +49,7 @@ def measure_illumination(
     """Measure the amplitude of the illumination at a modulator.
 
     All pixels focus at one point, and cells × cells parts of them get random phases. The intensities at that point and
-    its neighbours are those of a sum of waves whose amplitudes are the exponential of a polynomial of the position. How
+    its neighbours are given by a sum of waves whose amplitudes are the exponential of a polynomial of the position. How
     much light a pixel sends to the point depends on the angle, too, because of the area of the pixels, the gaps between
     them and fringing fields; four points are used, so that the dependence on the angle is separated from that on the
     position. The coefficients of both are fitted. Cameras of fewer than 10 bits capture each pattern at two exposures.
@@ -122,7 +122,7 @@ def illumination_with_uncertainty(
 ) -> tuple[np.ndarray, float]:
     """Return the amplitude of the illumination at a modulator, and its uncertainty (root mean square).
 
-    The parameters are those of :func:`measure_illumination`.
+    The parameters are as in :func:`measure_illumination`.
     """
     check_square_pixels(modulator, camera)
     camera = checked_camera(camera)
@@ -217,7 +217,7 @@ def illumination_with_uncertainty(
             "dust, which the result does not contain"
         )
     elif uncertainty > EVEN:
-        reason = "the captures deviate from those of the model"
+        reason = "the captures deviate from the model"
     if reason:
         uncertainty = math.hypot(uncertainty, math.sqrt(DEPTH * dark.mean()))
         warn(f"the illumination is uncertain by {uncertainty:.2g} (root mean square): {reason}", AccuracyWarning)

@@ -143,8 +143,8 @@ class HoloeyeModulator:
     -----
     Needs the SDK's Python packages ``HEDS`` and ``hedslib`` on the path of modules; both come with the SDK (its folders
     ``examples`` and ``api/python``). Levels are shown as image data, which the SDK does not change. Not run on
-    hardware: tested with a stand-in for the calls ``HEDS.SDK.Init``, ``HEDS.SLM.Init``, ``showImageData`` and those of
-    the size of the SDK's documentation.
+    hardware: tested with a stand-in for the calls ``HEDS.SDK.Init``, ``HEDS.SLM.Init``, ``showImageData`` and the calls
+    for the size in the SDK's documentation.
 
     Examples
     --------
@@ -283,7 +283,7 @@ class MeadowlarkModulator:
         return library.Get_image_height(board), library.Get_image_width(board), library.Get_image_depth(board)
 
     def _check(self, name: str, result: int) -> None:
-        # −1 is the failure of "overdrive-plus", anything but 1 that of the others.
+        # −1 is a failure of "overdrive-plus", anything but 1 a failure of the others.
         if result == -1 or (self._sdk != "overdrive-plus" and result != 1):
             raise OSError(f"{name} of {self._path!r} failed and returned {result}")
 

@@ -112,8 +112,8 @@ def measure_phase_response(
 ) -> np.ndarray:
     """Measure the phase of each level of a modulator.
 
-    One half of the panel shows a level g, the same everywhere; the light of the other half is deflected onto that of
-    the first by a fixed pattern. Behind them the field is A·e^{iφ(g)} + B, so that the intensity of each pixel of the
+    One half of the panel shows a level g, the same everywhere; a fixed pattern deflects the light of the other half
+    onto the light of the first. Behind them the field is A·e^{iφ(g)} + B, so that the intensity of each pixel of the
     camera is a sum of a constant, cos φ(g) and sin φ(g), whatever the aberration, the illumination and the alignment
     are. The two largest principal components of the captures are such sums too; the ellipse on which they lie gives the
     phase. The halves take turns, and the mean of the two is returned.
@@ -141,7 +141,7 @@ def measure_phase_response(
     Returns
     -------
     numpy.ndarray
-        Phases in radians ``[2^bits]``, less that of level 0, unwrapped; they fall with the level where a lens pattern
+        Phases in radians ``[2^bits]``, relative to level 0, unwrapped; they fall with the level where a lens pattern
         focuses for that sign.
         Where the response varies over the panel, it is a mean over what lies near the line between the halves.
 
@@ -191,7 +191,7 @@ def phases_with_uncertainty(
 ) -> tuple[np.ndarray, float, float]:
     """Return the phase of each level, its uncertainty, and the deviation of the captures from one phase at all pixels.
 
-    The parameters are those of :func:`measure_phase_response`.
+    The parameters are as in :func:`measure_phase_response`.
     """
     check_square_pixels(modulator, camera)
     camera = checked_camera(camera)
@@ -258,7 +258,7 @@ def phases_with_uncertainty(
 
 
 def _onto_the_other_half(modulator: Modulator, wavelength: float, distance: float, top: int) -> np.ndarray:
-    """Return the levels that deflect the light of each half of a modulator onto that of the other."""
+    """Return the levels that deflect the light of each half of a modulator onto the light of the other."""
     # The lens narrows the light of a half to four fifths, away from the border, whose fringing fields disturb.
     columns = modulator.shape[1]
     focal, size = 4.5 * distance, columns * modulator.pitch
@@ -330,7 +330,7 @@ def _measured_levels(top: int, samples: int) -> np.ndarray:
 
 
 def _of_all_levels(levels: np.ndarray, phases: np.ndarray, top: int) -> np.ndarray:
-    """Return the phases of all levels from those of some.
+    """Return the phases of all levels from the phases of some.
 
     The spline is one of the angle whose cosine the level is. Chebyshev's points are evenly spaced in it, and a response
     that bends as a power of the level near the ends of its range is smoother, with a slope of zero there.
@@ -348,7 +348,7 @@ def _changes(frames: np.ndarray) -> np.ndarray:
 def _noise_of_phases(frames: np.ndarray) -> float:
     """Return the standard deviation of a phase by the noise of frames ``[n, pixels]``, as below.
 
-    Noise is in all principal components, of which two are those of the interference; one is the mean.
+    Noise is in all principal components, of which two contain the interference and one the mean.
     """
     frames = _changes(frames)
     squares = np.linalg.eigvalsh(frames @ frames.T)
@@ -387,10 +387,10 @@ def _phases_of_interference(frames: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _warn_of_deviations(other: float) -> None:
-    """Warn if captures deviate much from those of levels with one phase at all pixels."""
+    """Warn if captures deviate much from the captures that levels with one phase at all pixels would give."""
     if other > 0.1:
         warn(
-            f"the phase response is uncertain: captures deviate by {other:.0%} from those of levels with one phase at "
+            f"the phase response is uncertain: captures deviate by {other:.0%} from a response with one phase at "
             "all pixels, because of fringing fields between them, or a response that varies over the panel or in time",
             AccuracyWarning,
         )
@@ -427,7 +427,7 @@ def measure_regional_response(
     The regions of a column show a level g, the same everywhere; the light of the column beside it is deflected onto
     them by a fixed pattern. The intensity of each pixel of the camera is then a sum of a constant, cos φ(g) and
     sin φ(g), as in :func:`measure_phase_response`, with the phase of the part of the modulator that is in front of the
-    pixel; the principal components are those of the pixels in front of the middle of a region.
+    pixel; the principal components are taken over the pixels in front of the middle of a region.
 
     Parameters
     ----------
@@ -453,7 +453,7 @@ def measure_regional_response(
     Returns
     -------
     numpy.ndarray
-        Phases in radians ``[region rows, region columns, 2^bits]``, less that of level 0 of the region; they are taken
+        Phases in radians ``[region rows, region columns, 2^bits]``, relative to level 0 of the region; they are taken
         to grow with the level, but for :func:`calibrate_table`, which knows the sign.
 
     Warns
@@ -490,8 +490,8 @@ def regions_with_uncertainty(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the phase of each level in regions, and the uncertainty of each region in radians ``[rows, columns]``.
 
-    The parameters are those of :func:`measure_regional_response`, and `whole` the phase of each level of the whole
-    modulator, less whose multiples the phases are interpolated between the levels that are measured.
+    The parameters are as in :func:`measure_regional_response`; `whole` is the phase of each level of the whole
+    modulator. Multiples of it are subtracted before phases are interpolated between the measured levels.
     """
     distance = without_lens(distance, "its pixels send light to the same places")
     check_square_pixels(modulator, camera)

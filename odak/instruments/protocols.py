@@ -186,9 +186,7 @@ def check_square_pixels(modulator: Any, camera: Any) -> None:
     """
     for name, instrument in (("modulator", modulator), ("camera", camera)):
         if np.size(instrument.pitch) != 1:
-            raise ValueError(
-                f"{name}.pitch must be one number in metres, that of square pixels, got {instrument.pitch!r}"
-            )
+            raise ValueError(f"{name}.pitch must be one number in metres, for square pixels, got {instrument.pitch!r}")
         _validate.number(f"{name}.pitch", instrument.pitch, positive=True)
 
 
@@ -374,12 +372,12 @@ def open_instrument(name: str, **options: Any) -> Any:
     ...     open_instrument("no_such_camera")
     ... except ValueError as error:
     ...     print(str(error).partition(" (")[0])
-    name must be that of an installed driver
+    name must be one of the installed drivers
     """
     found = {entry.name: entry for entry in entry_points(group=ENTRY_POINTS)}
     if _validate.text("name", name) not in found:
         known = ", ".join(map(repr, sorted(found))) or "none"
-        raise ValueError(f"name must be that of an installed driver ({known}), got {name!r}")
+        raise ValueError(f"name must be one of the installed drivers ({known}), got {name!r}")
     instrument = found[name].load()(**options)
     if not isinstance(instrument, (Modulator, Camera, Laser, Stage, Rotator)):
         raise TypeError(

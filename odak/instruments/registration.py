@@ -77,8 +77,8 @@ def register_camera(
     grid : sequence of int
         Rows and columns of spots.
     extent : float
-        Width and height of the grid as a fraction of those of the modulator, or behind a lens of those of the camera's
-        image, at most 0.8 of what a pixel reaches, λ·distance/pitch.
+        Width and height of the grid as a fraction of the modulator's, or behind a lens of the camera image's, at most
+        0.8 of what a pixel reaches, λ·distance/pitch.
     middle : bool
         Form the spots by the middle part of the modulator, whose pixels reach all of them, and deflect the light of the
         others beside the spots, for a first registration before the aberration is known: astigmatism and defocus move
@@ -129,7 +129,7 @@ def registered(
 ) -> Registration:
     """Return the mapping from the pixels of a camera to points of the image plane.
 
-    The parameters are those of :func:`register_camera`, and `start` a mapping that is correct within some pixels, which
+    The parameters are as in :func:`register_camera`; `start` is a mapping that is correct within some pixels, which
     takes the place of single spots.
     """
     check_square_pixels(modulator, camera)
@@ -148,7 +148,7 @@ def registered(
         size = shape // 2 if behind_lens else np.minimum(shape, (2 * (farthest - half) / pitch).astype(int))
     part = Part((int(size[0]), int(size[1])), pitch)
     inside_part = tuple(slice(n // 2 - m // 2, n // 2 - m // 2 + m) for n, m in zip(shape, size, strict=True))
-    # The side lobes of an ellipse are weaker than those of a rectangle. Light from beyond it falls into stripes midway
+    # An ellipse has weaker side lobes than a rectangle. Light from beyond it falls into stripes midway
     # between the axis and its orders of diffraction, beside the spots, and is spread along the stripes at random.
     y, x = pixel_axes(modulator)
     lit = np.hypot(x / size[1], y / size[0]) * 2 / pitch < 1 if (size < shape).any() else np.full(shape, True)
@@ -279,7 +279,7 @@ def registered(
 
 
 def _check_places(axis: np.ndarray, matrix: np.ndarray, camera: Camera, missed: bool) -> None:
-    """Raise an error if the places of spots are not those of a camera without a lens: the image may be beside it."""
+    """Raise an error if the places of spots do not fit a camera without a lens: the image may be beside it."""
     scale = np.linalg.norm(matrix, axis=-1) * camera.pitch
     flat = abs(np.linalg.det(matrix)) * camera.pitch**2 < 0.3 * scale.prod()
     if missed or flat or (scale > 3).any() or (scale < 1 / 3).any():
@@ -301,8 +301,8 @@ def beyond_view(
 ) -> np.ndarray:
     """Return how many pixels the spots of the outermost lenslets lie outside the image of a camera; inside: negative.
 
-    The axes are columns and rows, and the sides of each the first and the last ``[2, 2]``. `share` is that of the
-    modulator's rows and columns that is used.
+    The axes are columns and rows, and the sides of each the first and the last ``[2, 2]``. `share` is the used share of
+    the modulator's rows and columns.
     """
     size = np.array(modulator.shape) * share
     half = (size * (1 - 1 / lenslets(size, wavelength, distance, modulator.pitch)))[::-1] * modulator.pitch / 2
@@ -357,7 +357,7 @@ def _curvature(modulator, camera, show, wavelength, distance, moments, matrix, o
         difference += sign * back.T @ _second_moments(frame, near) @ back
     scale = (wavelength * distance / (2 * np.pi)) ** 2 * np.add.outer(moments, moments)
     hessian = -difference / (2 * scale * added)
-    # Curvatures larger than that of the lens are approached step by step.
+    # Curvatures larger than the lens has are approached step by step.
     hessian *= min(1.0, added / np.linalg.norm(hessian, 2))
     return -(hessian[0, 0] * x**2 + 2 * hessian[0, 1] * x * y + hessian[1, 1] * y**2) / 2
 

@@ -46,7 +46,7 @@ class Truth:
     Attributes
     ----------
     phases : numpy.ndarray
-        Phase of each level in radians, less that of level 0.
+        Phase of each level in radians, relative to level 0.
     amplitude : numpy.ndarray
         Amplitude of the illumination at each pixel of the modulator, at most 1.
     wavefront : numpy.ndarray
@@ -139,9 +139,9 @@ class SimulatedTable:
     fill_factor : float
         Share of the area of a pixel that modulates; the gaps reflect with phase 0.
     samples_per_pixel : int, optional
-        None, the default, for pixels that are squares: their light falls off with the angle as that of a square, gaps
-        send light of their own, and up to three orders of diffraction along each axis reach the camera. A number makes
-        each pixel a set of points, that many along each side, as earlier versions did by default with one.
+        None, the default, for pixels that are squares: their light falls off with the angle as for a square, gaps send
+        light of their own, and up to three orders of diffraction along each axis reach the camera. A number makes each
+        pixel a set of points, that many along each side, as earlier versions did by default with one.
     iris : float, optional
         Radius of a round iris in the Fourier plane of a relay, in units of 1/(2·pitch); none by default. Behind a
         lens, it is in the plane of the camera, in units of the farthest point that a pixel reaches.
@@ -150,7 +150,7 @@ class SimulatedTable:
     time_constant : float
         Nominal time constant of the phase in seconds, to a factor e; the true one is within 30 %.
     polarisation : bool
-        Turn the axis of the modulator by a hidden angle up to 30 degrees from that of the polariser.
+        Turn the axis of the modulator by a hidden angle up to 30 degrees from the axis of the polariser.
 
     Attributes
     ----------
@@ -306,7 +306,7 @@ class SimulatedTable:
         seed : int
             Seed of the hidden properties and of the noise.
         **options
-            Parameters of :class:`SimulatedTable`, which take the place of those of this table.
+            Parameters of :class:`SimulatedTable`, which replace the parameters of this table.
 
         Returns
         -------
@@ -361,7 +361,8 @@ class SimulatedTable:
     def _travelled(self, modulated: np.ndarray, still: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the intensity in the plane of the camera, and the pitch of its samples.
 
-        The field of the modulator is that of the light that is not modulated, and that of modulated parts of pixels.
+        The field of the modulator is the sum of the light that is not modulated and the light of modulated parts of
+        pixels.
         """
         s, fill = self._samples or 1, self.truth.fill_factor
         pitch, shape = self._pitch / s, [n * s for n in still.shape]

@@ -144,7 +144,7 @@ def wavefront_with_uncertainty(
 ) -> tuple[np.ndarray, float]:
     """Return the aberration at a modulator, and its uncertainty in radians, without tilt and defocus.
 
-    The parameters are those of :func:`measure_wavefront`.
+    The parameters are as in :func:`measure_wavefront`.
     """
     check_square_pixels(modulator, camera)
     camera = checked_camera(camera)
@@ -217,7 +217,7 @@ def wavefront_with_uncertainty(
             moved[used] = registration.plane_points(seen) - targets[used]
         return moved
 
-    # Spots of a large aberration may lie at the places of those of other lenslets: few, coarse lenslets come first.
+    # A large aberration may move spots to the places of other lenslets' spots: few, coarse lenslets come first.
     coarse = 2 if iterations > 2 and start is None else 0
     wavefront = np.zeros(modulator.shape) if start is None else np.asarray(start, float)
     camera.region = None

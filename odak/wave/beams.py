@@ -499,7 +499,7 @@ def flat_top_beam(
 
     Examples
     --------
-    The intensity falls to 1/e² of that on the axis at the radius of the beam:
+    At the radius of the beam the intensity falls to 1/e² of the intensity on the axis:
 
     >>> from odak.wave import flat_top_beam
     >>> row = abs(flat_top_beam((65, 65), 8e-6, 160e-6)[32, 32:]) ** 2

@@ -912,7 +912,7 @@ class optical_bench:
     """Sequence of optical elements as one object, differentiable in each of its numbers.
 
     A lens that is steeper than the samples of the field can follow goes into the ray matrix of the space behind it
-    (:func:`propagate_abcd`, paraxial), whose result equals that on a finer grid. Where a lens is sampled, the space
+    (:func:`propagate_abcd`, paraxial), with the same result as on a finer grid. Where a lens is sampled, the space
     propagates by its own method.
 
     Parameters

@@ -120,7 +120,7 @@ def test_drivers_of_another_package_are_found_and_used(tmp_path, monkeypatch, ca
 def test_instruments_that_do_not_open_are_named(tmp_path, capsys):
     for arguments, message in (
         (["nothing"], "STEP must be one of exposure"),
-        (["phase", "--modulator", "none", "--camera", "none"], "must be that of an installed driver"),
+        (["phase", "--modulator", "none", "--camera", "none"], "must be one of the installed drivers"),
         (["phase", "--camera", "video"], "--modulator is simulated, so all other instruments must be"),
         (["phase", "--option", "nonsense"], "--option must be modulator|camera|polariser|simulated.NAME=VALUE"),
         (["phase", "--option", "simulated.shape=1"], "an instrument cannot be opened"),
@@ -222,8 +222,8 @@ def test_responses_that_cannot_be_used_are_named(tmp_path, capsys):
     table, lut = str(tmp_path / "table.h5"), ["--wavelength", "532nm", "--lut", str(text)]
     for arguments, message in (
         (["--calibration", "none.h5"], "--calibration: there is no file"),
-        (["--calibration", table, "--wavelength", "633nm"], "--wavelength must be that of --calibration"),
-        (["--calibration", table, "--resolution", "64", "64"], "--resolution must be that of --calibration"),
+        (["--calibration", table, "--wavelength", "633nm"], "--wavelength must agree with --calibration"),
+        (["--calibration", table, "--resolution", "64", "64"], "--resolution must agree with --calibration"),
         (["--calibration", table, "--preset", "holoeye-leto-3"], "--preset has no effect with --calibration"),
         (["--calibration", table, "--slm-range", "6"], "--calibration and --slm-range all state"),
         (["--slm-range", "6"], "--slm-range states the response at one wavelength"),

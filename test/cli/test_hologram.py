@@ -551,7 +551,7 @@ BAD = {
     "no bits": (["--bits", "0"], "--bits"),
     "many bits": (["--bits", "17"], "--bits"),
     "resolution": (["--resolution", "8", "8"], "--resolution"),
-    "device": (["--device", "abacus"], "--device must be one of those of this machine (auto, cpu"),
+    "device": (["--device", "abacus"], "--device must be a device of this machine (auto, cpu"),
     "unit": (["--distance", "15 feet"], "'15 feet' is not a length; write it as 8e-6 (metres), 8um, 532nm or 15cm"),
     "wavelengths behind one option": (["600nm", "-w", "532nm"], "'600nm' is a length: give --wavelength before each"),
     "shipped picture": (["phto"], "Did you mean 'photo'?"),

@@ -40,14 +40,14 @@ REASONS = {
         perception/metameric: _metamer
         perception/quality: _require_positive
         raytracing/system/analysis: paraxial_points
-        raytracing/system/automatic: glasses standard_design
+        raytracing/system/automatic: _standard_limits _what_varies glasses standard_design
         raytracing/system/design: __init__ _now
         raytracing/system/operands: glass_hull nearest_glasses
         raytracing/system/environment: expanded_system
         raytracing/system/eye: _traced_terms
         raytracing/system/lens_fields: __init__ _check _traced apply
         raytracing/system/image_simulation: _chief _response point_spread_map
-        raytracing/system/optimise: _deviated _dispersed iso_10110_tolerances
+        raytracing/system/optimise: _deviated _dispersed _irregular_shapes iso_10110_tolerances
         raytracing/system/paraxial: _check_forward _near_reach ghost_system medium passed seidel_sums
         raytracing/system/polarisation: jones_vector ghosts
         raytracing/system/pupils: _far real_places
@@ -114,7 +114,7 @@ REASONS = {
         raytracing/system/pupils: _by_chart _chief_rays _continuation _differences _search _solve solve_pairs
         raytracing/system/sequence: _adjoint axis_signs
         raytracing/system/waves: _peak
-        wave/display_models: _match_brightness _numbers misfit with_gaps
+        wave/display_models: _match_brightness _numbers match_gaps misfit
         tools/iterations: step
     """,
 }

@@ -40,5 +40,5 @@ def test_drivers_are_found_by_entry_points(monkeypatch):
     assert instruments.open_instrument("screen", display=1) is table.modulator
     with pytest.raises(TypeError, match="implements none of the instrument protocols"):
         instruments.open_instrument("wrong")
-    with pytest.raises(ValueError, match=r"installed driver \('screen', 'wrong'\), got 'camera'"):
+    with pytest.raises(ValueError, match=r"installed drivers \('screen', 'wrong'\), got 'camera'"):
         instruments.open_instrument("camera")

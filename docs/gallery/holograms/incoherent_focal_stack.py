@@ -1,7 +1,7 @@
 """Natural blur of a scene of planes
 
-A scene with a depth map is divided into planes; the image for each focal plane is that of an eye with a small pupil in
-incoherent light. These images serve as targets of holograms.
+A scene with a depth map is divided into planes; the image for each focal plane is what an eye with a small pupil sees
+in incoherent light. These images serve as targets of holograms.
 """
 
 from importlib.resources import files

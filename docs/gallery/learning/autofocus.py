@@ -1,7 +1,7 @@
 """Refocusing by the gradient of the distance
 
 A field was recorded out of focus at an unknown distance. Propagation is differentiable in the distance, so that gradient
-descent finds it: it makes the gradient of the refocused image sparse, as that of a sharp image is.
+descent finds it: it makes the gradient of the refocused image sparse, as it is for a sharp image.
 """
 
 from importlib.resources import files

@@ -1,7 +1,7 @@
 """Wavefront, point spread and modulation transfer
 
 From the rays of a Cooke triplet: the wavefront in the exit pupil, the diffraction image of a point, and the modulation
-transfer function beside that of a perfect lens.
+transfer function beside the one of a perfect lens.
 """
 
 import matplotlib.pyplot as plt

@@ -2,7 +2,8 @@
 
 A picture at half a metre is seen by an eye that is focused one dioptre away. Its optics pass some changes of the picture
 to the retina and hold back others: the Jacobian of the image on the retina tells which. All distortions here have one
-squared error. The last picture is a metamer: noise that was changed until its image on the retina was that of the cup.
+squared error. The last picture is a metamer: noise that was changed until its image on the retina was the same as the
+cup's.
 """
 
 import math

@@ -1,7 +1,7 @@
 """Point spread functions of aberrations
 
-Zernike polynomials as phases in a circular pupil, and the diffraction image of a point for each. The Strehl ratio is the
-peak over that of the pupil without aberration.
+Zernike polynomials as phases in a circular pupil, and the diffraction image of a point for each. The Strehl ratio is
+the peak over the peak of the pupil without aberration.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """Focus of a thin lens
 
 A lens with a focal length of 20 mm and a diameter of 1 mm focuses a plane wave. The section along the axis shows the
-focus; the intensity in the focal plane is that of Airy.
+focus; the intensity in the focal plane is the Airy pattern.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,8 @@
 """Diffraction by a square aperture
 
-A plane wave of 532 nm passes a square aperture of 0.6 mm. Close behind it the shadow has fringes along its edges; further
-away the pattern becomes that of Fraunhofer diffraction. `propagate_to_window` computes each distance on the same window.
+A plane wave of 532 nm passes a square aperture of 0.6 mm. Close behind it the shadow has fringes along its edges;
+further away it turns into the pattern of Fraunhofer diffraction. `propagate_to_window` computes each distance on the
+same window.
 """
 
 import matplotlib.pyplot as plt

@@ -640,7 +640,7 @@ class MipSampler(Sampler):
     Parameters
     ----------
     lod : torch.Tensor
-        Levels ``[H, W]`` in float64, 0 or more; beyond the last level counts as the last.
+        Levels ``[H, W]`` in float64, 0 or more; levels beyond the last are treated as the last.
     dtype : torch.dtype
         Precision of the pictures.
     """

@@ -1138,110 +1138,140 @@ def _fit_physical(model, data, chosen, iterations, chunk, random) -> tuple[list[
     cent: it comes from a few captures, and so do the squares and their gradient until they are nearly at their minimum.
     Then all captures give the gradient, in reverse mode.
     """
-    names = model.physical
-    sizes = [getattr(model, name).numel() for name in names]
-    begin = torch.cat([getattr(model, name).detach().flatten() for name in names]).double()
-    precision = torch.cat(
-        [torch.full((n,), model._priors[name] ** -2.0) for name, n in zip(names, sizes, strict=True)]
-    ).double()
+    fit = _PhysicalFit(model, data, chosen, chunk)
+    names = fit.names
     order = torch.randperm(len(chosen), generator=random).tolist()
     few, several = order[: -(-CURVED // len(chosen[0]))], order[: max(CERTAIN, -(-CURVED // len(chosen[0])))]
+    stages = [(names, 1e-3, few, few)] if len(few) < len(order) else []
+    # The light of gaps is not determined before the other parameters are nearly correct.
+    stages = [([name for name in names if name != "gap"], 0.03, few, few), *stages] if "gap" in names else stages
+    for turn, (active, least, used, curved) in enumerate([*stages, (names, 1e-4, order, several)]):
+        if "gap" in names and iterations and turn < 2:
+            fit.match_gaps(few[0])
+        certain = fit.descend(active, least, used, curved, iterations)
+    with torch.no_grad():
+        for name, part in zip(names, fit.vector.to(model._dtype).split(fit.sizes), strict=True):
+            getattr(model, name).copy_(part)
+    if not iterations:
+        certain = fit.curvature(several, len(order) / len(several), names)
+    deviations = torch.linalg.inv(certain).diagonal().clamp_min(0).sqrt().split(fit.sizes)
+    return fit.history, dict(zip(names, deviations, strict=True))
 
-    def residuals(parts: Sequence[torch.Tensor], k: int) -> torch.Tensor:
-        values = dict(zip(names, parts, strict=True))
+
+class _PhysicalFit:
+    """State of the fit of the physical parameters: their values `vector`, and chi squared after each step."""
+
+    def __init__(self, model: display_model, data: _Data, chosen: list[torch.Tensor], chunk: int):
+        self.model, self.data, self.chosen, self.chunk = model, data, chosen, chunk
+        self.names: Sequence[str] = model.physical
+        self.sizes = [getattr(model, name).numel() for name in self.names]
+        self.begin = torch.cat([getattr(model, name).detach().flatten() for name in self.names]).double()
+        weights = zip(self.names, self.sizes, strict=True)
+        self.precision = torch.cat([torch.full((n,), model._priors[name] ** -2.0) for name, n in weights]).double()
+        self.vector = self.begin.clone()
+        self.history: list[float] = []
+
+    def residuals(self, parts: Sequence[torch.Tensor], k: int) -> torch.Tensor:
+        """Return the residuals of a capture for values of each parameter."""
+        values = dict(zip(self.names, parts, strict=True))
 
         def seen(levels, position, pixels):
-            return torch.func.functional_call(model, values, (levels, position, pixels))
+            return torch.func.functional_call(self.model, values, (levels, position, pixels))
 
-        return data.residual(seen, k, chosen[k])
+        return self.data.residual(seen, k, self.chosen[k])
 
-    def misfit(vector: torch.Tensor, used: Sequence[int]) -> tuple[float, torch.Tensor]:
+    def misfit(self, vector: torch.Tensor, used: Sequence[int]) -> tuple[float, torch.Tensor]:
         """Return the squares of residuals of some captures and of priors, and half their gradient."""
-        apart = precision * (vector - begin)
-        value, gradient = float((apart * (vector - begin)).sum()), apart
+        apart = self.precision * (vector - self.begin)
+        value, gradient = float((apart * (vector - self.begin)).sum()), apart
         for k in used:
-            narrow = vector.to(model._dtype).requires_grad_()
-            squares = residuals(narrow.split(sizes), k).double().square().sum()
+            narrow = vector.to(self.model._dtype).requires_grad_()
+            squares = self.residuals(narrow.split(self.sizes), k).double().square().sum()
             value += float(squares.detach())
             gradient = gradient + torch.autograd.grad(squares, narrow)[0].double() / 2
         return value, gradient
 
-    def curvature(vector: torch.Tensor, of: Sequence[int], scale: float, active: Sequence[str]) -> torch.Tensor:
+    def curvature(self, of: Sequence[int], scale: float, active: Sequence[str]) -> torch.Tensor:
         """Return the Gauss-Newton matrix of active parameters that some captures have, times a scale."""
-        parts = vector.to(model._dtype).split(sizes)
-        matrix = torch.zeros(len(vector), len(vector), dtype=torch.float64)
-
-        def columns(k: int, which: int) -> torch.Tensor:
-            """Return derivatives by one parameter: what does not depend on it is not differentiated."""
-
-            def seen(part):
-                return residuals([*parts[:which], part, *parts[which + 1 :]], k)
-
-            def along(direction):
-                return torch.func.jvp(seen, (parts[which],), (direction,))[1]
-
-            directions = torch.eye(sizes[which], dtype=model._dtype)
-            if names[which] not in active:
-                return directions.new_zeros(sizes[which], len(chosen[k]))
-            return torch.cat([torch.func.vmap(along)(some) for some in directions.split(chunk)])
-
+        parts = self.vector.to(self.model._dtype).split(self.sizes)
+        matrix = torch.zeros(len(self.vector), len(self.vector), dtype=torch.float64)
         with torch.no_grad(), warnings.catch_warnings():
             # Torch's own, in forward mode.
             warnings.filterwarnings("ignore", ".*torch.jit.script", DeprecationWarning)
             for k in of:
-                slopes = torch.cat([columns(k, which) for which in range(len(parts))])
+                slopes = torch.cat([self._columns(parts, k, which, active) for which in range(len(parts))])
                 matrix += (slopes @ slopes.mT).double()
-        return scale * matrix + precision.diag()
+        return scale * matrix + self.precision.diag()
+
+    def _columns(self, parts: Sequence[torch.Tensor], k: int, which: int, active: Sequence[str]) -> torch.Tensor:
+        """Return derivatives by one parameter: what does not depend on it is not differentiated."""
+
+        def seen(part):
+            return self.residuals([*parts[:which], part, *parts[which + 1 :]], k)
+
+        def along(direction):
+            return torch.func.jvp(seen, (parts[which],), (direction,))[1]
+
+        directions = torch.eye(self.sizes[which], dtype=self.model._dtype)
+        if self.names[which] not in active:
+            return directions.new_zeros(self.sizes[which], len(self.chosen[k]))
+        return torch.cat([torch.func.vmap(along)(some) for some in directions.split(self.chunk)])
 
     @torch.no_grad()
-    def with_gaps(vector: torch.Tensor, k: int) -> torch.Tensor:
-        """Return a vector with the width and the light of the gaps, among a few, that fit a capture best."""
-        width, light = (sum(sizes[: names.index(name)]) for name in ("fill", "gap"))
-        least, found, seen_there = math.inf, vector, data.counts[k, chosen[k]] / data.deviations[k, chosen[k]]
+    def match_gaps(self, k: int) -> None:
+        """Set the width and the light of the gaps, among a few, that fit a capture best."""
+        width, light = (sum(self.sizes[: self.names.index(name)]) for name in ("fill", "gap"))
+        chosen = self.chosen[k]
+        least, found, seen_there = math.inf, self.vector, self.data.counts[k, chosen] / self.data.deviations[k, chosen]
         for fill, gap in [(None, None), *itertools.product(FILLS, GAPS)]:
-            tried = vector.clone()
+            tried = self.vector.clone()
             if fill is not None:
                 tried[width], tried[light : light + 2] = fill, torch.tensor(gap)
-            seen = residuals(tried.to(model._dtype).split(sizes), k) + seen_there
+            seen = self.residuals(tried.to(self.model._dtype).split(self.sizes), k) + seen_there
             scale = float((seen @ seen_there) / (seen @ seen))
             # Brightness is the first parameter.
             tried[0] += math.log(max(scale, 1e-3))
             if (square := float((scale * seen - seen_there).square().sum())) < least:
                 least, found = square, tried
-        return found
+        self.vector = found
 
-    vector = begin.clone()
-    history: list[float] = []
-    stages = [(names, 1e-3, few, few)] if len(few) < len(order) else []
-    # The light of gaps is not determined before the other parameters are nearly correct.
-    stages = [([name for name in names if name != "gap"], 0.03, few, few), *stages] if "gap" in names else stages
-    for turn, (active, least, used, curved) in enumerate([*stages, (names, 1e-4, order, several)]):
-        moved = torch.cat([torch.full((n,), float(name in active)) for name, n in zip(names, sizes, strict=True)])
-        if "gap" in names and iterations and turn < 2:
-            vector = with_gaps(vector, few[0])
-        value, gradient = misfit(vector, used)
-        number, matrix, damping, fresh, failures, steps = sum(len(chosen[k]) for k in used), None, 1e-3, False, 0, 0
-        history = history or [value / number]
+    def descend(self, active: Sequence[str], least: float, used, curved, iterations: int) -> torch.Tensor | None:
+        """Take steps until they gain less than a share of the squares, and return the last Gauss-Newton matrix.
+
+        Parameters
+        ----------
+        active : sequence of str
+            Parameters that vary.
+        least : float
+            Smallest gain of a step as a share of the squares.
+        used, curved : sequence of int
+            Captures that give the squares and their gradient, and captures that give the matrix.
+        iterations : int
+            Largest number of steps.
+        """
+        sizes = zip(self.names, self.sizes, strict=True)
+        moved = torch.cat([torch.full((n,), float(name in active)) for name, n in sizes])
+        value, gradient = self.misfit(self.vector, used)
+        number = sum(len(self.chosen[k]) for k in used)
+        matrix, certain, damping, fresh, failures, steps = None, None, 1e-3, False, 0, 0
+        self.history = self.history or [value / number]
         while steps < iterations and failures < 8:
             if matrix is None:
-                matrix, fresh = curvature(vector, curved, len(used) / len(curved), active), True
+                matrix, fresh = self.curvature(curved, len(used) / len(curved), active), True
                 certain = matrix
             step = torch.linalg.solve(matrix + damping * matrix.diagonal().diag(), moved * gradient)
-            tried, slope = misfit(vector - step, used)
+            tried, slope = self.misfit(self.vector - step, used)
             if tried < value:
-                promised = float(gradient @ step)
+                promised, gain = float(gradient @ step), value - tried
                 # A step that promises less than a tenth moves no parameter by its standard deviation.
-                done = promised < 0.1 * max(value / number, 1.0) or value - tried < least * value
-                change, along = moved * (gradient - slope), matrix @ step
-                if kept := value - tried > 0.8 * promised and float(change @ step) > 0.1 * float(along @ step):
-                    matrix = matrix - torch.outer(along, along) / (along @ step)
-                    matrix = matrix + torch.outer(change, change) / (change @ step)
+                done = promised < 0.1 * max(value / number, 1.0) or gain < least * value
+                updated = _updated(matrix, step, moved * (gradient - slope)) if gain > 0.8 * promised else None
                 # Near the minimum the matrix hardly changes.
-                kept = kept or value - tried < 0.03 * value
-                damping = max(damping / 10, 1e-9) if value - tried > 0.7 * promised else damping
-                vector, value, gradient = vector - step, tried, slope
-                matrix, fresh, failures, steps = matrix if kept else None, False, 0, steps + 1
-                history.append(value / number)
+                matrix = matrix if updated is None and gain < 0.03 * value else updated
+                damping = max(damping / 10, 1e-9) if gain > 0.7 * promised else damping
+                self.vector, value, gradient = self.vector - step, tried, slope
+                fresh, failures, steps = False, 0, steps + 1
+                self.history.append(value / number)
                 if done:
                     break
             elif fresh:
@@ -1249,11 +1279,16 @@ def _fit_physical(model, data, chosen, iterations, chunk, random) -> tuple[list[
                 damping, failures = 10 * damping, failures + 1
             else:
                 matrix = None
-    with torch.no_grad():
-        for name, part in zip(names, vector.to(model._dtype).split(sizes), strict=True):
-            getattr(model, name).copy_(part)
-    matrix = certain if iterations else curvature(vector, several, len(order) / len(several), names)
-    return history, dict(zip(names, torch.linalg.inv(matrix).diagonal().clamp_min(0).sqrt().split(sizes), strict=True))
+        return certain
+
+
+def _updated(matrix: torch.Tensor, step: torch.Tensor, change: torch.Tensor) -> torch.Tensor | None:
+    """Return the matrix that maps a step to a change of the gradient (BFGS); None where it would not be positive."""
+    along = matrix @ step
+    if not float(change @ step) > 0.1 * float(along @ step):
+        return None
+    matrix = matrix - torch.outer(along, along) / (along @ step)
+    return matrix + torch.outer(change, change) / (change @ step)
 
 
 def _refine(model, data, passes, learning_rate, random) -> list[float]:

@@ -1169,8 +1169,8 @@ class Descent:
         a frame stays off. With ``powers=torch.ones(F, C)`` in the display all colours share all frames (Kavaklı et al.,
         Multi-color holograms improve brightness in holographic displays, SIGGRAPH Asia 2023).
     graph : bool
-        Record the loss and its gradient as one CUDA graph and replay that in each iteration, which starts one graph
-        instead of some hundred kernels: for small displays on a GPU. The loss must depend on the images and the target
+        Record the loss and its gradient as one CUDA graph and replay it in each iteration: one launch instead of some
+        hundred kernels, which is faster for small displays on a GPU. The loss must depend on the images and the target
         alone and read no number from the device.
 
     Examples

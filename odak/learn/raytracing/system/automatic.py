@@ -247,8 +247,8 @@ def automatic_design(
     beam, as proposed by Forbes, Optics Express 15, 5218 (2007), doi 10.1364/OE.15.005218; higher orders become
     variables one after the other as the field grows. The damping of each design is carried over from step to step.
     Slopes above 1.2 within 1.1 beam radii are penalised, and sines of angles of incidence above 0.8. While aspheres
-    grow, a lost ray counts as if it arrived at a tenth of the focal length from the centroid; rays that are lost at
-    the end raise ValueError.
+    grow, a lost ray enters the spot as if it arrived at a tenth of the focal length from the centroid; rays that are
+    lost at the end raise ValueError.
 
     Examples
     --------
@@ -392,19 +392,7 @@ def standard_design(
     size = abs(_validate.constant("focal_length", focal_length))
     items: list[Any] = list(system.surfaces)
     last = len(items) - 1
-    index = system.prescription().index[system.reference].tolist()
-    bent = [item.own_shape is None and bool(item.curvature != 0) for item in items]
-    acts = [item.reflects or index[i] != index[i + 1] for i, item in enumerate(items)]
-    glass = [i for i in range(last) if index[i + 1] > 1.01 and not items[i].reflects]
-    # Plane-parallel plates stay; a plane face of a lens may bend.
-    faces = {j for i in glass for j in (i, i + 1) if bent[i] or bent[i + 1]}
-    curved = [i for i, item in enumerate(items) if acts[i] and item.own_shape is None and (bent[i] or i in faces)]
-    if not curved:
-        raise ValueError("system has no surface whose curvature could vary")
-    outside = {0} if items[0].stop and not acts[0] else set()
-    free = [
-        i for i in range(last) if float(items[i].thickness) > 0 and i not in outside and (i not in glass or i in faces)
-    ]
+    glass, curved, free = _what_varies(system)
     aspheres = [i for i in curved if bool(items[i].conic != 0) or bool(items[i].coefficients.any()) or aspheric]
     powers = [i for i in aspheres if items[i].coefficients.numel() > 1]
     variables = [Variable("thickness", last)]
@@ -437,6 +425,35 @@ def standard_design(
             # Edges may stay as thin as they are, and become no thinner.
             now = float(trial.report()[0][1].min())
             operands.append(Operand("edge_thickness", lower=min(least * size, now), options=options))
+    operands += _standard_limits(system, limits, size, aim)
+    return lens_design(system, operands, variables, solves=solves, aim=aim)
+
+
+def _what_varies(system: optical_system) -> tuple[list[int], list[int], list[int]]:
+    """Return the surfaces in front of glass, the surfaces whose curvature varies, and those whose thickness does."""
+    items: list[Any] = list(system.surfaces)
+    last = len(items) - 1
+    index = system.prescription().index[system.reference].tolist()
+    bent = [item.own_shape is None and bool(item.curvature != 0) for item in items]
+    acts = [item.reflects or index[i] != index[i + 1] for i, item in enumerate(items)]
+    glass = [i for i in range(last) if index[i + 1] > 1.01 and not items[i].reflects]
+    # Plane-parallel plates stay; a plane face of a lens may bend.
+    faces = {j for i in glass for j in (i, i + 1) if bent[i] or bent[i + 1]}
+    curved = [i for i, item in enumerate(items) if acts[i] and item.own_shape is None and (bent[i] or i in faces)]
+    if not curved:
+        raise ValueError("system has no surface whose curvature could vary")
+    outside = {0} if items[0].stop and not acts[0] else set()
+    free = [
+        i for i in range(last) if float(items[i].thickness) > 0 and i not in outside and (i not in glass or i in faces)
+    ]
+    return glass, curved, free
+
+
+def _standard_limits(system: optical_system, limits: Mapping[str, float], size: float, aim: str) -> list[Operand]:
+    """Return the operands of the limits of :func:`standard_design`, but for edges; `size` is the focal length."""
+    operands: list[Operand] = []
+    items: list[Any] = list(system.surfaces)
+    last = len(items) - 1
     distance = float(items[last].thickness)
     if "back" in limits or distance > 0:
         least = limits.get("back", min(0.1 * size, distance))
@@ -454,7 +471,7 @@ def standard_design(
         now = float(relative_distortion(system, aim=aim)[system.reference].detach().abs().max())
         limit = limits.get("distortion", max(0.02, now if math.isfinite(now) else 0.0))
         operands.append(Operand("distortion", weight=0.5 * height, lower=-0.9 * limit, upper=0.9 * limit))
-    return lens_design(system, operands, variables, solves=solves, aim=aim)
+    return operands
 
 
 def default_starts(steep: bool, makers: Any) -> int:

@@ -651,8 +651,8 @@ def retinal_field(
         Angles in degrees (to the right, downwards), within ±60, by which the eye is then turned about its centre of
         rotation, 10.5 mm behind the entrance pupil.
     center : str
-        Direction of the middle sample of a turned eye: "gaze", that in which it looks, or "field", the axis of the
-        field, so that what stands still stays on its samples.
+        Direction of the middle sample of a turned eye: "gaze", the direction in which it looks, or "field", the axis of
+        the field, so that a scene at rest stays on its samples.
 
     Returns
     -------

@@ -35,7 +35,7 @@ class PointSpreadMap(NamedTuple):
         K // 2, lies on the chief ray of the reference wavelength. Each adds up to the illumination, less what falls
         beside the K × K pixels.
     illumination : torch.Tensor
-        Irradiance of an even object over that on the axis, ``[C, rows, columns]``.
+        Irradiance of an even object relative to the axis, ``[C, rows, columns]``.
     ideal, real : torch.Tensor
         Points (x, y) of the grid, ``[rows, columns, 2]``, of paraxial chief rays, evenly spaced over the sensor, and
         of real ones.

@@ -274,7 +274,7 @@ def _spot(view: View, fields: Any = None, lost: float | None = None) -> torch.Te
     """Distances from the centroid of each field, all wavelengths; their squares sum to Σ rms², by field weights.
 
     The system's own weights of fields and wavelengths, relative to their means, multiply the squares; `fields` the
-    distances. With `lost`, rays that are lost count as if they were at this distance, which no step changes.
+    distances. With `lost`, rays that are lost are put at this distance, which no step changes.
     """
     traced, found = view.traced, []
     number = traced.x.shape[-3] * traced.x.shape[-1]
@@ -334,7 +334,7 @@ def _incidence(view: View, surfaces: Any = None, count: int = 4) -> torch.Tensor
     """Sines of the angles between rays and normals at refracting surfaces, on the side where they are larger.
 
     Rays of all fields at the reference wavelength through the centre of the pupil and `count` points of its rim. The
-    sine of a ray that is reflected totally would be larger than 1; rays that are lost count as 1.
+    sine of a ray that is reflected totally would be larger than 1; for rays that are lost it is set to 1.
     """
     system = view.system
     p = view.prescription.at(reference_of(system, view.prescription))

@@ -79,7 +79,7 @@ def levenberg_marquardt(
     Parameters
     ----------
     residuals : callable
-        Takes nothing and returns the residuals ``[R]`` at the parameters as they are. NaN counts as a failed step.
+        Takes nothing and returns the residuals ``[R]`` at the present parameters. NaN means a failed step.
     parameters : sequence of torch.Tensor
         Leaf tensors that require grad.
     iterations : int
@@ -957,7 +957,7 @@ def _deviated(system, nominal: Prescription, items, draws, samples: int) -> Pres
         if values[name] is None:
             values[name] = torch.zeros(count, 2, dtype=torch.float64, device=nominal.thickness.device)
     values = {name: value.expand(samples, *value.shape) for name, value in values.items()}
-    shapes = list(nominal.shapes or [None] * count)
+    shapes = nominal.shapes or (None,) * count
     irregular: dict[int, torch.Tensor] = {}
     for (item, places), drawn in zip(items, draws, strict=True):
         name = _kind(item)
@@ -968,40 +968,48 @@ def _deviated(system, nominal: Prescription, items, draws, samples: int) -> Pres
         if name == "irregularity":
             for column, place in enumerate(places):
                 irregular[place] = irregular.get(place, 0.0) + drawn[:, column]
-            continue
-        if name == "tilt" and item.together:
-            _turn(system, values, places, drawn[:, 0], item)
-            continue
-        if name == "roll":
+        elif name == "roll" or (name == "tilt" and item.together):
             for column, place in [(0, places)] if item.together else [(k, [place]) for k, place in enumerate(places)]:
                 _turn(system, values, place, drawn[:, column], item)
-            continue
-        axes = values[name].shape[-1] if name in ("shift", "tilt") else 1
-        drawn = torch.nn.functional.pad(drawn, (0, max(axes - 2, 0)))
-        target = {"radius": "curvature", "abbe": "index"}.get(name, name)
-        change = drawn.new_zeros(samples, count, drawn.shape[-1])
-        for column, place in enumerate(places):
-            change[:, place] += drawn[:, column]
-        if name == "abbe":
-            values[target] = _dispersed(system, values[target], change[..., 0], item.relative)
         else:
-            values[target] = _changed(name, values[target], change, item.relative)
+            _shift_numbers(system, values, places, drawn, item)
     if irregular:
-        reaches = clear_heights(system, nominal)
-        for place, heights in irregular.items():
-            reach = system.surfaces[place].semi_diameter or float(reaches[place])
-            base = torch.tensor(_zernike_terms([0.0], None, nominal.coefficients[place].tolist(), reach)).to(heights)
-            terms = heights.new_zeros(samples, max(IRREGULAR[-1], len(base)))
-            terms[:, IRREGULAR[0] - 1 : IRREGULAR[-1]] = heights
-            terms[:, : len(base)] += base
-            own = (values[key][:, place] for key in ("curvature", "conic"))
-            shapes[place] = ZernikeFreeform(next(own), next(own), terms, heights.new_tensor(reach))
-        apart["shapes"] = tuple(shapes)
+        apart["shapes"] = _irregular_shapes(system, nominal, values, irregular)
     # Without shifts and tilts the fused kernel is used.
     for name in ("shift", "tilt"):
         if not bool(values[name].any()):
             values[name] = None
     return Prescription(**values, **apart)
+
+
+def _shift_numbers(system, values: dict, places: list[int], drawn: torch.Tensor, item: Perturbation) -> None:
+    """Change numbers of surfaces by `drawn` ``[samples, places, 1 or 2]``, in place."""
+    name = _kind(item)
+    axes = values[name].shape[-1] if name in ("shift", "tilt") else 1
+    drawn = torch.nn.functional.pad(drawn, (0, max(axes - 2, 0)))
+    change = drawn.new_zeros(len(values["thickness"]), len(system.surfaces), drawn.shape[-1])
+    for column, place in enumerate(places):
+        change[:, place] += drawn[:, column]
+    if name == "abbe":
+        values["index"] = _dispersed(system, values["index"], change[..., 0], item.relative)
+    else:
+        target = "curvature" if name == "radius" else name
+        values[target] = _changed(name, values[target], change, item.relative)
+
+
+def _irregular_shapes(system, nominal: Prescription, values: dict, irregular: dict[int, torch.Tensor]) -> tuple:
+    """Return the shapes of all surfaces, with irregularities ``[samples, terms]`` by the place of their surface."""
+    shapes = list(nominal.shapes or [None] * len(system.surfaces))
+    reaches = clear_heights(system, nominal)
+    for place, heights in irregular.items():
+        reach = system.surfaces[place].semi_diameter or float(reaches[place])
+        base = torch.tensor(_zernike_terms([0.0], None, nominal.coefficients[place].tolist(), reach)).to(heights)
+        terms = heights.new_zeros(len(heights), max(IRREGULAR[-1], len(base)))
+        terms[:, IRREGULAR[0] - 1 : IRREGULAR[-1]] = heights
+        terms[:, : len(base)] += base
+        curvature, conic = (values[key][:, place] for key in ("curvature", "conic"))
+        shapes[place] = ZernikeFreeform(curvature, conic, terms, heights.new_tensor(reach))
+    return tuple(shapes)
 
 
 def _turn(system, values: dict, places: list[int], angles: torch.Tensor, item: Perturbation) -> None:

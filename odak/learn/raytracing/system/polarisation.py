@@ -29,7 +29,8 @@ class PolarizedRays(NamedTuple):
         The rays.
     matrix : torch.Tensor
         Polarisation ray tracing matrices P, complex ``[..., 3, 3]``: the electric field behind the system is P times
-        that in front, squares of it being powers. The direction of the ray goes over into that behind.
+        the field in front, in units in which its square is the power. P also maps the direction of the ray in front to
+        the direction behind.
     rotation : torch.Tensor
         The same matrices Q of a system whose surfaces change directions alone, ``[..., 3, 3]``, of determinant −1 for
         an odd number of mirrors.

@@ -31,7 +31,7 @@ NEAR, SHARES = 1e-2, 16
 # same fields many times.
 KEPT = 8
 _CHIEF_RAYS: dict[tuple, tuple[torch.Tensor, ...]] = {}
-# From this number of rays on a chart is worth its own rays, those of a Gaussian quadrature of some rings; the degree of
+# From this number of rays on a chart is worth its own rays, a Gaussian quadrature of some rings; the degree of
 # its polynomials.
 CHARTED, CHART_RINGS, DEGREE = 200, 6, 8
 POWERS = [(i, n - i) for n in range(DEGREE + 1) for i in range(n + 1)]

@@ -349,7 +349,7 @@ class surface(torch.nn.Module):
 
     @property
     def radius(self) -> torch.Tensor:
-        """Radius of curvature, infinite for a plane; of other shapes, that at the vertex along y."""
+        """Radius of curvature, infinite for a plane; for other shapes, the radius at the vertex along y."""
         return self.radius_value if _has(self, "radius_value") else 1 / self.curvature
 
     @property
@@ -718,23 +718,25 @@ class optical_system(torch.nn.Module):
         In the order in which light meets them, coordinate breaks among them. The image plane follows, at the last
         one's thickness.
     aperture : float
-        Size of the aperture, as `aperture_type` has it.
+        Size of the aperture; `aperture_type` states which size.
     aperture_type : str
         "EPD": diameter of the entrance pupil. "F-number": focal length over that diameter. "NA": n·sin of the marginal
-        ray's angle, on the object's side if the object is near, on the image's (paraxially) if not. "stop": diameter
-        of the stop.
+        ray's angle, in object space for a near object, in image space (paraxially) for an object at infinity. "stop":
+        diameter of the stop.
     wavelengths : float or sequence of float
         Vacuum wavelengths in `unit`; the d line, 587.5618 nm, by default.
     reference : int, optional
-        Which of them first-order properties, pupils and reference spheres are computed at; the middle one by default.
+        Index of the wavelength at which first-order properties, pupils and reference spheres are computed; the middle
+        one by default.
     fields : sequence
         Field points: numbers y or pairs (x, y). Angles in degrees for an object at infinity, heights otherwise.
         Angles of 90 and more are along x or y alone and need rays that are aimed, ``aim="real"``.
     object_distance : float
         From the object to the first vertex.
     image : surface, optional
-        Shape of the image surface: a curved sensor, a retina, a tilted plane. Of what a surface may be, its radius,
-        conic constant, coefficients, semi-diameter, shift and tilt count. A plane by default.
+        Shape of the image surface: a curved sensor, a retina, a tilted plane. It may have a shape, a semi-diameter,
+        apertures, a shift and a tilt; a thickness, a material, a phase, a gradient, a coating or a mark as the stop
+        raise ValueError. A plane by default.
     unit : str
         Unit of all lengths, wavelengths included: "mm", "m", "um" or "nm".
     name : str
@@ -746,24 +748,24 @@ class optical_system(torch.nn.Module):
         aperture must be given as "NA" or "stop". False by default.
     afocal : bool
         Take the image to be at infinity, as in a telescope: an ideal lens with a focal length of 1 m is appended
-        in the image plane, and its focal plane is the image. Points of it are tangents of angles times 1 m: analyses
-        and figures then state micrometres that are microradians, and cycles per millimetre that are those per
-        milliradian. The aperture must be given as "EPD", "stop" or, for a near object, "NA". False by default.
+        in the image plane, and its focal plane is the image. Its coordinates are tangents of angles times 1 m: in
+        analyses and figures a micrometre then means a microradian, and a cycle per millimetre a cycle per milliradian.
+        The aperture must be given as "EPD", "stop" or, for a near object, "NA". False by default.
     vignetting_factors : sequence of sequence of float, optional
         For each field point (VDX, VDY, VCX, VCY): its rays go through the pupil points (VDX + (1 − VCX)·x,
         VDY + (1 − VCY)·y) in place of (x, y). None by default.
     field_weights : sequence of float, optional
-        For each field point its weight in the merit function of :class:`lens_design`; all alike by default.
+        Weight of each field point in the merit function of :class:`lens_design`; equal by default.
     wavelength_weights : sequence of float, optional
-        For each wavelength its weight in spots, in merit functions and in the monochrome picture of
-        :func:`image_simulation`; all alike by default.
+        Weight of each wavelength in spots, in merit functions and in the monochrome picture of
+        :func:`image_simulation`; equal by default.
     settings : sequence of tuple
-        What differs between configurations, zoom positions say: (name, place, values), see :class:`configurations`. The
-        system itself is not changed by them. None by default.
+        Numbers that differ between configurations, such as zoom positions: (name, place, values), see
+        :class:`configurations`. They do not change the system itself. None by default.
     object_material : str, float or Material
         Medium in front of the first surface, from the object on: the oil of an immersion objective, the water in front
-        of an eye. Angles and numerical apertures of the object's side are those in it. Air by default; the medium in
-        front of the image is that behind the last surface.
+        of an eye. Angles and numerical apertures in object space are measured in it. Air by default. The image lies in
+        the medium behind the last surface.
 
     Raises
     ------
@@ -773,13 +775,13 @@ class optical_system(torch.nn.Module):
     Notes
     -----
     If no surface is marked as the stop, the first one is the stop. Indices come from the catalogue and are
-    relative to air. Where the stop lies in the rear focal plane of what is in front of it, a near object is seen
-    telecentrically: the entrance pupil is at infinity, and the aperture must be given as "NA" or "stop".
+    relative to air. Where the stop lies in the rear focal plane of the surfaces in front of it, the system is
+    telecentric in object space: the entrance pupil is at infinity, and the aperture must be given as "NA" or "stop".
 
     Vignetting factors are defined as in OpticStudio (its help, Conventions and Definitions): a decentre and a
-    compression of the pupil by which rays of a field fill what apertures leave of it. They hold wherever rays are
-    launched from one of the system's own field points, and move the chief ray, which goes through the centre of the
-    vignetted pupil. Other field points have the whole pupil.
+    compression of the pupil, after which the rays of a field fill the part that apertures leave open. They hold
+    wherever rays are launched from one of the system's own field points, and move the chief ray, which goes through the
+    centre of the vignetted pupil. Other field points have the whole pupil.
 
     Examples
     --------

@@ -1291,7 +1291,7 @@ def field_modulation(
 def relative_illumination(
     system: Any, count: int = 24, *, prescription: Prescription | None = None, **options: Any
 ) -> torch.Tensor:
-    """Return the illuminance of the image of a uniform Lambertian object, over that on the axis.
+    """Return the illuminance of the image of a uniform Lambertian object, relative to the axis.
 
     Parameters
     ----------
