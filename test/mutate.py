@@ -234,7 +234,7 @@ def _pytest(tests: list[str], *plugins) -> bool:
     import pytest
 
     sys.stdout = sys.stderr = io.StringIO()
-    options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "--capture=no"]
+    options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--capture=no"]
     return pytest.main([*options, *tests], plugins=list(plugins)) == 0
 
 

@@ -4,6 +4,7 @@ Exit codes: 0 success, 1 unexpected failure, 2 the command line or a file that i
 by Ctrl-C.
 """
 
+import functools
 import os
 import re
 import sys
@@ -517,7 +518,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(arguments, str) or not isinstance(arguments, Sequence):
             raise TypeError(f"arguments must be a sequence of strings, got {arguments!r:.80}")
         arguments = list(arguments)
-    command = typer.main.get_command(app)
+    command = _command()
     # Only what has a size in one word is rewritten: click itself expands the process's own arguments on Windows.
     given = sys.argv[1:] if arguments is None else arguments
     if (sizes := _apart(given)) != given:
@@ -535,6 +536,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Releases of typer differ: some return this code where others raise Abort.
         return _fail("interrupted", INTERRUPTED)
     return code if isinstance(code, int) else 0
+
+
+@functools.cache  # made from the annotations of all commands, which takes longer than to read a command line
+def _command():
+    return typer.main.get_command(app)
 
 
 def _apart(arguments: list[str]) -> list[str]:

@@ -173,11 +173,16 @@ def versions() -> dict[str, str]:
     """Return the versions of Python, odak and the libraries that it uses."""
     from odak import __version__
 
+    return {"odak": __version__, "python": platform.python_version(), **_installed(), "torch": torch.__version__}
+
+
+@functools.cache
+def _installed() -> dict[str, str]:
     packages = {}
     for name in ("numpy", "scipy", "torch", "pillow", "plotly"):
         with suppress(metadata.PackageNotFoundError):
             packages[name] = metadata.version(name)
-    return {"odak": __version__, "python": platform.python_version(), **packages, "torch": torch.__version__}
+    return packages
 
 
 def device_name(device: torch.device) -> str:
@@ -390,7 +395,7 @@ def sheet(rows: list[list[Panel]], width_in_metres: float | None = None, aspect:
     panels = [panel for row in rows for panel in row]
     cell = max(width, NARROWEST)
     font, line = _typeset([panel.caption for panel in panels], cell)
-    small = ImageFont.load_default(max(11, min(18, cell // 28)))
+    small = _font(max(11, min(18, cell // 28)))
     below = GAP + BAR_HEIGHT + 4 + _height(small) + GAP
     columns = max(map(len, rows))
     lines = [max(_broken(panel.caption, font, cell).count("\n") + 1 for panel in row) for row in rows]
@@ -456,13 +461,17 @@ def _shrunk(image: Image.Image, resampling) -> Image.Image:
 def _typeset(captions: list[str], width: int):
     """Return the largest font of a few in which every caption fits on two lines, and the height of a line."""
     for size in SIZES:
-        font = ImageFont.load_default(size)
+        font = _font(size)
         if all(_broken(caption, font, width).count("\n") < LINES for caption in captions):
             break
     # Pillow's own font has no µ and no π; captions and labels do without.
     return font, _height(font) + 4
 
 
+_font = functools.cache(ImageFont.load_default)
+
+
+@functools.lru_cache(maxsize=256)  # a sheet asks three times for each caption: to choose the font, to place, to draw
 def _broken(caption: str, font, width: int) -> str:
     """Return a caption with line breaks such that each line fits the width, also where a word alone does not."""
     count = len(caption)

@@ -23,6 +23,10 @@ from api_sweep.build import Build
 MISSING = object()
 
 
+class _Called(BaseException):
+    """A call whose arguments are known, and which need not be made for that."""
+
+
 @functools.cache
 def parameters_of(function: Callable) -> list[inspect.Parameter]:
     """Return the parameters that a user names."""
@@ -60,9 +64,11 @@ def example(function: Callable) -> dict[str, Any]:
     defaults = {name: p.default for name, p in inspect.signature(function).parameters.items()}
 
     def note(frame, event, _):
-        if event == "call" and frame.f_code is inner.__code__ and not found:
+        if event == "call" and frame.f_code is inner.__code__:
             given = {name: frame.f_locals[name] for name in defaults if name in frame.f_locals}
             found.update({name: value for name, value in given.items() if value is not defaults[name]})
+            if found:
+                raise _Called
 
     namespace = dict(vars(sys.modules[inner.__module__]))
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings(), tempfile.TemporaryDirectory() as folder:
@@ -72,7 +78,7 @@ def example(function: Callable) -> dict[str, Any]:
         try:
             for statement in parsed:
                 sys.setprofile(note)
-                with contextlib.suppress(OSError):  # of a file that is the reader's
+                with contextlib.suppress(_Called, OSError):  # the latter of a file that is the reader's
                     exec(compile(statement.source, "<example>", "single"), namespace)
                 sys.setprofile(None)
                 if found:

@@ -5,17 +5,17 @@ import math
 
 import numpy as np
 import pytest
+from command import invoke
 from PIL import Image
-from typer.testing import CliRunner
 
-from odak.cli import app, main
+from odak.cli import main
 
 N, PITCH, DISTANCE, WAVELENGTH = 33, 8e-6, 0.03, 532e-9
 SMALL = ["--resolution", str(N), str(N), "--distance", "3cm", "--pupil", "1mm", "--spacing", "0.9mm", "--device", "cpu"]
 
 
 def run(*arguments):
-    result = CliRunner().invoke(app, ["eyebox", *map(str, arguments), *SMALL])
+    result = invoke("eyebox", *arguments, *SMALL)
     assert result.exit_code == 0, result.output + repr(result.exception)
     return result
 

@@ -5,10 +5,10 @@ import os
 import numpy as np
 import pytest
 import torch
+from command import invoke
 from PIL import Image
-from typer.testing import CliRunner
 
-from odak.cli import app, main
+from odak.cli import main
 from odak.cli.metamer import _texture_distance
 from odak.learn.perception import make_pooling_size_map_pixels
 
@@ -18,7 +18,7 @@ VIEW = ["--gaze", "0.25", "0.5", "--width", "0.6", "--distance", "0.5", "--alpha
 
 
 def run(*arguments):
-    result = CliRunner().invoke(app, ["metamer", *map(str, arguments), "--device", "cpu"])
+    result = invoke("metamer", *arguments, "--device", "cpu")
     assert result.exit_code == 0, result.output + repr(result.exception)
     return result
 

@@ -1,9 +1,11 @@
 """`odak hologram` as the tests run it, and what its files hold."""
 
+import functools
 import json
 
 import numpy as np
-from physics import filtered, free_space_transfer
+import typer
+from physics import confined, filtered, free_space_transfer, unwrapped_propagation
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -13,8 +15,16 @@ ROWS, COLUMNS = 64, 96
 SMALL = ["--resolution", str(ROWS), str(COLUMNS), "--distance", "3e-3", "--iterations", "5", "--device", "cpu"]
 
 
+# It would make the commands anew from their annotations each time.
+typer.testing._get_command = functools.cache(typer.main.get_command)
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, list(map(str, arguments)))
+
+
 def run(*arguments, expect=0):
-    result = CliRunner().invoke(app, ["hologram", *map(str, arguments)])
+    result = invoke("hologram", *arguments)
     assert result.exit_code == expect, result.output + repr(result.exception)
     return result
 
@@ -36,11 +46,12 @@ def angular_spectrum_intensity(phase, wavelength, pitch, distance, aperture=None
     """
 
     def propagated(padding):
+        if aperture is None:
+            return unwrapped_propagation(np.exp(1j * phase), distance, pitch, wavelength, padding=padding)
         shape = tuple(padding * n for n in phase.shape)
+        frequencies = (np.fft.fftfreq(n, step) for n, step in zip(shape, np.ones(2) * pitch, strict=True))
         transfer = free_space_transfer(shape, distance, pitch, wavelength)
-        if aperture is not None:
-            frequencies = (np.fft.fftfreq(n, step) for n, step in zip(shape, np.ones(2) * pitch, strict=True))
-            transfer = transfer * aperture(*np.meshgrid(*frequencies, indexing="ij"))
-        return filtered(np.exp(1j * phase), transfer)
+        transfer = transfer * aperture(*np.meshgrid(*frequencies, indexing="ij"))
+        return filtered(np.exp(1j * phase), confined(transfer, phase.shape))
 
     return np.abs((4 * propagated(16) - propagated(8)) / 3) ** 2

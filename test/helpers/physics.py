@@ -74,26 +74,38 @@ def unwrapped_propagation(field, distance, dx, wavelength, cutoff=np.inf, paddin
     stop in cycles per metre. `dx` is one pitch, or a pair (rows, columns).
     """
     field = np.asarray(field, dtype=np.complex128)
-    shape = tuple(padding * n for n in field.shape[-2:])
-    return filtered(field, free_space_transfer(shape, distance, dx, wavelength, cutoff))
+    down, across = map(float, np.broadcast_to(dx, 2))
+    return filtered(field, _within(field.shape[-2:], padding, float(distance), down, across, float(wavelength), cutoff))
+
+
+# Several fields are propagated over one distance in turn.
+@functools.lru_cache(maxsize=64)
+def _within(shape, padding, distance, down, across, wavelength, cutoff):
+    wide = tuple(padding * n for n in shape)
+    return confined(free_space_transfer(wide, distance, (down, across), wavelength, cutoff), shape)
 
 
 def free_space_transfer(shape, distance, dx, wavelength, cutoff=np.inf):
     """Return exp(2πiz·(1/λ² − f²)^½) within a round stop, in FFT order."""
-    return _free_space_transfer(shape, float(distance), *map(float, np.broadcast_to(dx, 2)), float(wavelength), cutoff)
-
-
-# Several fields are propagated over one distance in turn, with one padding or two.
-@functools.lru_cache(maxsize=2)
-def _free_space_transfer(shape, distance, down, across, wavelength, cutoff):
+    pitches = np.broadcast_to(dx, 2)
     # It is even: a quadrant is computed.
-    fy, fx = (np.fft.fftfreq(n, step)[: n // 2 + 1] for n, step in zip(shape, (down, across), strict=True))
+    fy, fx = (np.fft.fftfreq(n, step)[: n // 2 + 1] for n, step in zip(shape, pitches, strict=True))
     squared = fy[:, None] ** 2 + fx**2
     axial = np.sqrt((1 / wavelength**2 - squared).astype(np.complex128))
     quadrant = np.exp(2j * np.pi * distance * np.where(distance < 0, axial.conj(), axial)) * (squared <= cutoff**2)
     rows, columns = ((n - 1) // 2 for n in shape)
     half = np.concatenate((quadrant, quadrant[:, columns:0:-1]), axis=1)
     return np.concatenate((half, half[rows:0:-1]))
+
+
+def confined(transfer, shape):
+    """Return a transfer function on twice a window that does to fields within the window what a wider one does.
+
+    It has the part of the impulse response that leads from the window to itself.
+    """
+    down, across = (np.r_[0:n, -n:0] for n in shape)
+    response = np.fft.ifft(np.fft.ifft(transfer, axis=-2)[down], axis=-1)[:, across]
+    return np.fft.fft2(response)
 
 
 def filtered(field, transfer):

@@ -293,3 +293,33 @@ def test_triangles_are_met_alike_on_both_faces(random):
     np.testing.assert_array_equal(check[0], inside)
     np.testing.assert_array_equal(hits, rays[inside])
     np.testing.assert_allclose(normals, plane[inside], atol=1e-12)
+
+
+def test_polynomial_phases_of_any_radius_and_length():
+    """Against the polynomial written out; the power along an axis is −λ times the second derivative there."""
+    radius, order, scale = 1.7, 2, 2 / (2 * np.pi)
+    phase = interfaces.PolynomialPhase([0.3, -0.2, 0.7, 0.4, -0.5, 0.11], radius, order)
+    x, y = np.array([0.4, -1.1]), np.array([0.9, 0.3])
+    u, v = x / radius, y / radius
+    expected = (
+        scale * (0.3 * u - 0.2 * v + 0.7 * u**2 + 0.4 * u * v - 0.5 * v**2 + 0.11 * u**3),
+        scale / radius * (0.3 + 1.4 * u + 0.4 * v + 0.33 * u**2),
+        scale / radius * (-0.2 + 0.4 * u - 1.0 * v),
+    )
+    for found, exact in zip(phase.cycles(x, y), expected, strict=True):
+        np.testing.assert_allclose(found, exact, rtol=1e-13)
+    bend = scale / radius**2
+    np.testing.assert_allclose(phase.powers(5e-4), [-5e-4 * 1.4 * bend, 5e-4 * bend], rtol=1e-13)
+    short = interfaces.PolynomialPhase([0, 0, 0.7], radius, order)
+    np.testing.assert_allclose(short.curvatures(), [1.4 * bend, 0], rtol=1e-13)
+
+
+def test_curvatures_and_cover_of_sampled_phases():
+    """The second difference at the vertex of a·x² + b·x³ is 2·a whatever b is, and elsewhere it is not."""
+    pitch, places = 0.1, (np.arange(13) - 6) * 0.1
+    phase = 0.8 * places**2 + 0.9 * places**3 - 0.3 * places[:, None] ** 2
+    sampled = interfaces.HologramPhase(phase, pitch)
+    np.testing.assert_allclose(sampled.curvatures(), np.array([1.6, -0.6]) / (2 * np.pi), rtol=1e-12)
+    ends = np.array([-0.51, -0.5, 0.5, 0.51])
+    for x, y in ((ends, 0 * ends), (0 * ends, ends)):
+        assert sampled.covers(x, y).tolist() == [False, True, True, False]

@@ -325,9 +325,9 @@ def test_uniform_metamer(texture):
     flat = torch.nn.functional.interpolate(uniform_blur(texture, 16), (64, 64))
     assert float(loss(metamer, texture)) < 0.3 * float(loss(flat, texture))
     assert psnr(metamer, texture) < 25
-    one, other = (loss.gen_metamer(texture, seed=seed, iterations=5) for seed in (0, 1))
+    one, other = (loss.gen_metamer(texture, seed=seed, iterations=1) for seed in (0, 1))
     assert not torch.equal(one, other)
-    assert loss.gen_metamer(texture[:, :1, :50, :60], iterations=5).shape == (1, 1, 50, 60)
+    assert loss.gen_metamer(texture[:, :1, :50, :60], iterations=1).shape == (1, 1, 50, 60)
 
 
 def test_metamer_loss(texture):

@@ -322,7 +322,8 @@ def test_levels_are_no_phases_and_black_is_no_target(disc):
 
 def test_planes_too_far_for_the_panel_are_named(phases):
     """Against one-dimensional sums with Fresnel's phases, of which light of so few pixels is made at such distances."""
-    cycles = (np.arange(100_000) + 0.5) / 100_000 - 0.5
+    cycles = (np.arange(50_000) + 0.5) / 100_000  # and as many below zero, where everything is the same
+    waves = np.cos(2 * np.pi * cycles[:, None] * np.arange(24))
     light = np.exp(1j * phases[0].numpy())
     for distance, known in ((1.0, True), (3.0, False)):
         display = Display(Modulator((24, 20), PITCH, bits=None, fill=1.0), WAVELENGTH, distance)
@@ -332,7 +333,7 @@ def test_planes_too_far_for_the_panel_are_named(phases):
             with pytest.warns(SamplingWarning, match=r"24 × 20 samples, 8e-06 m apart, at a distance of 3 m is known"):
                 found = display.fields(phases)[0, 0, 0].numpy()
         chirp = np.sinc(cycles) * np.exp(-1j * np.pi * WAVELENGTH * distance * (cycles / PITCH) ** 2)
-        response = np.array([np.mean(chirp * np.cos(2 * np.pi * cycles * lag)) for lag in range(24)])
+        response = chirp @ waves / len(cycles)
         down, across = (response[np.abs(np.arange(n)[:, None] - np.arange(n))] for n in (24, 20))
         exact = np.abs(down @ light @ across)
         assert (np.abs(np.abs(found) - exact).max() < 0.02 * exact.max()) == known
