@@ -103,6 +103,16 @@ def namespace(*values) -> ModuleType:
     return array_api_compat.array_namespace(*arrays) if arrays else numpy_namespace
 
 
+def broadcast(*arrays):
+    """Return arrays in their common shape.
+
+    Those that have it already are returned as they are: to find that out takes torch half a millisecond.
+    """
+    if all(array.shape == arrays[0].shape for array in arrays):
+        return arrays
+    return namespace(*arrays).broadcast_arrays(*arrays)
+
+
 def placement(
     *values, xp: ModuleType | None = None, device: Any = None, dtype: Any = None
 ) -> tuple[ModuleType, Any, Any]:

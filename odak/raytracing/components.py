@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from odak._array import is_array, is_torch, namespace
+from odak._array import broadcast, is_array, is_torch, namespace
 from odak.raytracing.batches import needs_gradient
 from odak.raytracing.geometry import finite_rays, safe_divide, safe_sqrt
 
@@ -51,8 +51,8 @@ def split(vector) -> Vector:
 
 def join(*vectors: Vector):
     """Return one vector as ``[..., 3]``, several as ``[..., k, 3]``."""
-    xp = namespace(*(c for vector in vectors for c in vector))
-    parts = xp.broadcast_arrays(*(c for vector in vectors for c in vector))
+    parts = broadcast(*(c for vector in vectors for c in vector))
+    xp = namespace(*parts)
     shape = tuple(parts[0].shape)
     if needs_gradient(*parts):
         out = xp.stack(parts, axis=-1)

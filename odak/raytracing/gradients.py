@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, ClassVar, NamedTuple
 
-from odak._array import Array, is_readable, is_torch, namespace
+from odak._array import Array, broadcast, is_readable, is_torch, namespace
 from odak.raytracing import components as vec
 from odak.raytracing.batches import needs_gradient
 from odak.raytracing.geometry import epsilon
@@ -213,8 +213,7 @@ def ray_equation(gradient: Gradient, base) -> Callable:
     def field(state):
         xp = namespace(state)
         value, *slopes = gradient.squared(state[0], state[1], state[2], base)
-        parts = xp.broadcast_arrays(state[3], state[4], state[5], *(slope / 2 for slope in slopes), value)
-        return xp.stack(list(parts))
+        return xp.stack(list(broadcast(state[3], state[4], state[5], *(slope / 2 for slope in slopes), value)))
 
     return field
 

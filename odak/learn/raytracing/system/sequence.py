@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from odak._array import is_readable
+from odak._array import broadcast, is_readable
 from odak._torch_private import is_transformed
 from odak.raytracing import components as vec
 from odak.raytracing import interfaces
@@ -48,7 +48,7 @@ def arrive(gradient: Gradient, base, frame, point, direction, shape: Shape, sign
         and what :func:`transported` returns, None if it is not asked for.
     """
     dtype = point[0].dtype
-    place: Any = torch.broadcast_tensors(*(value.double() for value in (*point, *direction)))
+    place: Any = broadcast(*(value.double() for value in (*point, *direction)))
     base = base.double()
     x, y, z = place[:3]
     value = gradient.squared(x, y, z, base)[0]
@@ -218,7 +218,7 @@ def _adjoint(kind, end, time, base, parameters, gradient, needed) -> list:
         change = [torch.zeros_like(p) if f is None else f for p, f in zip(place, found, strict=True)]
         # Backwards in t: the ray retraces its path.
         back = [-value for value in state[3:6]] + [-slope.detach() / 2 for slope in slopes]
-        return torch.stack([*torch.broadcast_tensors(*back, *change, *state[6:9])])
+        return torch.stack([*broadcast(*back, *change, *state[6:9])])
 
     def collect(state, stages, lengths):
         """Add the contribution of a step to the derivatives by the numbers."""
