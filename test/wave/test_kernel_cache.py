@@ -117,6 +117,15 @@ def test_the_bound_is_a_tenth_of_the_free_memory(free, bound, monkeypatch):
     assert caches.on("cpu").maximum_bytes == bound
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="the file of the kernel is Linux's")
+def test_a_container_has_what_its_bound_leaves(monkeypatch):
+    told = {"memory.max": "3000000", "memory.current": "1000000"}
+    monkeypatch.setattr(transfer_functions.Path, "read_text", lambda path: told[path.name])
+    assert transfer_functions._free_bytes("cpu") == 2_000_000
+    told["memory.max"] = "max"
+    assert transfer_functions._free_bytes("cpu") > 2_000_000
+
+
 def test_free_memory_is_known_on_linux():
     if not sys.platform.startswith("linux"):
         pytest.skip("read from /proc")

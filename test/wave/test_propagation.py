@@ -56,6 +56,24 @@ def test_spectrum_padding_halves_the_pitch(method, field):
     np.testing.assert_allclose(np.abs(fine[np.ix_(rows, columns)] - coarse).max(), 0, atol=bound)
 
 
+def test_spectrum_padding_interpolates_between_samples(field):
+    """Against the sum of the plane waves of the coarse result at each sample of the fine one."""
+    coarse, fine = (propagate(field, zero_padding=(True, halved, False)) for halved in (False, True))
+
+    def interpolation(n):
+        places, samples, waves = (np.arange(2 * n) - n) / 2, np.arange(n) - n // 2, np.arange(n) - n // 2
+        return np.exp(2j * np.pi / n * waves * (places[:, None] - samples)[..., None]).mean(-1)
+
+    down, across = map(interpolation, coarse.shape)
+    np.testing.assert_allclose(fine, down @ coarse @ across.T, atol=1e-12)
+
+
+def test_lengths_that_do_not_fit_together_are_named(field):
+    lengths = np.full(3, DISTANCE), DX, np.full(2, WAVELENGTH)
+    with pytest.raises(ValueError, match=r"broadcast together: field \[\], distance \[3\].* wavelength \[2\]"):
+        odak.wave.propagate_beam(field, None, *lengths, "Angular Spectrum")
+
+
 def test_spectrum_padding_leaves_fraunhofer_alone(field):
     np.testing.assert_array_equal(
         propagate(field, "Fraunhofer", zero_padding=(False, True, False)), propagate(field, "Fraunhofer")
