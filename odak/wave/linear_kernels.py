@@ -17,13 +17,14 @@ import numpy as np
 from odak import _array, _validate
 from odak._warnings import SamplingWarning, warn
 from odak.wave.quadrature import SAFETY, Axis, Rule, plain_rule, rule_for
-from odak.wave.transfer_functions import Grid, alias_free_weight
+from odak.wave.transfer_functions import Grid, alias_free_weight, by_columns, in_slabs
 
 TOLERANCE = 1e-4
 # Relative error of a field above which a warning is issued.
 _DOUBTFUL = 0.05
-# Samples computed at a time, of 4 MB in double precision: larger parts take more memory and no less time.
-_SLAB = 1 << 18
+# Samples computed at a time, of 2 MB in double precision. What larger parts take is given back to the system after each
+# part, in a process that has not yet used much memory, and cleared for the next.
+_SLAB = 1 << 17
 # Widths of diffraction beside the geometric shadow at which a taper ends.
 _TAPER = 2.0
 
@@ -60,44 +61,44 @@ class LinearGrid(Grid):
 
     def evaluate(self, kernel):
         """Return the transfer function whose circular convolution on this grid is the linear one on the window."""
-        xp = self.xp
-        rows, columns = (n // 2 for n in self.shape)
-        rules = self._rules()
-        counts = (rules[0].count, rules[1].count)
-        fy, fx = (self._indices(n, axis) / (n * self.pitch[axis]) for axis, n in enumerate(counts))
-        weight_y, weight_x = (self._weights(rule, axis) for axis, rule in enumerate(rules))
+        xp, rules = self.xp, self._rules()
+        frequencies = tuple(self._indices(rule.count, k) / (rule.count * self.pitch[k]) for k, rule in enumerate(rules))
         fading = any(rule.tapered for rule in rules)
-        step = max(1, _SLAB // fx.shape[-1])
+        # The last lines to be made lie in memory as they are used.
+        first, last = (1, 0) if by_columns(self.distance) else (0, 1)
+        lines = xp.matrix_transpose(frequencies[last]) if last == 1 else frequencies[last]
+        along = xp.matrix_transpose(frequencies[first]) if first == 0 else frequencies[first]
+        weights = [self._weights(rule) for rule in rules]
 
-        def first_sum(start):
-            stop = min(start + step, fy.shape[-2])
-            part = fy[..., start:stop, :]
-            spectrum = kernel(part, fx)
+        def spectrum(part):
+            pair = (along, lines[..., part, :]) if first == 0 else (lines[..., part, :], along)
+            values = kernel(*pair)
             if fading:
                 # An axis whose rule serves the whole band fades nothing: a grid that long holds all its waves.
                 held = tuple(rule.count if rule.tapered else 1 << 40 for rule in rules)
-                spectrum = spectrum * xp.astype(alias_free_weight(self, held, part, fx), spectrum.dtype)
+                values = values * xp.astype(alias_free_weight(self, held, *pair), values.dtype)
             if self.cutoff is not None:
-                kept = part**2 + fx**2 <= self.cutoff**2
-                spectrum = xp.where(kept, spectrum, xp.zeros_like(spectrum))
+                kept = pair[0] ** 2 + pair[1] ** 2 <= self.cutoff**2
+                values = xp.where(kept, values, xp.zeros_like(values))
             if self.pixel_fill is not None:
-                for frequency, pitch in ((part, self.pitch[0]), (fx, self.pitch[1])):
-                    spectrum = spectrum * xp.astype(_pixel_spectrum(frequency * pitch, self.pixel_fill), spectrum.dtype)
-            lags = _response(spectrum * weight_x, counts[1], -1, columns, self.halves[1])
-            # The weights of the sum to follow are applied here: their product is of these lags alone.
-            return lags * weight_y[..., start:stop, :]
+                for frequency, pitch in zip(pair, self.pitch, strict=True):
+                    values = values * xp.astype(_pixel_spectrum(frequency * pitch, self.pixel_fill), values.dtype)
+            return self._linear(values * weights[first], first, rules)
 
-        lines = _joined([first_sum(start) for start in range(0, fy.shape[-2], step)], -2)
-        lines = _in_slabs(lambda part: _response(part, counts[0], -2, rows, self.halves[0]), lines, -1)
-        lines = _in_slabs(lambda part: _spectrum(part, columns, -1, self.halves[1]), lines, -2)
-        stored = self.dtype if self.stored is None else self.stored
-        return self.unfold(
-            _in_slabs(lambda part: xp.astype(_spectrum(part, rows, -2, self.halves[0]), stored, copy=False), lines, -1)
-        )
+        def transfer(part):
+            found = self._linear(xp.matrix_transpose(half[..., part]) * weights[last], last, rules)
+            found = xp.astype(found, self.dtype if self.stored is None else self.stored, copy=False)
+            return found if self.halves[last] else xp.take(found, self._mirror(self.shape[last]), axis=-1)
 
-    def _indices_of(self, axis: int):
-        n = self.shape[axis]
-        return self.xp.arange(n, device=self.device) if self.halves[axis] else self._mirror(n)
+        half = in_slabs(spectrum, lines.shape[-2], max(1, _SLAB // rules[first].count))
+        step, total = max(1, _SLAB // rules[last].count), self.shape[first]
+        found = in_slabs(transfer, half.shape[-1], step, total)
+        return xp.matrix_transpose(found) if first == 1 else found
+
+    def _linear(self, half, axis: int, rules):
+        """Return lines of spectra on the samples of the grid, of the lags within the window, from halves of spectra."""
+        count, size, between = rules[axis].count, self.shape[axis] // 2, self.halves[axis]
+        return _spectrum(_response(half, count, size, between), size, between)
 
     def _rules(self) -> tuple[Rule, Rule]:
         """Return the rules along rows and columns."""
@@ -129,14 +130,17 @@ class LinearGrid(Grid):
             )
         return found
 
-    def _weights(self, rule: Rule, axis: int):
-        """Return a rule's weights along an axis; for negative distances, at which all phases change sign, conjugate."""
-        xp = self.xp
-        weights = xp.asarray(rule.weights(), dtype=xp.complex128, device=self.device)
-        weights = xp.reshape(weights, (-1, 1) if axis == 0 else (1, -1))
-        if rule.corrections:
-            weights = xp.where(self.distance < 0, xp.conj(weights), weights)
-        return xp.astype(weights, self.dtype)
+    def _weights(self, rule: Rule):
+        """Return a rule's weights as a line, the first and the last one half, for :func:`_response`.
+
+        For negative distances, at which all phases change sign, they are conjugate.
+        """
+        xp, weights = self.xp, rule.weights()
+        weights[0] /= 2
+        if rule.count > 1:
+            weights[-1] /= 2
+        weights = xp.asarray(weights[None, :], dtype=xp.complex128, device=self.device)
+        return xp.where(self.distance < 0, xp.conj(weights), weights) if rule.corrections else weights
 
 
 def axes_of(sizes, pitches, wavelength: float, distance: float) -> tuple[Axis, Axis]:
@@ -278,53 +282,35 @@ def checked_pixel_fill(pixel_fill: float) -> float:
     return fill
 
 
-def _response(half, count: int, axis: int, lags: int, between: bool = False):
+def _response(half, count: int, lags: int, between: bool):
     """Return the first lags of the inverse transform of an even spectrum of `count` samples, given by its half.
 
-    The lags are 0, 1, …, or ½, 1½, … with `between`.
+    The first and the last sample of the half count half, since each stands for itself alone, and so does the result
+    at lag 0. With `between` the lags are ½, 1½, … instead of 0, 1, …, and none counts half.
     """
     xp = _array.namespace(half)
-    indices = xp.arange(count, device=_array.device_of(half))
-    whole = xp.take(half, xp.minimum(indices, count - indices), axis=axis)
     if between:
-        angles = xp.astype(xp.where(2 * indices > count, indices - count, indices), xp.float64) * (math.pi / count)
-        # The highest frequency is one with its negative: their sum is zero half-way between the samples.
-        turned = xp.where(2 * indices == count, xp.zeros_like(angles), xp.cos(angles)) + 1j * xp.where(
-            2 * indices == count, xp.zeros_like(angles), xp.sin(angles)
-        )
-        whole = whole * xp.astype(xp.reshape(turned, (-1, 1) if axis == -2 else (1, -1)), whole.dtype)
-    return _first(xp.fft.ifft(whole, axis=axis), lags, axis)
+        indices = xp.arange(half.shape[-1], dtype=xp.float64, device=_array.device_of(half))
+        half = half * _array.phasor_of_cycles(indices / (2 * count))
+    sums = xp.fft.ifft(half, n=count)
+    # What negative frequencies add is the same sum at the negative lags.
+    if between:
+        return sums[..., :lags] + xp.flip(sums[..., count - lags :], axis=-1)
+    after = xp.flip(sums[..., count - lags + 1 :], axis=-1)
+    return sums[..., :lags] + xp.concat([xp.zeros_like(sums[..., :1]), after], axis=-1)
 
 
-def _spectrum(lags, count: int, axis: int, between: bool = False):
+def _spectrum(lags, count: int, between: bool):
     """Return the non-negative half of the transform of an even response of lags below `count`, on 2·count samples.
 
-    With `between`, of lags ½, 1½, …, the transform is not even, and is returned as a whole.
+    The first lag counts half. With `between`, of lags ½, 1½, …, the transform is not even, and is returned as a whole.
     """
     xp = _array.namespace(lags)
     if between:
-        after = xp.flip(_first(lags, count - 1, axis), axis=axis)
-        return xp.fft.fft(xp.concat([lags, xp.zeros_like(_first(lags, 1, axis)), after], axis=axis), axis=axis)
-    after = _first(xp.flip(lags, axis=axis), count - 1, axis)
-    whole = xp.concat([lags, xp.zeros_like(_first(lags, 1, axis)), after], axis=axis)
-    return _first(xp.fft.fft(whole, axis=axis), count + 1, axis)
-
-
-def _in_slabs(function: Callable, array, axis: int):
-    """Return ``function(array)``, computed for some lines along the other axis at a time: in less memory."""
-    count, length = array.shape[axis], array.shape[-3 - axis]
-    step = max(1, _SLAB // length)
-    spans = (slice(start, min(start + step, count)) for start in range(0, count, step))
-    slabs = (array[..., span] if axis == -1 else array[..., span, :] for span in spans)
-    return _joined([function(slab) for slab in slabs], axis)
-
-
-def _joined(parts: list, axis: int):
-    return parts[0] if len(parts) == 1 else _array.namespace(parts[0]).concat(parts, axis=axis)
-
-
-def _first(array, count: int, axis: int):
-    return array[..., :count] if axis == -1 else array[..., :count, :]
+        after = xp.flip(lags[..., : count - 1], axis=-1)
+        return xp.fft.fft(xp.concat([lags, xp.zeros_like(lags[..., :1]), after], axis=-1))
+    sums = xp.fft.fft(lags, n=2 * count)
+    return sums[..., : count + 1] + xp.concat([sums[..., :1], xp.flip(sums[..., count:], axis=-1)], axis=-1)
 
 
 @dataclass(frozen=True)

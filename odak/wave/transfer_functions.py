@@ -92,26 +92,12 @@ class Grid:
         """
         fy, fx = self.frequencies()
         step = max(1, _SLAB // fx.shape[-1])
-        rows = fy.shape[-2]
-        parts = [slice(start, min(start + step, rows)) for start in range(0, rows, step)]
-        first = kernel(fy[..., parts[0], :], fx)
-        if len(parts) == 1:
-            return self.unfold(first)
-        constant = _array.is_torch(first) and not (_array.is_traced(first) or _array.is_wrapped(first))
-        if not (constant or isinstance(first, np.ndarray)):
-            return self.unfold(self.xp.concat([first, *(kernel(fy[..., part, :], fx) for part in parts[1:])], axis=-2))
-        # Slabs that were all kept to the end would leave gaps in the memory, which the allocator does not return.
-        shape = (*first.shape[:-2], rows, first.shape[-1])
-        quarter = self.xp.empty(shape, dtype=first.dtype, device=_array.device_of(first))
-        quarter[..., parts[0], :] = first
-        for part in parts[1:]:
-            quarter[..., part, :] = kernel(fy[..., part, :], fx)
-        return self.unfold(quarter)
+        return self.unfold(in_slabs(lambda part: kernel(fy[..., part, :], fx), fy.shape[-2], step))
 
     def unfold(self, quarter):
         """Return the whole kernel in FFT order from its quarter of non-negative indices."""
         rows, columns = (self._indices_of(axis) for axis in (0, 1))
-        if not _by_columns(quarter):
+        if not by_columns(quarter):
             return self.xp.take(self.xp.take(quarter, rows, axis=-2), columns, axis=-1)
         half = quarter.mT.index_select(-2, columns)
         return half.index_select(-1, rows).mT
@@ -128,7 +114,34 @@ class Grid:
         return self.xp.take(half, self._mirror(self.shape[axis]), axis=axis)
 
 
-def _by_columns(values) -> bool:
+def in_slabs(function: Callable, count: int, step: int, total: int | None = None):
+    """Return the rows ``function(slice)`` of `count` rows, computed `step` at a time.
+
+    With `total` these are the first ones of so many rows, which are an even function of their index.
+    """
+    parts = [slice(start, min(start + step, count)) for start in range(0, count, step)]
+    first, total = function(parts[0]), count if total is None else total
+    if len(parts) == 1 and total == count:
+        return first
+    xp = _array.namespace(first)
+    constant = _array.is_torch(first) and not (_array.is_traced(first) or _array.is_wrapped(first))
+    if not (constant or isinstance(first, np.ndarray)):
+        found = xp.concat([first, *(function(part) for part in parts[1:])], axis=-2)
+        return xp.concat([found, xp.flip(found[..., 1 : total - count + 1, :], axis=-2)], axis=-2)
+    # Slabs that were all kept to the end would leave gaps in the memory, which the allocator does not return.
+    shape = (*first.shape[:-2], total, first.shape[-1])
+    result = xp.empty(shape, dtype=first.dtype, device=_array.device_of(first))
+    for part in parts:
+        rows = function(part) if part.start else first
+        result[..., part, :] = rows
+        start, stop = max(part.start, 1), min(part.stop, total - count + 1)
+        if start < stop:
+            mirrored = xp.flip(rows[..., start - part.start : stop - part.start, :], axis=-2)
+            result[..., total - stop + 1 : total - start + 1, :] = mirrored
+    return result
+
+
+def by_columns(values) -> bool:
     """Return whether a kernel made of `values` is laid out column by column.
 
     So is a spectrum on a processor, where torch transforms columns last, whole or in blocks.
@@ -269,7 +282,7 @@ def aperture_points(grid: Grid, count: int):
 def impulse_response_fresnel(grid: Grid):
     """Return the discrete Fourier transform of the sampled Fresnel impulse response times the pixel's area."""
     spectrum_y, spectrum_x = impulse_response_spectra(grid)
-    return (spectrum_x.mT * spectrum_y.mT).mT if _by_columns(spectrum_x) else spectrum_y * spectrum_x
+    return (spectrum_x.mT * spectrum_y.mT).mT if by_columns(spectrum_x) else spectrum_y * spectrum_x
 
 
 def impulse_response_spectra(grid: Grid):
