@@ -438,8 +438,9 @@ def check_values(name: str, values, remedy: str | None = None, *, refuse: bool =
             return
         values = values.detach()
     if is_torch(values) and not values.is_complex():
-        low, high = values.aminmax()  # a third of the time of the maximum of a modulus
-        largest = float(-low) if bool(-low > high) else float(high)
+        # A third of the time of the maximum of a modulus.
+        low, high = (float(value) for value in values.aminmax())
+        largest = -low if -low > high else high
     else:
         largest = float(namespace(values).max(abs(values)))
     if not math.isfinite(largest):
