@@ -21,6 +21,9 @@ from odak.cli.job import InputError
 from odak.cli.report import finite, versions
 from odak.cli.trace import read_glasses, read_system
 from odak.learn.raytracing.system import (
+    DesignSearch,
+    LensDimensions,
+    LensRequirements,
     automatic_design,
     distortion,
     first_order,
@@ -32,7 +35,6 @@ from odak.learn.raytracing.system import (
     standard_design,
     write_zmx,
 )
-from odak.learn.raytracing.system.automatic import default_starts
 from odak.learn.raytracing.system.drawing import field_label
 from odak.learn.raytracing.system.operands import clear_heights
 from odak.learn.raytracing.system.pupils import AIMS
@@ -301,13 +303,27 @@ def _from_plates(job: DesignJob, step: Callable[[], Any]):
     """Return the plates, the lens, what was done and the merit of each stage for first-order demands."""
     materials = job.materials()
     read_glasses(job.glasses)
-    given: dict[str, Any] = {name: None if getattr(job, name) is None else 1e3 * getattr(job, name) for name in LENGTHS}
-    f, speed, field = given.pop("focal_length"), float(job.f_number or 0), float(job.field or 0)
-    given |= {"aspheric_terms": job.aspheric_terms, "chief_ray_angle": job.chief_ray_angle, "seed": job.seed}
-    given |= {name: value for name, value in (("starts", job.starts), ("iterations", job.iterations)) if value}
-    given |= {"makers": job.makers() or None} | ({"distortion": job.distortion} if job.distortion else {})
+    size = {name: None if getattr(job, name) is None else 1e3 * getattr(job, name) for name in LENGTHS}
+    f, speed, field = float(size["focal_length"] or 0), float(job.f_number or 0), float(job.field or 0)
+    limits: dict[str, Any] = {"axial_color": size["axial_color"], "chief_ray_angle": job.chief_ray_angle}
+    limits |= {"distortion": job.distortion} if job.distortion else {}
+    requirements = LensRequirements(f, speed, field, **limits)
+    search = DesignSearch(
+        job.starts or None, iterations=job.iterations or None, seed=job.seed, callback=lambda _: step()
+    )
+    makers = job.makers() or None
+    # Behind a stop in front aspheres vary from the beginning.
+    steep = bool(job.aspheric_terms) and materials[0] == "stop"
+    search = search.filled(steep, makers)
     try:
-        found = automatic_design(materials, f, speed, field, **given, callback=lambda stage: step())
+        found = automatic_design(
+            materials,
+            requirements,
+            dimensions=LensDimensions(back=size["back"], track=size["track"]),
+            aspheric_terms=job.aspheric_terms,
+            makers=makers,
+            search=search,
+        )
     except ValueError as error:
         if not str(error).startswith("rays are lost"):
             raise
@@ -318,11 +334,8 @@ def _from_plates(job: DesignJob, step: Callable[[], Any]):
     glasses = [name for name in materials if name != "stop"]
     lens.name = f"{len(glasses)} elements, {f:g} mm, f/{speed:g}, {2 * field:g}°"
     lens.source = f"designed by odak {versions()['odak']} from flat plates, seed {job.seed}"
-    # Behind a stop in front aspheres vary from the beginning.
-    steep = bool(job.aspheric_terms) and materials[0] == "stop"
-    starts = given.get("starts", default_starts(steep, given["makers"]))
     did = [
-        f"began with {starts} designs from random bendings of flat plates of {', '.join(glasses)}",
+        f"began with {search.starts} designs from random bendings of flat plates of {', '.join(glasses)}",
         f"grew aperture and field in {len(found.stages)} stages, to f/{speed:g} and {field:g} degrees",
         f"held the focal length at {f:g} mm; "
         + (

@@ -7,21 +7,20 @@ squares keep the spots small. The same seed gives the same lens.
 import matplotlib.pyplot as plt
 import numpy as np
 
-from odak.learn.raytracing.system import automatic_design, layout_figure, rms_spot
+from odak.learn.raytracing.system import (
+    DesignSearch,
+    LensDimensions,
+    LensRequirements,
+    automatic_design,
+    layout_figure,
+    rms_spot,
+)
 
 found = automatic_design(
     ["N-LAK33B", "stop", "SF5", "N-LAK33B"],
-    focal_length=50.0,
-    f_number=4.0,
-    half_field=14.0,
-    glass=(1.5, 9.0),
-    air=(0.3, 15.0),
-    edge=0.6,
-    back=20.0,
-    track=80.0,
-    starts=6,
-    iterations=12,
-    polish=2,
+    LensRequirements(focal_length=50.0, f_number=4.0, half_field=14.0),
+    dimensions=LensDimensions(glass=(1.5, 9.0), air=(0.3, 15.0), edge=0.6, back=20.0, track=80.0),
+    search=DesignSearch(starts=6, iterations=12, polish=2),
 )
 lens = found.system
 full = (lens.aperture, ((0.0, 0.0), (0.0, 10.0), (0.0, 14.0)))

@@ -22,6 +22,9 @@ from .analysis import through_focus as through_focus
 from .analysis import wavefront as wavefront
 from .analysis import zernike_fit as zernike_fit
 from .automatic import AutomaticResult as AutomaticResult
+from .automatic import DesignSearch as DesignSearch
+from .automatic import LensDimensions as LensDimensions
+from .automatic import LensRequirements as LensRequirements
 from .automatic import Stage as Stage
 from .automatic import automatic_design as automatic_design
 from .automatic import standard_design as standard_design

@@ -1,9 +1,11 @@
 """Automatic design: lenses from flat plates, by a curriculum of growing aperture and field."""
 
 import copy
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import torch
 
@@ -77,6 +79,10 @@ DAMPING_RANGE = (1e-5, 1e-1)
 ACCEPTED_SPOT = 1 / 400
 
 
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
 class Stage(NamedTuple):
     """A stage of the curriculum.
 
@@ -91,8 +97,9 @@ class Stage(NamedTuple):
 
     Examples
     --------
-    >>> from odak.learn.raytracing.system import automatic_design
-    >>> found = automatic_design(["stop", "N-BK7"], 100.0, 10.0, 1.0, starts=2, stages=1, iterations=2, polish=0)
+    >>> from odak.learn.raytracing.system import DesignSearch, LensRequirements, automatic_design
+    >>> search = DesignSearch(starts=2, stages=1, iterations=2, polish=0)
+    >>> found = automatic_design(["stop", "N-BK7"], LensRequirements(100.0, 10.0, 1.0), search=search)
     >>> stage = found.stages[-1]
     >>> stage.aperture, stage.field, bool(stage.rms > 0)
     (1.0, 1.0, True)
@@ -118,8 +125,9 @@ class AutomaticResult(NamedTuple):
 
     Examples
     --------
-    >>> from odak.learn.raytracing.system import automatic_design, rms_spot
-    >>> found = automatic_design(["stop", "N-BK7"], 100.0, 10.0, 1.0, starts=2, stages=1, iterations=2, polish=0)
+    >>> from odak.learn.raytracing.system import DesignSearch, LensRequirements, automatic_design, rms_spot
+    >>> search = DesignSearch(starts=2, stages=1, iterations=2, polish=0)
+    >>> found = automatic_design(["stop", "N-BK7"], LensRequirements(100.0, 10.0, 1.0), search=search)
     >>> bool(rms_spot(found.system).mean() < rms_spot(found.start).mean())
     True
     """
@@ -132,50 +140,70 @@ class AutomaticResult(NamedTuple):
         return _show.one_line(self)
 
 
-def automatic_design(
-    elements: Sequence[Any],
-    focal_length: float,
-    f_number: float,
-    half_field: float,
-    *,
-    aspheric_terms: int = 0,
-    wavelengths: Sequence[float] = (486.1327e-6, 587.5618e-6, 656.2725e-6),
-    glass: Sequence[float] | None = None,
-    air: Sequence[float] | None = None,
-    edge: float | None = None,
-    back: float | None = None,
-    track: float | None = None,
-    distortion: float = 0.02,
-    chief_ray_angle: float | None = None,
-    cover: tuple[Any, float] | None = None,
-    makers: Sequence[str] | None = None,
-    axial_color: float | None = None,
-    starts: int | None = None,
-    stages: int = 6,
-    iterations: int | None = None,
-    polish: int = 6,
-    seed: int = 0,
-    unit: str = "mm",
-    callback: Callable[[Stage], Any] | None = None,
-) -> AutomaticResult:
-    """Design a lens from flat plates.
+@dataclass(frozen=True)
+class LensRequirements:
+    """What a lens must do: the question that :func:`automatic_design` answers.
 
     Parameters
     ----------
-    elements : sequence
-        Materials of the elements from the object to the image, and once "stop", in front of one of them: the
-        aperture stop.
     focal_length : float
         Focal length of the lens.
     f_number : float
         Focal length divided by the diameter of the entrance pupil; the object is at infinity.
     half_field : float
-        Largest field angle in degrees.
-    aspheric_terms : int
-        Number of coefficients of r⁴, r⁶, … of each surface, 0 for spheres. They are added to paraboloids where the
-        stop is in front of all elements, to spheres elsewhere.
+        Largest field angle in degrees, below 80.
     wavelengths : sequence of float
         Vacuum wavelengths, in `unit`.
+    distortion : float
+        Largest magnitude of the relative distortion.
+    axial_color : float, optional
+        Largest distance between the paraxial images of two wavelengths, in `unit`.
+    chief_ray_angle : float, optional
+        Largest angle of the chief rays against the axis in the image, in degrees.
+    unit : str
+        Unit of all lengths, also of :class:`LensDimensions`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a number is out of range.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import LensRequirements
+    >>> LensRequirements(50.0, 2.8, 20.0, axial_color=0.1).distortion
+    0.02
+    """
+
+    focal_length: float
+    f_number: float
+    half_field: float
+    wavelengths: Sequence[float] = (486.1327e-6, 587.5618e-6, 656.2725e-6)
+    distortion: float = 0.02
+    axial_color: float | None = None
+    chief_ray_angle: float | None = None
+    unit: str = "mm"
+
+    def __post_init__(self):
+        for name in ("focal_length", "f_number", "distortion", "axial_color", "chief_ray_angle"):
+            _set_number(self, name, positive=True)
+        _set_number(self, "half_field", least=0)
+        if self.half_field >= 80:
+            raise ValueError(f"half_field must be below 80 degrees, got {self.half_field}")
+        object.__setattr__(self, "wavelengths", _validate.several("wavelengths", self.wavelengths, positive=True))
+
+    @property
+    def _distortion_weight(self) -> float:
+        """Weight at which distortion counts as half the height that it displaces the image of the largest field."""
+        return 0.5 * self.focal_length * math.tan(math.radians(self.half_field))
+
+
+@dataclass(frozen=True)
+class LensDimensions:
+    """The room that a lens has: limits of its thicknesses, and what stands in front of the image.
+
+    Parameters
+    ----------
     glass : pair of float, optional
         Least and largest thickness of elements on the axis; by default from 0.02 to 0.2 focal lengths.
     air : pair of float, optional
@@ -188,20 +216,66 @@ def automatic_design(
         least distance is 0.3 times `back`.
     track : float, optional
         Largest distance from the first vertex to the image.
-    distortion : float
-        Largest magnitude of the relative distortion.
-    chief_ray_angle : float, optional
-        Largest angle of the chief rays against the axis in the image, in degrees.
     cover : pair, optional
         Material and thickness of a plane plate in front of the image.
-    makers : sequence of str, optional
-        Makers of glass, names of :func:`odak.catalog.glass_makers`. The glasses of the elements vary then, from those
-        of `elements`, within the hull of all glasses of these makers, and are replaced by real ones at the end.
-    axial_color : float, optional
-        Largest distance between the paraxial images of two wavelengths, in `unit`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a number is out of range.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import LensDimensions
+    >>> LensDimensions(glass=(1.5, 9.0), back=20.0).air is None
+    True
+    """
+
+    glass: Sequence[float] | None = None
+    air: Sequence[float] | None = None
+    edge: float | None = None
+    back: float | None = None
+    track: float | None = None
+    cover: tuple[Any, float] | None = None
+
+    def __post_init__(self):
+        for name in ("glass", "air"):
+            if getattr(self, name) is not None:
+                least, largest = _validate.several(name, getattr(self, name), 2)
+                if not 0 <= least <= largest:
+                    raise ValueError(f"{name} must be a least and a larger thickness, got {getattr(self, name)!r:.80}")
+                object.__setattr__(self, name, (least, largest))
+        for name in ("edge", "back"):
+            _set_number(self, name, least=0)
+        _set_number(self, "track", positive=True)
+        if self.cover is not None:
+            if not isinstance(self.cover, Sequence) or isinstance(self.cover, str) or len(self.cover) != 2:
+                raise TypeError(f"cover must be a pair of a material and a thickness, got {self.cover!r:.80}")
+            thickness = _validate.constant("cover[1]", self.cover[1], positive=True)
+            object.__setattr__(self, "cover", (self.cover[0], thickness))
+
+    def _around(self, f: float) -> "LensDimensions":
+        """Return the dimensions with the defaults of a focal length; `back` begins at the last surface then."""
+        air = (0.002 * f, 0.3 * f) if self.air is None else self.air
+        back = 0.1 * f if self.back is None else self.back
+        return replace(
+            self,
+            glass=(0.02 * f, 0.2 * f) if self.glass is None else self.glass,
+            air=air,
+            edge=air[0] if self.edge is None else self.edge,
+            back=back if self.cover is None else 0.3 * back,
+        )
+
+
+@dataclass(frozen=True)
+class DesignSearch:
+    """How long :func:`automatic_design` searches.
+
+    Parameters
+    ----------
     starts : int, optional
-        Number of designs in the first stage; by default 16, 32 with `makers`, 12 of aspheres behind a stop in front.
-        All but the last begin as the best eighth of random bendings of the plates, after a few steps.
+        Number of designs in the first stage; by default 16, 32 with makers of glass, 12 of aspheres behind a stop in
+        front. All but the last begin as the best eighth of random bendings of the plates, after a few steps.
     stages : int
         Number of stages in which aperture and field grow, 1 to 6; with 1 both are full from the beginning. Designs of
         aspheres begin at the same fraction of the curriculum, and divide the rest into shorter stages.
@@ -211,10 +285,102 @@ def automatic_design(
         Number of runs at the end in which the fields with the larger spots are given more weight.
     seed : int
         Seed of the random bendings: the same seed gives the same lens.
-    unit : str
-        Unit of all lengths.
     callback : callable, optional
         Called with each :class:`Stage` as it is finished.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a number is out of range.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import DesignSearch
+    >>> DesignSearch(starts=4, seed=2).polish
+    6
+    """
+
+    starts: int | None = None
+    stages: int = len(CURRICULUM)
+    iterations: int | None = None
+    polish: int = 6
+    seed: int = 0
+    callback: Callable[[Stage], Any] | None = None
+
+    def __post_init__(self):
+        for name, least in (("starts", 1), ("stages", 1), ("iterations", 1), ("polish", 0), ("seed", 0)):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _validate.integer(name, getattr(self, name), minimum=least))
+        if self.stages > len(CURRICULUM):
+            raise ValueError(f"stages must be at most {len(CURRICULUM)}, got {self.stages}")
+        _validate.function_or_none("callback", self.callback)
+
+    def filled(self, steep: bool, makers: Any) -> "DesignSearch":
+        """Return the search with its default numbers; steep designs begin as aspheres."""
+        starts, iterations = 12 if steep else 32 if makers else 16, 6 if steep else 15
+        return replace(self, starts=self.starts or starts, iterations=self.iterations or iterations)
+
+
+def _set_number(holder: Any, name: str, **limits: Any) -> None:
+    """Check a number of a value class, which may be None, and keep it as a float."""
+    if getattr(holder, name) is not None:
+        object.__setattr__(holder, name, _validate.constant(name, getattr(holder, name), **limits))
+
+
+def _takes_numbers(design: Callable[P, R]) -> Callable[P, R]:
+    """Let the numbers of requirements, dimensions and search be arguments of their own, which is the older form."""
+
+    @functools.wraps(design)
+    def form(elements, *requirements, **options):
+        for name, kind in (
+            ("requirements", LensRequirements),
+            ("dimensions", LensDimensions),
+            ("search", DesignSearch),
+        ):
+            names = [field.name for field in fields(kind)]
+            numbers = {key: options.pop(key) for key in names if key in options}
+            if kind is LensRequirements and requirements and not isinstance(requirements[0], kind):
+                numbers |= dict(zip(names, requirements, strict=False))
+                requirements = requirements[len(names) :]
+            if numbers:
+                given = options.get(name)
+                options[name] = kind(**numbers) if given is None else replace(given, **numbers)
+        return design(elements, *requirements, **options)
+
+    return form  # type: ignore[return-value]
+
+
+@_takes_numbers
+def automatic_design(
+    elements: Sequence[Any],
+    requirements: LensRequirements,
+    *,
+    dimensions: LensDimensions | None = None,
+    aspheric_terms: int = 0,
+    makers: Sequence[str] | None = None,
+    search: DesignSearch | None = None,
+) -> AutomaticResult:
+    """Design a lens from flat plates.
+
+    Use it where no lens is at hand to begin with; a lens that exists is improved faster by :func:`standard_design`.
+
+    Parameters
+    ----------
+    elements : sequence
+        Materials of the elements from the object to the image, and once "stop", in front of one of them: the
+        aperture stop.
+    requirements : LensRequirements
+        Focal length, f-number, field and colours, and the aberrations that are limited.
+    dimensions : LensDimensions, optional
+        Limits of the thicknesses and of the length; by default they follow from the focal length.
+    aspheric_terms : int
+        Number of coefficients of r⁴, r⁶, … of each surface, 0 for spheres. They are added to paraboloids where the
+        stop is in front of all elements, to spheres elsewhere.
+    makers : sequence of str, optional
+        Makers of glass, names of :func:`odak.catalog.glass_makers`. The glasses of the elements vary then, from those
+        of `elements`, within the hull of all glasses of these makers, and are replaced by real ones at the end.
+    search : DesignSearch, optional
+        Number of designs and steps, and the seed.
 
     Returns
     -------
@@ -250,76 +416,42 @@ def automatic_design(
     grow, a lost ray enters the spot as if it arrived at a tenth of the focal length from the centroid; rays that are
     lost at the end raise ValueError.
 
+    Fields of the three classes are also taken as arguments, which is the older form: ``automatic_design(elements,
+    focal_length, f_number, half_field, back=20.0, seed=1)``.
+
     Examples
     --------
-    >>> from odak.learn.raytracing.system import automatic_design, first_order
-    >>> found = automatic_design(["stop", "N-BK7"], 100.0, 10.0, 1.0, starts=2, stages=1, iterations=2, polish=0)
+    >>> from odak.learn.raytracing.system import DesignSearch, LensRequirements, automatic_design, first_order
+    >>> search = DesignSearch(starts=2, stages=1, iterations=2, polish=0)
+    >>> found = automatic_design(["stop", "N-BK7"], LensRequirements(100.0, 10.0, 1.0), search=search)
     >>> abs(float(first_order(found.system).focal_length) - 100) < 1
     True
     """
-    f = _validate.constant("focal_length", focal_length, positive=True)
-    speed = _validate.constant("f_number", f_number, positive=True)
-    angle = _validate.constant("half_field", half_field, least=0)
-    if angle >= 80:
-        raise ValueError(f"half_field must be below 80 degrees, got {half_field}")
+    dimensions = LensDimensions() if dimensions is None else dimensions
+    search = DesignSearch() if search is None else search
+    given = {"requirements": requirements, "dimensions": dimensions, "search": search}
+    for (name, value), kind in zip(given.items(), (LensRequirements, LensDimensions, DesignSearch), strict=True):
+        if not isinstance(value, kind):
+            raise TypeError(f"{name} must be {kind.__name__}, got {value!r:.80}")
     terms = _validate.integer("aspheric_terms", aspheric_terms)
     if isinstance(elements, str) or not isinstance(elements, Sequence) or not len(elements):
         raise TypeError(f'elements must be a sequence of materials and "stop", got {elements!r:.80}')
+    makers = _checked_makers(makers)
     # Behind a stop in front, spheres of wide fields lose rays long before aspheres do.
     steep = bool(terms) and isinstance(elements[0], str) and elements[0] == "stop"
-    starts = _validate.integer("starts", default_starts(steep, makers) if starts is None else starts, minimum=1)
-    iterations = (6 if steep else 15) if iterations is None else iterations
-    seed = _validate.integer("seed", seed)
-    stages = _validate.integer("stages", stages, minimum=1)
-    if stages > len(CURRICULUM):
-        raise ValueError(f"stages must be at most {len(CURRICULUM)}, got {stages}")
-    iterations = _validate.integer("iterations", iterations, minimum=1)
-    polish = _validate.integer("polish", polish)
-    wavelengths = _validate.several("wavelengths", wavelengths, positive=True)
-    distortion = _validate.constant("distortion", distortion, positive=True)
-    if chief_ray_angle is not None:
-        chief_ray_angle = _validate.constant("chief_ray_angle", chief_ray_angle, positive=True)
-    if cover is not None:
-        if not isinstance(cover, Sequence) or isinstance(cover, str) or len(cover) != 2:
-            raise TypeError(f"cover must be a pair of a material and a thickness, got {cover!r:.80}")
-        cover = (cover[0], _validate.constant("cover[1]", cover[1], positive=True))
-    _validate.function_or_none("callback", callback)
-    makers = _checked_makers(makers)
-    if axial_color is not None:
-        axial_color = _validate.constant("axial_color", axial_color, positive=True)
-    glass = (0.02 * f, 0.2 * f) if glass is None else tuple(_validate.several("glass", glass, 2))
-    air = (0.002 * f, 0.3 * f) if air is None else tuple(_validate.several("air", air, 2))
-    edge = air[0] if edge is None else _validate.constant("edge", edge, least=0)
-    back = 0.1 * f if back is None else _validate.constant("back", back, least=0)
-    system, curved, spaces = _flat_plates(elements, terms, steep, glass, air, cover, wavelengths, unit, f)
+    f = requirements.focal_length
+    dimensions, search = dimensions._around(f), search.filled(steep, makers)
+    system, curved, spaces = _flat_plates(elements, terms, steep, dimensions, requirements)
     start = copy.deepcopy(system)
-    requirements = _Requirements(
-        f,
-        speed,
-        angle,
-        terms,
-        glass,
-        air,
-        edge,
-        back,
-        track,
-        distortion,
-        chief_ray_angle,
-        cover is not None,
-        makers,
-        axial_color,
-    )
-    problem = _Problem(requirements, system, curved, spaces, callback)
-    generator = torch.Generator().manual_seed(seed)
-    designed = _designed_aspheres if steep else _designed_spheres
-    design = designed(problem, starts, stages, iterations, polish, generator)
+    problem = _Problem(requirements, dimensions, terms, makers, system, curved, spaces, search.callback)
+    design = (_designed_aspheres if steep else _designed_spheres)(problem, search)
     if not bool(trace_fields(system, "rings", 8, vignetting=False).arrived.all()):
         raise ValueError("rays are lost at the full aperture and field: try another seed")
     largest = float(rms_spot(system, "rings", 8, vignetting=False).detach().max()) if terms else 0.0
     if largest > ACCEPTED_SPOT * f:
         warn(
-            f"automatic_design: the largest spot is {largest:.3g} {unit} RMS, more than 1/{1 / ACCEPTED_SPOT:.0f} of "
-            "the focal length: try another seed",
+            f"automatic_design: the largest spot is {largest:.3g} {requirements.unit} RMS, more than "
+            f"1/{1 / ACCEPTED_SPOT:.0f} of the focal length: try another seed",
             ConvergenceWarning,
         )
     heights: Any = design.heights  # never None, since the operands limit the thickness of edges
@@ -474,11 +606,6 @@ def _standard_limits(system: optical_system, limits: Mapping[str, float], size: 
     return operands
 
 
-def default_starts(steep: bool, makers: Any) -> int:
-    """Return how many designs the first stage of an automatic design optimises; steep ones begin as aspheres."""
-    return 12 if steep else 32 if makers else 16
-
-
 def _checked_makers(makers: Any) -> tuple[str, ...] | None:
     """Return the makers of glass after checking their names."""
     if makers is None:
@@ -486,59 +613,31 @@ def _checked_makers(makers: Any) -> tuple[str, ...] | None:
     return tuple(_validate.one_of("makers", maker, glass_makers()) for maker in _validate.texts("makers", makers))
 
 
-class _Requirements(NamedTuple):
-    """Requirements of a lens: the checked arguments of :func:`automatic_design`."""
-
-    focal_length: float
-    f_number: float
-    half_field: float
-    terms: int
-    glass: Sequence[float]
-    air: Sequence[float]
-    edge: float
-    back: float
-    track: float | None
-    distortion: float
-    chief_ray_angle: float | None
-    covered: bool
-    makers: tuple[str, ...] | None
-    axial_color: float | None
-
-    @property
-    def image_distance(self) -> float:
-        """Least distance of the image from the last surface: behind a cover plate a part of that from the lens."""
-        return self.back * (0.3 if self.covered else 1.0)
-
-    @property
-    def distortion_weight(self) -> float:
-        """Weight at which distortion counts as half the height that it displaces the image of the largest field."""
-        return 0.5 * self.focal_length * math.tan(math.radians(self.half_field))
-
-
 class _Problem:
     """An automatic design in progress: requirements, system, surfaces with variable curvature, and finished stages."""
 
-    def __init__(self, requirements: _Requirements, system, curved: list[int], spaces: list[int], callback):
-        self.requirements, self.system, self.curved, self.callback = requirements, system, curved, callback
+    def __init__(self, requirements, dimensions, terms, makers, system, curved, spaces, callback):
+        self.requirements, self.dimensions, self.terms, self.makers = requirements, dimensions, terms, makers
+        self.system, self.curved, self.callback = system, curved, callback
         self.last = len(system.surfaces) - 1
         self.first = min(curved)
-        self.free_glasses = bool(requirements.makers)
+        self.free_glasses = bool(makers)
         self.stages: list[Stage] = []
         self.thicknesses = [
-            Variable("thickness", [i for i in spaces if i in curved[::2]], *requirements.glass),
-            Variable("thickness", [i for i in spaces if i not in curved[::2]], *requirements.air),
+            Variable("thickness", [i for i in spaces if i in curved[::2]], *dimensions.glass),
+            Variable("thickness", [i for i in spaces if i not in curved[::2]], *dimensions.air),
         ]
 
     def glasses(self) -> list[Variable]:
         """Return the variables of the glasses; none where they are given or real."""
         if not self.free_glasses:
             return []
-        known = glass_pool(self.requirements.makers or ())[1] / torch.tensor([100.0, 1.0], dtype=torch.float64)
+        known = glass_pool(self.makers or ())[1] / torch.tensor([100.0, 1.0], dtype=torch.float64)
         return [Variable("glass", self.curved[::2], known.amin(0).tolist(), known.amax(0).tolist())]
 
     def take_glasses(self, design: lens_design, values: torch.Tensor, iterations: int, run: Callable) -> torch.Tensor:
         """Replace variable glasses by real ones, beginning with several designs, and return the values ``[1, V]``."""
-        design._take_glasses(values, self.requirements.makers or (), GLASS_CANDIDATES, iterations, run)
+        design._take_glasses(values, self.makers or (), GLASS_CANDIDATES, iterations, run)
         self.free_glasses = False
         self.record(1.0, 1.0)
         return design.values[None]
@@ -585,38 +684,38 @@ class _Problem:
         margin : float
             How much further lengths are limited, since least squares exceed limits a little.
         """
-        wanted, f = self.requirements, self.requirements.focal_length
+        wanted, room, f = self.requirements, self.dimensions, self.requirements.focal_length
         between = list(range(self.first, self.last))
         options = {"surfaces": between, "shares": beam_fractions}
         found = [
-            Operand("edge_thickness", weight=edges, lower=wanted.edge + margin, options=options),
-            Operand("thickness", weight=edges, lower=wanted.image_distance + margin, options={"surfaces": [self.last]}),
+            Operand("edge_thickness", weight=edges, lower=room.edge + margin, options=options),
+            Operand("thickness", weight=edges, lower=room.back + margin, options={"surfaces": [self.last]}),
         ]
         if wanted.half_field:
-            weight = wanted.distortion_weight if distortion is None else distortion
+            weight = wanted._distortion_weight if distortion is None else distortion
             # A tenth remains for the fields between the fields of the operand.
             bound = 0.9 * wanted.distortion
             found.append(Operand("distortion", weight=weight, lower=-bound, upper=bound))
         if wanted.axial_color is not None:
             found.append(Operand("axial_color", upper=0.95 * wanted.axial_color))
         if self.free_glasses:
-            options = {"surfaces": self.curved[::2], "makers": wanted.makers, "hull": True}
+            options = {"surfaces": self.curved[::2], "makers": self.makers, "hull": True}
             found.append(Operand("glass", weight=GLASS_WEIGHT * f, upper=0.0, options=options))
-        if wanted.track is not None:
-            track = _validate.constant("track", wanted.track) - margin
-            found.append(Operand("total_track", weight=edges, upper=track, options={"first": self.first}))
+        if room.track is not None:
+            found.append(Operand("total_track", weight=edges, upper=room.track - margin, options={"first": self.first}))
         if wanted.chief_ray_angle is not None:
             found.append(Operand("chief_ray_angle", weight=0.002 * f, upper=wanted.chief_ray_angle))
         return found
 
 
-def _designed_spheres(problem: _Problem, starts: int, stages: int, iterations: int, polish: int, generator):
+def _designed_spheres(problem: _Problem, search: DesignSearch):
     """Return the :class:`lens_design` of the last run of lenses that begin as spheres.
 
     Their aperture and field grow together. At full aperture and field aspheric terms are added, one order after the
     other.
     """
     system, curved, last = problem.system, problem.curved, problem.last
+    starts, iterations = search.starts or 1, search.iterations or 1
     f = problem.requirements.focal_length
     # Radii of at least 0.15 focal lengths.
     limit = 1 / (0.15 * f)
@@ -647,14 +746,14 @@ def _designed_spheres(problem: _Problem, starts: int, stages: int, iterations: i
 
     values: Any = None
     reached = (0.0, 0.0)
-    for aperture, field, retained, rings, count in CURRICULUM[-stages:]:
+    for aperture, field, retained, rings, count in CURRICULUM[-search.stages :]:
         # Equal areas of the image between the fields.
         fractions = [math.sqrt(k / (count - 1)) for k in range(count)]
         while reached != (aperture, field):
             reached = _set_next_stage(problem, design_of, values, reached, (aperture, field), rings, fractions)
             design = design_of(None, rings)
             if values is None:
-                values = _screened_starts(design, starts, CURVATURE_SPREAD[0] / f, generator)
+                values = _screened_starts(design, starts, CURVATURE_SPREAD[0] / f, search.seed)
             values, loss, _ = _optimised(design, values, iterations)
             design.apply(values[loss.argmin()])
             problem.record(*reached)
@@ -663,7 +762,7 @@ def _designed_spheres(problem: _Problem, starts: int, stages: int, iterations: i
     def run(design, values, count: int = 2 * iterations):
         return _optimised(design, values, count, least_diagonal=LEAST_DIAGONAL * f**2 if aspheric else 0.0)[:2]
 
-    for term in range(1, problem.requirements.terms + 1):
+    for term in range(1, problem.terms + 1):
         aspheric.append(term)
         design = design_of(None, rings)
         # Coefficients are the last variables, by order.
@@ -674,7 +773,7 @@ def _designed_spheres(problem: _Problem, starts: int, stages: int, iterations: i
     if problem.free_glasses:
         values, loss = run(design, values, 3 * iterations)
         values = problem.take_glasses(design, values[loss.argsort()[:GLASS_STARTS]], iterations, run)
-    return _with_equal_spots(problem, lambda weights, _: design_of(weights, rings), design, run, values, polish)
+    return _with_equal_spots(problem, lambda weights, _: design_of(weights, rings), design, run, values, search.polish)
 
 
 def _with_equal_spots(problem: _Problem, design_of, design: lens_design, run, values, polish: int) -> lens_design:
@@ -709,11 +808,12 @@ def _with_equal_spots(problem: _Problem, design_of, design: lens_design, run, va
     return design
 
 
-def _designed_aspheres(problem: _Problem, starts: int, stages: int, iterations: int, polish: int, generator):
+def _designed_aspheres(problem: _Problem, search: DesignSearch):
     """Return the :class:`lens_design` of the last run of aspheres: the field grows first, then the aperture."""
     wanted, system, curved = problem.requirements, problem.system, problem.curved
-    f, terms = wanted.focal_length, wanted.terms
-    image = Variable("thickness", problem.last, wanted.image_distance, f)
+    f, terms = wanted.focal_length, problem.terms
+    starts, iterations = search.starts or 1, search.iterations or 1
+    image = Variable("thickness", problem.last, problem.dimensions.back, f)
     power = Operand(_relative_power(f), target=1.0, weight=0.22 * f)
     # Fields are closer to each other at the rim, where spots change faster.
     fractions = [(k / 8) ** 0.7 for k in range(9)]
@@ -726,7 +826,7 @@ def _designed_aspheres(problem: _Problem, starts: int, stages: int, iterations: 
             *problem.limits(
                 (0.3, *BEAM_FRACTIONS),
                 edges=SOFT_EDGES ** (1 - firmness) * FIRM_EDGES**firmness,
-                distortion=(SOFT_DISTORTION * f) ** (1 - firmness) * wanted.distortion_weight**firmness,
+                distortion=(SOFT_DISTORTION * f) ** (1 - firmness) * wanted._distortion_weight**firmness,
             ),
             _slope_limit(f, curved, BEAM_FRACTIONS),
             Operand("incidence", weight=0.006 * f, upper=LARGEST_SINE, options={"count": 2}),
@@ -754,11 +854,11 @@ def _designed_aspheres(problem: _Problem, starts: int, stages: int, iterations: 
         free_terms = terms if progress > FULL_FIELD else min(terms, 1 + int(0.8 * terms * progress / FULL_FIELD))
         design = design_of(None, 4, free_terms)
         if values is None:
-            values = _random_starts(design, starts, CURVATURE_SPREAD[1] / f, generator)
+            values = _random_starts(design, starts, CURVATURE_SPREAD[1] / f, search.seed)
         values = torch.nn.functional.pad(values, (0, len(design.values) - values.shape[-1]))
         return design, _optimised(design, values, count, damping, LEAST_DIAGONAL * f**2, steep=True)
 
-    progress, step = 1 - (stages - 1) / 5, LONGEST_STEP
+    progress, step = 1 - (search.stages - 1) / 5, LONGEST_STEP
     design, found = optimised_at(progress, None, 0.1, 3 * iterations)
     if found is None:
         raise ValueError("rays are lost in all designs of the first stage: try another seed")
@@ -826,7 +926,12 @@ def _designed_aspheres(problem: _Problem, starts: int, stages: int, iterations: 
         return values, merit
 
     return _with_equal_spots(
-        problem, lambda weights, firmness: design_of(weights, 5, terms, firmness), design, run, None, max(1, polish)
+        problem,
+        lambda weights, firmness: design_of(weights, 5, terms, firmness),
+        design,
+        run,
+        None,
+        max(1, search.polish),
     )
 
 
@@ -865,16 +970,17 @@ def _pupil_of_fields(fields: int, rings: int) -> torch.Tensor:
     return torch.stack([radius * side * turn.sin(), radius * turn.cos()], -1).flatten(1, 2)
 
 
-def _flat_plates(elements, terms, paraboloids, glass, air, cover, wavelengths, unit, f):
+def _flat_plates(elements, terms: int, paraboloids: bool, dimensions: Any, requirements: LensRequirements):
     """Return flat plates and a stop, the surfaces that may be curved, and those in front of variable thicknesses."""
     if isinstance(elements, str) or not any(isinstance(item, str) and item == "stop" for item in elements):
         raise ValueError('elements must be materials and one "stop"')
     elements = list(elements)
+    glass, air, cover, f = dimensions.glass, dimensions.air, dimensions.cover, requirements.focal_length
     if elements.count("stop") > 1 or elements[-1] == "stop":
         raise ValueError('elements must contain one "stop", in front of a material')
     thick = (glass[0] * glass[1]) ** 0.5
     gap = min(max(air[0], 0.05 * f), air[1])
-    flat = {
+    flat: dict[str, Any] = {
         "curvature": 0.0,
         "conic": -1.0 if paraboloids else 0.0,
         "coefficients": [0.0] * (terms + 1 if terms else 0),
@@ -893,7 +999,8 @@ def _flat_plates(elements, terms, paraboloids, glass, air, cover, wavelengths, u
         spaces.append(len(row) - 1)
         row += [surface(thickness=float(cover[1]), material=cover[0]), surface(thickness=f)]
     row[-1].thickness.fill_(f / 4 if paraboloids else f)
-    system = optical_system(row, 1.0, wavelengths=list(wavelengths), fields=[0.0], unit=unit)
+    wavelengths, unit = list(requirements.wavelengths), requirements.unit
+    system = optical_system(row, 1.0, wavelengths=wavelengths, fields=[0.0], unit=unit)
     return system, curved, spaces
 
 
@@ -919,8 +1026,9 @@ def _set_next_stage(
     raise ValueError(f"rays are lost in all designs beyond fractions {reached} of aperture and field: try another seed")
 
 
-def _random_starts(design: lens_design, count: int, spread: float, generator) -> torch.Tensor:
+def _random_starts(design: lens_design, count: int, spread: float, seed: int) -> torch.Tensor:
     """Return starts ``[N, V]`` with random curvatures that lose no ray, decreased until there are enough of them."""
+    generator = torch.Generator().manual_seed(seed)
     found: list[torch.Tensor] = []
     columns = design.columns["curvature"]
     while sum(len(part) for part in found) < count:
@@ -935,9 +1043,9 @@ def _random_starts(design: lens_design, count: int, spread: float, generator) ->
     return torch.cat(found)[:count]
 
 
-def _screened_starts(design: lens_design, count: int, spread: float, generator) -> torch.Tensor:
+def _screened_starts(design: lens_design, count: int, spread: float, seed: int) -> torch.Tensor:
     """Return the best of many random starts ``[N, V]``, of which half are left after every few steps."""
-    values = _random_starts(design, count * 2**SCREENINGS, spread, generator)
+    values = _random_starts(design, count * 2**SCREENINGS, spread, seed)
     while len(values) > count:
         values, loss, _ = _optimised(design, values, SCREENING_STEPS)
         values = values[loss.argsort()[: len(values) // 2]]

@@ -2,6 +2,7 @@
 
 import runpy
 import warnings
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,6 +13,9 @@ import odak
 from odak.catalog import material, model_glass
 from odak.catalog.materials import Material
 from odak.learn.raytracing.system import (
+    DesignSearch,
+    LensDimensions,
+    LensRequirements,
     Operand,
     Variable,
     automatic_design,
@@ -57,9 +61,11 @@ def judged_alone(lens, angles, size, bent, edge=1e-9):
 @pytest.mark.slow
 def test_lens_is_designed_from_flat_plates_and_seed_repeats_it():
     """The requirements are met for rays of another pattern; the same seed gives the same digits."""
-    asked = (["N-LAK33B", "stop", "SF5", "N-LAK33B"], 50.0, 5.6, 10.0)
-    options = {"edge": 0.5, "back": 20.0, "track": 80.0, "starts": 6, "iterations": 8, "polish": 1, "seed": 4}
-    found, again = (automatic_design(*asked, **options) for _ in range(2))
+    plates, demands = ["N-LAK33B", "stop", "SF5", "N-LAK33B"], LensRequirements(50.0, 5.6, 10.0)
+    room, search = {"edge": 0.5, "back": 20.0, "track": 80.0}, DesignSearch(starts=6, iterations=8, polish=1, seed=4)
+    found = automatic_design(plates, demands, dimensions=LensDimensions(**room), search=search)
+    # The older form: a number that is given beside an object replaces the object's.
+    again = automatic_design(plates, 50.0, 5.6, 10.0, **room, search=replace(search, seed=9), seed=4)
     lens, first = found.system, first_order(found.system)
     assert float(first.focal_length) == pytest.approx(50.0, rel=1e-9)
     assert float(first.f_number) == pytest.approx(5.6, rel=1e-9)
@@ -126,6 +132,23 @@ def test_the_usual_design_holds_its_limits():
         standard_design(lens, limits={"length": 60.0})
     with pytest.raises(ValueError, match="no surface whose curvature could vary"):
         standard_design(optical_system([surface(thickness=3.0, material=1.5), surface(thickness=1.0)], 1.0), 50.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: LensRequirements(50.0, 2.8, 80.0), "half_field must be below 80 degrees, got 80"),
+        (lambda: LensRequirements(50.0, -2.8, 20.0), "f_number must be positive"),
+        (lambda: LensRequirements(50.0, 2.8, 20.0, axial_color=0.0), "axial_color must be positive"),
+        (lambda: LensDimensions(glass=(9.0, 1.5)), "glass must be a least and a larger thickness"),
+        (lambda: LensDimensions(cover=("N-BK7", 0.0)), r"cover\[1\] must be positive"),
+        (lambda: DesignSearch(stages=7), "stages must be at most 6, got 7"),
+        (lambda: automatic_design(["stop", "N-BK7"], 50.0, -2.8, 20.0), "f_number must be positive"),
+    ],
+)
+def test_numbers_that_no_lens_has_are_named(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()
 
 
 @pytest.mark.parametrize(("f_number", "poor"), [(2.0, True), pytest.param(4.0, False, marks=pytest.mark.slow)])
