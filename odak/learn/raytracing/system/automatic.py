@@ -11,7 +11,7 @@ import torch
 
 from odak import _show, _validate
 from odak._warnings import ConvergenceWarning, warn
-from odak.catalog import glass_makers
+from odak.catalog import Material, glass_makers
 from odak.learn.raytracing.system.analysis import distortion as relative_distortion
 from odak.learn.raytracing.system.analysis import rms_spot
 from odak.learn.raytracing.system.design import Solve, Variable, lens_design
@@ -236,7 +236,7 @@ class LensDimensions:
     edge: float | None = None
     back: float | None = None
     track: float | None = None
-    cover: tuple[Any, float] | None = None
+    cover: tuple[str | Material, float] | None = None
 
     def __post_init__(self):
         for name in ("glass", "air"):
