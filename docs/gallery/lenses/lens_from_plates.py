@@ -19,7 +19,7 @@ from odak.learn.raytracing.system import (
 found = automatic_design(
     ["N-LAK33B", "stop", "SF5", "N-LAK33B"],
     LensRequirements(focal_length=50.0, f_number=4.0, half_field=14.0),
-    dimensions=LensDimensions(glass=(1.5, 9.0), air=(0.3, 15.0), edge=0.6, back=20.0, track=80.0),
+    dimensions=LensDimensions((1.5, 9.0), (0.3, 15.0), edge=0.6, back=20.0, track=80.0),
     search=DesignSearch(starts=6, iterations=12, polish=2),
 )
 lens = found.system

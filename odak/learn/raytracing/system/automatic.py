@@ -315,7 +315,7 @@ class DesignSearch:
             raise ValueError(f"stages must be at most {len(CURRICULUM)}, got {self.stages}")
         _validate.function_or_none("callback", self.callback)
 
-    def filled(self, steep: bool, makers: Any) -> "DesignSearch":
+    def filled(self, steep: bool, makers: Sequence[str] | None) -> "DesignSearch":
         """Return the search with its default numbers; steep designs begin as aspheres."""
         starts, iterations = 12 if steep else 32 if makers else 16, 6 if steep else 15
         return replace(self, starts=self.starts or starts, iterations=self.iterations or iterations)
