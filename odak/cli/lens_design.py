@@ -314,7 +314,7 @@ def _from_plates(job: DesignJob, step: Callable[[], Any]):
     makers = job.makers() or None
     # Behind a stop in front aspheres vary from the beginning.
     steep = bool(job.aspheric_terms) and materials[0] == "stop"
-    search = search.filled(steep, makers)
+    search = search._filled(steep, makers)
     try:
         found = automatic_design(
             materials,

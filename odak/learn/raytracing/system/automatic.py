@@ -315,7 +315,7 @@ class DesignSearch:
             raise ValueError(f"stages must be at most {len(CURRICULUM)}, got {self.stages}")
         _validate.function_or_none("callback", self.callback)
 
-    def filled(self, steep: bool, makers: Sequence[str] | None) -> "DesignSearch":
+    def _filled(self, steep: bool, makers: Sequence[str] | None) -> "DesignSearch":
         """Return the search with its default numbers; steep designs begin as aspheres."""
         starts, iterations = 12 if steep else 32 if makers else 16, 6 if steep else 15
         return replace(self, starts=self.starts or starts, iterations=self.iterations or iterations)
@@ -440,7 +440,7 @@ def automatic_design(
     # Behind a stop in front, spheres of wide fields lose rays long before aspheres do.
     steep = bool(terms) and isinstance(elements[0], str) and elements[0] == "stop"
     f = requirements.focal_length
-    dimensions, search = dimensions._around(f), search.filled(steep, makers)
+    dimensions, search = dimensions._around(f), search._filled(steep, makers)
     system, curved, spaces = _flat_plates(elements, terms, steep, dimensions, requirements)
     start = copy.deepcopy(system)
     problem = _Problem(requirements, dimensions, terms, makers, system, curved, spaces, search.callback)
