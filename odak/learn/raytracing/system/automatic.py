@@ -810,31 +810,72 @@ def _with_equal_spots(problem: _Problem, design_of, design: lens_design, run, va
 
 def _designed_aspheres(problem: _Problem, search: DesignSearch):
     """Return the :class:`lens_design` of the last run of aspheres: the field grows first, then the aperture."""
-    wanted, system, curved = problem.requirements, problem.system, problem.curved
-    f, terms = wanted.focal_length, problem.terms
-    starts, iterations = search.starts or 1, search.iterations or 1
-    image = Variable("thickness", problem.last, problem.dimensions.back, f)
-    power = Operand(_relative_power(f), target=1.0, weight=0.22 * f)
-    # Fields are closer to each other at the rim, where spots change faster.
-    fractions = [(k / 8) ** 0.7 for k in range(9)]
+    growth = _Growth(problem, search)
+    design, values = growth.grow(1 - (search.stages - 1) / 5)
+    # The best design once more, with soft limits.
+    _, found = growth.optimised_at(1.0, values[:1], growth.damping[:1], 3 * growth.iterations)
+    if found is not None:
+        design.apply(found[0][0])
+        growth.damping = found[2]
+    if problem.free_glasses:
+        problem.take_glasses(design, design.values[None], 2 * growth.iterations, growth.run_beside)
+    return _with_equal_spots(
+        problem,
+        lambda weights, firmness: growth.design_of(weights, 5, growth.terms, firmness),
+        design,
+        growth.run_again,
+        None,
+        max(1, search.polish),
+    )
 
-    def design_of(weights, rings: int, free_terms: int = terms, firmness: float = 0.0) -> lens_design:
-        # Firmness 0: limits are soft, and the power is an operand. Up to 1: they become firm, and it is a solve.
+
+class _Growth:
+    """Aspheres that are optimised while the field grows, then the aperture.
+
+    Parameters
+    ----------
+    problem : _Problem
+        The automatic design.
+    search : DesignSearch
+        Numbers of starts and iterations, and the seed.
+    """
+
+    # Fields are closer to each other at the rim, where spots change faster.
+    fractions = tuple((k / 8) ** 0.7 for k in range(9))
+
+    def __init__(self, problem: _Problem, search: DesignSearch):
+        self.problem, self.seed = problem, search.seed
+        self.starts, self.iterations = search.starts or 1, search.iterations or 1
+        self.f, self.terms = problem.requirements.focal_length, problem.terms
+        self.image = Variable("thickness", problem.last, problem.dimensions.back, self.f)
+        self.power = Operand(_relative_power(self.f), target=1.0, weight=0.22 * self.f)
+        self.floor = LEAST_DIAGONAL * self.f**2
+        # Merit up to which a design is continued, and the damping of each design.
+        self.accepted = 0.0
+        self.damping: Any = 0.1
+
+    def design_of(self, weights, rings: int, free_terms: int, firmness: float = 0.0) -> lens_design:
+        """Return the design for weights of the fields.
+
+        With a firmness of 0 limits are soft, and the power is an operand. Up to 1 they become firm, and it is a solve.
+        """
+        problem, system, f, curved = self.problem, self.problem.system, self.f, self.problem.curved
         final = firmness > 0
+        firm_weight = problem.requirements._distortion_weight
         operands = [
             Operand("spot", options={"fields": weights, "lost": LOST_DISTANCE * f}),
             *problem.limits(
                 (0.3, *BEAM_FRACTIONS),
                 edges=SOFT_EDGES ** (1 - firmness) * FIRM_EDGES**firmness,
-                distortion=(SOFT_DISTORTION * f) ** (1 - firmness) * wanted._distortion_weight**firmness,
+                distortion=(SOFT_DISTORTION * f) ** (1 - firmness) * firm_weight**firmness,
             ),
             _slope_limit(f, curved, BEAM_FRACTIONS),
             Operand("incidence", weight=0.006 * f, upper=LARGEST_SINE, options={"count": 2}),
         ]
         if not final:
-            operands.insert(1, power)
+            operands.insert(1, self.power)
         # Coefficients last and by order, so that the values of a design with fewer orders are the first ones.
-        variables = [Variable("curvature", curved[1:] if final else curved), *problem.thicknesses, image]
+        variables = [Variable("curvature", curved[1:] if final else curved), *problem.thicknesses, self.image]
         variables += problem.glasses()
         variables += [Variable("coefficients", curved, terms=[term]) for term in range(1, free_terms + 1)]
         solves = [Solve("focal_length", curved[0], f)] if final else []
@@ -842,97 +883,94 @@ def _designed_aspheres(problem: _Problem, search: DesignSearch):
             system, operands, variables, solves=solves, pupil=_pupil_of_fields(len(system.fields), rings)
         )
 
+    @staticmethod
     def fractions_at(progress: float) -> tuple[float, float]:
         """Return the fractions of aperture and field at a progress."""
         of_field = min(progress / FULL_FIELD, 1.0)
         of_aperture = max(progress - FULL_FIELD, 0.0) / (1 - FULL_FIELD)
         return INITIAL[0] + (1 - INITIAL[0]) * of_aperture, INITIAL[1] + (1 - INITIAL[1]) * of_field
 
-    def optimised_at(progress: float, values, damping, count: int):
+    def optimised_at(self, progress: float, values, damping, count: int):
         """Return the design and, of several starts, optimised values, merits and dampings; None if no start is left."""
-        problem.set_stage(*fractions_at(progress), fractions)
-        free_terms = terms if progress > FULL_FIELD else min(terms, 1 + int(0.8 * terms * progress / FULL_FIELD))
-        design = design_of(None, 4, free_terms)
+        self.problem.set_stage(*self.fractions_at(progress), self.fractions)
+        growing = min(self.terms, 1 + int(0.8 * self.terms * progress / FULL_FIELD))
+        free_terms = self.terms if progress > FULL_FIELD else growing
+        design = self.design_of(None, 4, free_terms)
         if values is None:
-            values = _random_starts(design, starts, CURVATURE_SPREAD[1] / f, search.seed)
+            values = _random_starts(design, self.starts, CURVATURE_SPREAD[1] / self.f, self.seed)
         values = torch.nn.functional.pad(values, (0, len(design.values) - values.shape[-1]))
-        return design, _optimised(design, values, count, damping, LEAST_DIAGONAL * f**2, steep=True)
+        return design, _optimised(design, values, count, damping, self.floor, steep=True)
 
-    progress, step = 1 - (search.stages - 1) / 5, LONGEST_STEP
-    design, found = optimised_at(progress, None, 0.1, 3 * iterations)
-    if found is None:
-        raise ValueError("rays are lost in all designs of the first stage: try another seed")
-    accepted = 0.5 * len(system.fields) * (LARGEST_SPOT * f) ** 2
-    retained = list(RETAINED)
-    while True:
-        values, merit, damping = found
-        order = merit.argsort()
-        order = order[merit[order] <= max(accepted, 20 * float(merit.min()))]
-        while retained and progress >= retained[0][0]:
-            order = order[: max(1, math.ceil(retained.pop(0)[1] * starts))]
-        values, damping = values[order], damping[order].clamp(*DAMPING_RANGE)
-        problem.set_stage(*fractions_at(progress), fractions)
-        design.apply(values[0])
-        problem.record(*fractions_at(progress))
-        if progress >= 1:
-            break
+    def grow(self, progress: float) -> tuple[lens_design, torch.Tensor]:
+        """Return the last design, and the values of the designs that are left, the best first."""
+        problem, step = self.problem, LONGEST_STEP
+        design, found = self.optimised_at(progress, None, self.damping, 3 * self.iterations)
+        if found is None:
+            raise ValueError("rays are lost in all designs of the first stage: try another seed")
+        self.accepted = 0.5 * len(problem.system.fields) * (LARGEST_SPOT * self.f) ** 2
+        retained = list(RETAINED)
+        while True:
+            values, merit, damping = found
+            order = merit.argsort()
+            order = order[merit[order] <= max(self.accepted, 20 * float(merit.min()))]
+            while retained and progress >= retained[0][0]:
+                order = order[: max(1, math.ceil(retained.pop(0)[1] * self.starts))]
+            values, self.damping = values[order], damping[order].clamp(*DAMPING_RANGE)
+            problem.set_stage(*self.fractions_at(progress), self.fractions)
+            design.apply(values[0])
+            problem.record(*self.fractions_at(progress))
+            if progress >= 1:
+                return design, values
+            halvings, progress, design, found = self._step(progress, step, values)
+            least = float(found[1].min())
+            if least < self.accepted and halvings == 0:
+                step = min(LONGEST_STEP, 1.6 * step)
+            else:
+                step = max(step / 2 ** (halvings + 1), LONGEST_STEP / 4)
+            # Where even the shortest step leaves larger spots, the next steps are measured by these.
+            self.accepted = max(self.accepted, least / MERIT_FACTOR)
+
+    def _step(self, progress: float, step: float, values: torch.Tensor) -> tuple:
+        """Advance by a step, which is halved until the merit is small enough.
+
+        Returns
+        -------
+        tuple
+            How often the step was halved, the progress, its design, and values, merits and dampings.
+        """
         reached = None
         for halvings in range(HALVINGS + 1):
             tried = min(1.0, progress + step / 2**halvings)
-            design, found = optimised_at(tried, values, damping, iterations)
-            if found is not None and not found[1].min() < accepted:
-                design, found = optimised_at(tried, found[0], found[2], 2 * iterations)
+            design, found = self.optimised_at(tried, values, self.damping, self.iterations)
+            if found is not None and not found[1].min() < self.accepted:
+                design, found = self.optimised_at(tried, found[0], found[2], 2 * self.iterations)
             if found is not None:
                 reached = (tried, design, found)
-                if found[1].min() < MERIT_FACTOR * accepted:
+                if found[1].min() < MERIT_FACTOR * self.accepted:
                     break
         if reached is None:
             raise ValueError(
-                f"rays are lost in all designs beyond fractions {fractions_at(progress)} of aperture and field: "
+                f"rays are lost in all designs beyond fractions {self.fractions_at(progress)} of aperture and field: "
                 "try another seed"
             )
-        progress, design, found = reached
-        least = float(found[1].min())
-        if least < accepted and halvings == 0:
-            step = min(LONGEST_STEP, 1.6 * step)
-        else:
-            step = max(step / 2 ** (halvings + 1), LONGEST_STEP / 4)
-        # Where even the shortest step leaves larger spots, the next steps are measured by these.
-        accepted = max(accepted, least / MERIT_FACTOR)
-    # The best design once more, with soft limits.
-    _, found = optimised_at(1.0, values[:1], damping[:1], 3 * iterations)
-    if found is not None:
-        design.apply(found[0][0])
-        damping = found[2]
+        return halvings, *reached
 
-    def run_beside(design, values, count: int):
+    def run_beside(self, design: lens_design, values, count: int):
         """Run several designs beside the best one, whose beam and basis they share."""
-        design.heights = design.heights.reshape(1, -1)
+        heights: Any = design.heights  # never None, since the operands limit the thickness of edges
+        design.heights = heights.reshape(1, -1)
         basis = _slope_basis(design).expand(len(values), -1, -1)
-        found = design._minimised(values, count, damping=1e-3, basis=basis, floor=LEAST_DIAGONAL * f**2)
+        found = design._minimised(values, count, damping=1e-3, basis=basis, floor=self.floor)
         return found.x, found.loss
 
-    if problem.free_glasses:
-        problem.take_glasses(design, design.values[None], 2 * iterations, run_beside)
-
-    def run(design, values):
-        nonlocal damping
-        found = _optimised(
-            design, values, 2 * iterations, damping.clamp(*DAMPING_RANGE), LEAST_DIAGONAL * f**2, steep=True
-        )
+    def run_again(self, design: lens_design, values):
+        """Run designs with the dampings that they have reached; return values and merits."""
+        damping = self.damping.clamp(*DAMPING_RANGE)
+        found = _optimised(design, values, 2 * self.iterations, damping, self.floor, steep=True)
         if found is None:
             raise ValueError("rays are lost at the full aperture and field: try another seed")
-        values, merit, damping = found
+        values, merit, self.damping = found
         return values, merit
-
-    return _with_equal_spots(
-        problem,
-        lambda weights, firmness: design_of(weights, 5, terms, firmness),
-        design,
-        run,
-        None,
-        max(1, search.polish),
-    )
 
 
 def _slope_limit(f: float, curved: list[int], shares: Sequence[float]) -> Operand:
