@@ -107,7 +107,7 @@ REASONS = {
         perception/discrimination: maximum_differentiation twice
         raytracing/nonsequential: follow
         raytracing/surfaces: _search plain
-        raytracing/system/automatic: _designed_aspheres _optimised _set_next_stage _with_equal_spots
+        raytracing/system/automatic: _optimised _set_next_stage _with_equal_spots grow
         raytracing/system/design: _take_glasses best_of restarts
         raytracing/system/eye: accommodation_response
         raytracing/system/optimise: _linearly_compensated _seeing_limits least_squares tolerances_for_yield
