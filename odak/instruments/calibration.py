@@ -328,26 +328,10 @@ def calibrate_table(
     there = (modulator, camera, wavelength)
     phases, doubt, spread = phases_with_uncertainty(*there, distance, 15, 5)
     warn_of_short_range(phases)
-    varies = spread > SPREAD_OF_RESPONSE
-    if regions is None and behind_lens:
-        regions = (1, 1)
-    elif regions is None:
-        enough = all(n >= SMALLEST_REGION * parts for n, parts in zip(modulator.shape, REGIONS, strict=True))
-        regions = REGIONS if varies and enough else (1, 1)
-    regions = _validate.size("regions", regions)
-    if regions == (1, 1) and varies:
-        warn(
-            f"the calibration is uncertain: captures deviate by {spread:.1%} from a response with one phase at "
-            "all pixels; where the response varies over the panel, the phases are those near its middle, registration "
-            "and distance deviate by some tenths of a pixel and of a percent"
-            + ("" if behind_lens else ": use regions=(3, 3)"),
-            AccuracyWarning,
-        )
+    regions = _regions_to_measure(regions, modulator, spread, behind_lens)
     uncertainty = {"phases": doubt}
     response, regional = phases, None
     wavefront, change = np.zeros(modulator.shape), math.inf
-    quadratic = aberration_modes(modulator, 2)
-    low = quadratic[[0, 1] if behind_lens else [0, 1, DEFOCUS]]
     registration = None
     for turn in range(2 * rounds):
         if turn >= rounds and change < UNSETTLED:
@@ -356,30 +340,11 @@ def calibrate_table(
         registration = registered(
             *there, distance, response, wavefront, middle=turn == 0, captures=grids, start=registration
         )
-        if turn == 0 and behind_lens and registration.residual > LARGEST_RESIDUAL:
-            spacing = 1e3 * wavelength * abs(ray_matrix(distance)[1]) / modulator.pitch
-            rows, columns = (1e3 * n * camera.pitch for n in camera.shape)
-            raise RuntimeError(
-                f"the spots behind the lens lie {registration.residual:.0f} pixels from where one mapping of the "
-                f"camera places them: orders are {spacing:.3g} mm apart there and the camera's image is "
-                f"{columns:.3g} x {rows:.3g} mm; use a lens of a shorter focal length or a larger camera, and check "
-                "the distances of the lens"
-            )
-        if turn == 0 and not isinstance(distance, Lens):
-            view = (modulator, camera, wavelength, distance, registration)
-            share = np.ones(2)
-            # The registration of the part differs by some pixels.
-            spare = 0
-            while partial and (beyond := beyond_view(*view, share) + spare).max() > 0 and share.min() > SMALLEST_SHARE:
-                share -= 0.02 * (beyond[::-1] > 0).any(-1)
-                spare = 4
-            check_view(beyond_view(*view, share), camera)
-            if (share < 1).any():
-                rows, columns = (2 * int(n * part / 2) for n, part in zip(modulator.shape, share, strict=True))
-                part = _Middle(modulator, (rows, columns))
-                return part.embedded(
-                    calibrate_table(part, *there[1:], distance, rounds=rounds, regions=regions, partial=True)
-                )
+        if turn == 0 and isinstance(distance, Lens):
+            _check_orders(*there, distance, registration)
+        elif turn == 0 and (part := _seen_part(*there, distance, registration, partial)):
+            found = calibrate_table(part, *there[1:], distance, rounds=rounds, regions=regions, partial=True)
+            return part.embedded(found)
         # An aberration falsifies the first registration, and so where the regions are thought to be.
         if turn == min(1, rounds - 1) and regions != (1, 1):
             regional, doubts = regions_with_uncertainty(
@@ -399,19 +364,10 @@ def calibrate_table(
             found, doubt = wavefront_with_uncertainty(*known, iterations=3, start=wavefront, captures=2)
         if isinstance(distance, Lens):
             # An aberration does not change the scale and the shear of spots of which each has the light of all pixels.
-            found = without(found, low)
-            change, wavefront = float((found - wavefront).std()), found
-            continue
-        raw = found
-        if turn > 0:
-            found = wavefront + without(found - wavefront, quadratic)
-        # Where the illumination is not symmetric, defocus shifts the sharpest astigmatism.
-        if min(modulator.shape) * modulator.pitch < FEWEST * math.sqrt(wavelength * distance):
-            distance, _ = distance_with_uncertainty(*known, found, FAR if turn == 0 else NEAR, captures=1)
+            found = without(found, aberration_modes(modulator, 1))
         else:
-            distance = _focused(modulator, wavelength, distance, raw)
-        known = (*there, distance, response, registration)
-        found = without(astigmatism_by_focus(*known, without(found, low)), low)
+            distance, found = _distance_and_wavefront(*known, found, None if turn == 0 else wavefront)
+            known = (*there, distance, response, registration)
         change, wavefront = float((found - wavefront).std()), found
     # An error of the response of a region acts as an aberration, of the mean phase of a pattern. The factors here and
     # below are those that make standard deviations of the errors on 50 independent tables.
@@ -436,6 +392,73 @@ def calibrate_table(
     )
     found = (wavelength, modulator.pitch, distance, phases, amplitude, wavefront)
     return Calibration(*found, registration, regional, uncertainty)
+
+
+def _regions_to_measure(regions, modulator: Modulator, spread: float, behind_lens: bool) -> tuple[int, int]:
+    """Return rows and columns of regions to measure: by default several if the captures show a varying response."""
+    varies = spread > SPREAD_OF_RESPONSE
+    if regions is None:
+        enough = all(n >= SMALLEST_REGION * parts for n, parts in zip(modulator.shape, REGIONS, strict=True))
+        regions = REGIONS if varies and enough and not behind_lens else (1, 1)
+    regions = _validate.size("regions", regions)
+    if regions == (1, 1) and varies:
+        warn(
+            f"the calibration is uncertain: captures deviate by {spread:.1%} from a response with one phase at "
+            "all pixels; where the response varies over the panel, the phases are those near its middle, registration "
+            "and distance deviate by some tenths of a pixel and of a percent"
+            + ("" if behind_lens else ": use regions=(3, 3)"),
+            AccuracyWarning,
+        )
+    return regions
+
+
+def _check_orders(modulator: Modulator, camera: Camera, wavelength: float, lens: Lens, registration: Registration):
+    """Raise an error if the spots of a first registration behind a lens were not found."""
+    if registration.residual > LARGEST_RESIDUAL:
+        spacing = 1e3 * wavelength * abs(ray_matrix(lens)[1]) / modulator.pitch
+        rows, columns = (1e3 * n * camera.pitch for n in camera.shape)
+        raise RuntimeError(
+            f"the spots behind the lens lie {registration.residual:.0f} pixels from where one mapping of the "
+            f"camera places them: orders are {spacing:.3g} mm apart there and the camera's image is "
+            f"{columns:.3g} x {rows:.3g} mm; use a lens of a shorter focal length or a larger camera, and check "
+            "the distances of the lens"
+        )
+
+
+def _seen_part(modulator, camera, wavelength, distance, registration, partial: bool) -> "_Middle | None":
+    """Return the middle part of a modulator that a camera sees, or None if it sees all; without `partial`, it must."""
+    view = (modulator, camera, wavelength, distance, registration)
+    share = np.ones(2)
+    # The registration of the part differs by some pixels.
+    spare = 0
+    while partial and (beyond := beyond_view(*view, share) + spare).max() > 0 and share.min() > SMALLEST_SHARE:
+        share -= 0.02 * (beyond[::-1] > 0).any(-1)
+        spare = 4
+    check_view(beyond_view(*view, share), camera)
+    if (share == 1).all():
+        return None
+    rows, columns = (2 * int(n * part / 2) for n, part in zip(modulator.shape, share, strict=True))
+    return _Middle(modulator, (rows, columns))
+
+
+def _distance_and_wavefront(
+    modulator, camera, wavelength, distance, response, registration, raw: np.ndarray, before: np.ndarray | None
+) -> tuple[float, np.ndarray]:
+    """Return the distance, and a measured wavefront without tilt and defocus, with the astigmatism of a focus.
+
+    The quadratic part of the wavefront `before`, which a focus gave, takes the place of the measured one.
+    """
+    there, quadratic = (modulator, camera, wavelength), aberration_modes(modulator, 2)
+    found = raw if before is None else before + without(raw - before, quadratic)
+    # Where the illumination is not symmetric, defocus shifts the sharpest astigmatism.
+    if min(modulator.shape) * modulator.pitch < FEWEST * math.sqrt(wavelength * distance):
+        span = FAR if before is None else NEAR
+        distance, _ = distance_with_uncertainty(*there, distance, response, registration, found, span, captures=1)
+    else:
+        distance = _focused(modulator, wavelength, distance, raw)
+    low = quadratic[[0, 1, DEFOCUS]]
+    found = without(found, low)
+    return distance, without(astigmatism_by_focus(*there, distance, response, registration, found), low)
 
 
 def _focused(modulator: Modulator, wavelength: float, distance: float, wavefront: np.ndarray) -> float:

@@ -1,7 +1,7 @@
 """Drivers of instruments: a second screen, UVC, GenICam and Micro-Manager cameras, files in a shared folder.
 
-None needs a library of one maker. Those of GenICam and Micro-Manager were run with stand-ins and with Micro-Manager's
-demonstration camera, not with hardware.
+None needs a library of one maker. The drivers of GenICam and Micro-Manager were run with stand-ins and with
+Micro-Manager's demonstration camera, not with hardware.
 """
 
 import glob

@@ -133,7 +133,7 @@ def set_exposure(camera: Camera, show: Callable[[], None] | None = None, level: 
 def exposed(camera: CheckedCamera, pattern: str, level: float = EXPOSED) -> np.ndarray:
     """Return a capture whose brightest pixel has about a share of the range.
 
-    The exposure begins with that of the last pattern of the same name, and is set only where it does not fit.
+    The exposure begins as the last pattern of the same name left it, and is set only where it does not fit.
     """
     camera.exposure = camera.exposures.get(pattern, camera.exposure)
     for _ in range(6):

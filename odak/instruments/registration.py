@@ -3,7 +3,6 @@
 import itertools
 import math
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 from scipy.ndimage import uniform_filter
@@ -27,7 +26,7 @@ LARGEST = 2.5
 STRIPE = 0.8
 # Displacement of the rays at the edge of an aperture, as a share of its radius, to measure its curvature.
 BLUR = 0.4
-# Distance from the axis of spots of a first estimate of the registration, as a share of that of the others.
+# Share of the distance from the axis at which a first estimate of the registration has its spots.
 NEAR = 0.4
 # Steps toward the curvature of the wavefront at most, and the change in radians from peak to valley that ends them:
 # about as much is left.
@@ -134,118 +133,182 @@ def registered(
     """
     check_square_pixels(modulator, camera)
     camera = checked_camera(camera)
-    shape, pitch = np.array(modulator.shape), modulator.pitch
-    a, b = ray_matrix(distance)
-    behind_lens = isinstance(distance, Lens)
-    seen = np.array(camera.shape) * camera.pitch if behind_lens else shape * pitch
-    half = seen * float(_validate.number("extent", extent, positive=True)) / 2
-    # A pixel does not send light to points that are farther from it than this along an axis, and lenses that focus
-    # there have a second focus at twice that distance on the other side.
-    farthest = wavelength * abs(b) / (2 * pitch)
-    half = np.minimum(half, (SPREAD if middle else 0.8) * farthest)
-    size = shape
+    spots = _Spots(modulator, camera, wavelength, distance, phases, wavefront, extent, middle)
+    captures = _validate.integer("captures", captures, minimum=1)
+    matrix = spots.near_axis() if start is None else spots.matrix_of(start)
     if middle:
-        size = shape // 2 if behind_lens else np.minimum(shape, (2 * (farthest - half) / pitch).astype(int))
-    part = Part((int(size[0]), int(size[1])), pitch)
-    inside_part = tuple(slice(n // 2 - m // 2, n // 2 - m // 2 + m) for n, m in zip(shape, size, strict=True))
-    # An ellipse has weaker side lobes than a rectangle. Light from beyond it falls into stripes midway
-    # between the axis and its orders of diffraction, beside the spots, and is spread along the stripes at random.
-    y, x = pixel_axes(modulator)
-    lit = np.hypot(x / size[1], y / size[0]) * 2 / pitch < 1 if (size < shape).any() else np.full(shape, True)
-    narrowed = STRIPE * 2 * (farthest - half[1]) / (shape[1] * pitch)
-    beside_spots = 2 * np.pi / (wavelength * b) * (farthest * x - (a - narrowed) * x**2 / 2)
-    # Second moments along x and y of an ellipse, or of all pixels.
-    moments = (size[::-1] * pitch) ** 2 / (16 if (size < shape).any() else 12)
-    half = half[::-1]
-    # On the axis behind a lens is the light that is not modulated.
-    origin = -half / 2 if behind_lens else np.zeros(2)
-    # What is added to the wavefront within the middle part.
-    curved = np.zeros(modulator.shape)
+        spots.flatten(matrix)
+    if start is None:
+        # Spots that the aberration had spread are smaller now.
+        matrix = spots.far_from_axis(matrix)
+    points, seen = spots.grid(_validate.size("grid", grid), captures, matrix)
+    found = _fitted(points, seen, matrix, camera)
+    # An aberration spreads the spots of a first registration.
+    if found.residual > (2.0 if middle else 0.5):
+        warn(
+            f"the registration of the camera is uncertain: the residual of the fit is {found.residual:.2f} pixels",
+            AccuracyWarning,
+        )
+    return found
 
-    def show(points: np.ndarray, seed: int = 0, extra: np.ndarray | float = 0.0) -> None:
-        phase = np.zeros(modulator.shape)
-        phase[inside_part] = spots_phase(part, wavelength, distance, points, seed=seed)
-        others = beside_spots + np.random.default_rng(seed).uniform(0, 2 * np.pi, (shape[0], 1))
-        modulator.show(nearest_levels(np.where(lit, phase + extra - curved, others) - wavefront, phases))
 
-    around = max(8, math.ceil(1.5 * wavelength * abs(b) / (size.min() * pitch * camera.pitch)))
+class _Spots:
+    """Spots that a modulator, or its middle part, forms in the plane of a camera.
 
-    def places_of(points: np.ndarray) -> np.ndarray:
+    Their matrix ``[3, 2]`` is an affine estimate of the pixels of points, columns first: ``[x, y, 1] @ matrix``.
+    """
+
+    def __init__(self, modulator, camera, wavelength, distance, phases, wavefront, extent, middle):
+        self.modulator, self.camera, self.wavelength, self.distance = modulator, camera, wavelength, distance
+        self.phases, self.wavefront = phases, wavefront
+        shape, pitch = np.array(modulator.shape), modulator.pitch
+        a, self.b = ray_matrix(distance)
+        self.behind_lens = isinstance(distance, Lens)
+        seen = np.array(camera.shape) * camera.pitch if self.behind_lens else shape * pitch
+        half = seen * float(_validate.number("extent", extent, positive=True)) / 2
+        # A pixel does not send light to points that are farther from it than this along an axis, and lenses that focus
+        # there have a second focus at twice that distance on the other side.
+        farthest = wavelength * abs(self.b) / (2 * pitch)
+        half = np.minimum(half, (SPREAD if middle else 0.8) * farthest)
+        size = shape
+        if middle:
+            size = shape // 2 if self.behind_lens else np.minimum(shape, (2 * (farthest - half) / pitch).astype(int))
+        self.part = Part((int(size[0]), int(size[1])), pitch)
+        self.inside = tuple(slice(n // 2 - m // 2, n // 2 - m // 2 + m) for n, m in zip(shape, size, strict=True))
+        # An ellipse has weaker side lobes than a rectangle. Light from beyond it falls into stripes midway
+        # between the axis and its orders of diffraction, beside the spots, and is spread along the stripes at random.
+        y, x = pixel_axes(modulator)
+        ellipse = (size < shape).any()
+        self.lit = np.hypot(x / size[1], y / size[0]) * 2 / pitch < 1 if ellipse else np.full(shape, True)
+        narrowed = STRIPE * 2 * (farthest - half[1]) / (shape[1] * pitch)
+        self.beside = 2 * np.pi / (wavelength * self.b) * (farthest * x - (a - narrowed) * x**2 / 2)
+        # Second moments along x and y of an ellipse, or of all pixels.
+        self.moments = (size[::-1] * pitch) ** 2 / (16 if ellipse else 12)
+        self.half = half[::-1]
+        # On the axis behind a lens is the light that is not modulated.
+        self.origin = -self.half / 2 if self.behind_lens else np.zeros(2)
+        # What is added to the wavefront within the middle part.
+        self.curved = np.zeros(modulator.shape)
+        self.around = max(8, math.ceil(1.5 * wavelength * abs(self.b) / (size.min() * pitch * camera.pitch)))
+
+    def show(self, points: np.ndarray, seed: int = 0, extra: np.ndarray | float = 0.0) -> None:
+        """Show spots at points ``[n, 2]``; `extra` is a phase that is added to their pattern."""
+        phase = np.zeros(self.modulator.shape)
+        phase[self.inside] = spots_phase(self.part, self.wavelength, self.distance, points, seed=seed)
+        others = self.beside + np.random.default_rng(seed).uniform(0, 2 * np.pi, (len(phase), 1))
+        phase = np.where(self.lit, phase + extra - self.curved, others) - self.wavefront
+        self.modulator.show(nearest_levels(phase, self.phases))
+
+    def places_of(self, points: np.ndarray) -> np.ndarray:
         """Return the pixels of single spots; light that does not move with them cancels."""
         frames = []
         for point in points:
-            show(point[None])
-            frames.append(averaged(camera, 1))
+            self.show(point[None])
+            frames.append(averaged(self.camera, 1))
         moving = np.stack(frames) - np.roll(frames, 1, axis=0)
-        return np.stack([centroid(frame, brightest(frame), around) for frame in moving])
+        return np.stack([centroid(frame, brightest(frame), self.around) for frame in moving])
 
-    captures = _validate.integer("captures", captures, minimum=1)
+    def matrix_of(self, start: Registration) -> np.ndarray:
+        """Return the matrix of a known mapping."""
+        three = self.origin + np.vstack([np.zeros(2), np.diag(self.half)])
+        return _affine(three, start.camera_pixels(three))
 
-    def far_spots(first: np.ndarray, roughly: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return three points and the pixels of their spots, from those near the axis."""
-        three = np.diag(half)
-        for number in range(2):
-            for share in (1, -1, 0.8, -0.8, 0.6, -0.6, 0.4, -0.4):
-                three[number] = share * np.diag(half)[number]
+    def near_axis(self) -> np.ndarray:
+        """Return the matrix of spots near the axis, which tells which of the farther ones the camera sees."""
+        self.show(self.origin[None])
+        set_exposure(self.camera)
+        three = self.origin + np.vstack([np.zeros(2), NEAR * np.diag(self.half)])
+        pixels = self.places_of(three)
+        _check_places(pixels[0], (pixels[1:] - pixels[0]) / (NEAR * self.half[:, None]), self.camera, False)
+        return _affine(three, pixels)
+
+    def far_from_axis(self, matrix: np.ndarray) -> np.ndarray:
+        """Return the matrix of spots as far from the axis as the camera sees them by the matrix of nearer ones."""
+        first, roughly = matrix[2] + self.origin @ matrix[:2], matrix[:2]
+        last = np.array(self.camera.shape[::-1]) - 1
+        three = np.zeros((3, 2))
+        for number, point in enumerate(np.diag(self.half), start=1):
+            for share in (1, -1, 0.8, -0.8, 0.6, -0.6, 0.4, -0.4, NEAR):
+                three[number] = share * point
                 there = first + three[number] @ roughly
-                if (there >= around).all() and (there <= np.array(camera.shape[::-1]) - 1 - around).all():
+                if (there >= self.around).all() and (there <= last - self.around).all():
                     break
-            else:
-                three[number] = NEAR * np.diag(half)[number]
-        three = np.vstack([np.zeros(2), three])
-        wanted, three = three @ roughly, origin + three
-        pixels = places_of(three)
+        wanted, three = three @ roughly, self.origin + three
+        pixels = self.places_of(three)
         missed = np.linalg.norm(pixels - first - wanted, axis=-1)
-        _check_places(first, roughly, camera, bool((missed > 2 * around + 0.3 * np.abs(wanted).max()).any()))
-        return three, pixels
+        too_far = bool((missed > 2 * self.around + 0.3 * np.abs(wanted).max()).any())
+        _check_places(first, roughly, self.camera, too_far)
+        return _affine(three, pixels)
 
-    if start is None:
-        show(origin[None])
-        set_exposure(camera)
-        # Spots near the axis tell which of the farther ones the camera sees.
-        three = origin + np.vstack([np.zeros(2), NEAR * np.diag(half)])
-        pixels = places_of(three)
-        _check_places(pixels[0], (pixels[1:] - pixels[0]) / (NEAR * half[:, None]), camera, False)
-    else:
-        three = origin + np.vstack([np.zeros(2), np.diag(half)])
-        pixels = start.camera_pixels(three)
-    matrix = np.linalg.solve(np.column_stack([three, np.ones(3)]), pixels)
-    if middle:
-        near = 0.45 * half.min() if behind_lens else half.min()
-        blur = min(BLUR, 0.6 * near / (size.max() * pitch)) if behind_lens else BLUR
+    def flatten(self, matrix: np.ndarray) -> None:
+        """Correct the quadratic part of the wavefront in the middle of the modulator."""
+        near = 0.45 * self.half.min() if self.behind_lens else self.half.min()
+        width = max(self.part.shape) * self.part.pitch
+        blur = min(BLUR, 0.6 * near / width) if self.behind_lens else BLUR
         for _ in range(CURVATURES):
-            change = _curvature(
-                *(modulator, camera, partial(show, origin[None]), wavelength, b, moments, matrix, origin, near, blur)
-            )
-            curved += change
-            if np.ptp(change[lit]) < FLAT:
+            change = self.curvature(matrix, near, blur)
+            self.curved += change
+            if np.ptp(change[self.lit]) < FLAT:
                 break
-    if start is None:
-        # Spots that the aberration had spread are smaller now.
-        three, pixels = far_spots(matrix[2] + origin @ matrix[:2], matrix[:2])
-        matrix = np.linalg.solve(np.column_stack([three, np.ones(3)]), pixels)
-    down, across = _validate.size("grid", grid)
-    y, x = (np.linspace(-h, h, n) for h, n in ((half[1], down), (half[0], across)))
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    expected = np.column_stack([points, np.ones(len(points))]) @ matrix
-    spacing = np.abs(np.linalg.norm(matrix[:2], axis=-1) * 2 * half / np.maximum([across - 1, down - 1], 1)).min()
-    show(points)
-    frame = exposed(camera, "grid")
-    for seed in range(1, captures):
-        show(points, seed)
-        frame += averaged(camera, 1)
-    reach = int(0.4 * spacing)
-    inside = ((expected > reach) & (expected < np.array(camera.shape[::-1]) - reach - 1)).all(-1)
-    if inside.sum() < 6:
-        raise RuntimeError(
-            f"{inside.sum()} of {len(points)} spots lie inside the image of the camera; at least 6 are needed"
-        )
-    seen = []
-    for place in expected[inside]:
-        corner = np.rint(place).astype(int) - reach
-        window = frame[corner[1] : corner[1] + 2 * reach + 1, corner[0] : corner[0] + 2 * reach + 1]
-        seen.append(centroid(frame, brightest(window) + corner, min(reach, around)))
-    seen, points = np.array(seen), points[inside]
+
+    def curvature(self, matrix: np.ndarray, reach: float, blur: float) -> np.ndarray:
+        """Return the quadratic part of the wavefront in the middle, from spots on either side of the focus.
+
+        Rays of an aperture whose second moments along the axes are the diagonal S, behind a lens that adds the
+        curvature ±c to the curvatures H of the wavefront, form a spot whose matrix of second moments is
+        (d/k)²·(H ± c)·S·(H ± c). The difference of the two is 2·(d/k)²·c·(H·S + S·H), also with diffraction.
+        """
+        y, x = pixel_axes(self.modulator)
+        added = blur * 2 * np.pi / self.wavelength / abs(self.b)
+        back = np.linalg.inv(matrix[:2])
+        difference = np.zeros((2, 2))
+        away = (np.moveaxis(np.indices(self.camera.shape)[::-1], 0, -1) - matrix[2]) @ back - self.origin
+        near = np.abs(away).max(-1) < reach
+        for sign in (1, -1):
+            self.show(self.origin[None], extra=sign * added / 2 * (x**2 + y**2))
+            frame = exposed(self.camera, "spot", 0.7)
+            difference += sign * back.T @ _second_moments(frame, near) @ back
+        scale = (self.wavelength * self.b / (2 * np.pi)) ** 2 * np.add.outer(self.moments, self.moments)
+        hessian = -difference / (2 * scale * added)
+        # Curvatures larger than the lens has are approached step by step.
+        hessian *= min(1.0, added / np.linalg.norm(hessian, 2))
+        return -(hessian[0, 0] * x**2 + 2 * hessian[0, 1] * x * y + hessian[1, 1] * y**2) / 2
+
+    def grid(self, counts: tuple[int, int], captures: int, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the points of a grid of spots inside the image of the camera, and their pixels."""
+        down, across = counts
+        y, x = (np.linspace(-h, h, n) for h, n in ((self.half[1], down), (self.half[0], across)))
+        points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        expected = np.column_stack([points, np.ones(len(points))]) @ matrix
+        spacing = np.abs(
+            np.linalg.norm(matrix[:2], axis=-1) * 2 * self.half / np.maximum([across - 1, down - 1], 1)
+        ).min()
+        self.show(points)
+        frame = exposed(self.camera, "grid")
+        for seed in range(1, captures):
+            self.show(points, seed)
+            frame += averaged(self.camera, 1)
+        reach = int(0.4 * spacing)
+        inside = ((expected > reach) & (expected < np.array(self.camera.shape[::-1]) - reach - 1)).all(-1)
+        if inside.sum() < 6:
+            raise RuntimeError(
+                f"{inside.sum()} of {len(points)} spots lie inside the image of the camera; at least 6 are needed"
+            )
+        seen = []
+        for place in expected[inside]:
+            corner = np.rint(place).astype(int) - reach
+            window = frame[corner[1] : corner[1] + 2 * reach + 1, corner[0] : corner[0] + 2 * reach + 1]
+            seen.append(centroid(frame, brightest(window) + corner, min(reach, self.around)))
+        return points[inside], np.array(seen)
+
+
+def _affine(points: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Return the matrix of three points ``[3, 2]`` and their pixels."""
+    return np.linalg.solve(np.column_stack([points, np.ones(3)]), pixels)
+
+
+def _fitted(points: np.ndarray, seen: np.ndarray, matrix: np.ndarray, camera: Camera) -> Registration:
+    """Return the mapping with which the pixels of spots fit their points best, from an affine estimate of it."""
     pixel = 1 / np.linalg.norm(matrix[0])
     straight = np.linalg.inv(np.vstack([matrix.T, [0, 0, 1]]))
     shift = np.array([[1, 0, camera.shape[1] / 2], [0, 1, camera.shape[0] / 2], [0, 0, 1.0]])
@@ -268,12 +331,6 @@ def registered(
     residual = float(np.sqrt((missed.reshape(-1, 2) ** 2).sum(-1).mean()))
     covariance = np.linalg.pinv(fitted.jac.T @ fitted.jac) * (missed @ missed) / max(missed.size - len(fitted.x), 1)
     variance = np.einsum("ki,ij,kj->k", fitted.jac, covariance, fitted.jac).reshape(-1, 2).sum(-1).max()
-    # An aberration spreads the spots of a first registration.
-    if residual > (2.0 if middle else 0.5):
-        warn(
-            f"the registration of the camera is uncertain: the residual of the fit is {residual:.2f} pixels",
-            AccuracyWarning,
-        )
     # The largest error among the spots is more than that at any one of them.
     return Registration(found.homography, found.distortion, found.shape, residual, LARGEST * math.sqrt(variance))
 
@@ -336,30 +393,6 @@ def check_view(beyond: np.ndarray, camera: Camera) -> None:
             )
     if remedies:
         raise RuntimeError(f"the camera does not see the whole modulator: {'; '.join(remedies)}")
-
-
-def _curvature(modulator, camera, show, wavelength, distance, moments, matrix, origin, reach, blur) -> np.ndarray:
-    """Return the quadratic part of the wavefront in the middle of a modulator, from spots on either side of the focus.
-
-    Rays of an aperture whose second moments along the axes are the diagonal S, behind a lens that adds the curvature ±c
-    to the curvatures H of the wavefront, form a spot whose matrix of second moments is (d/k)²·(H ± c)·S·(H ± c). The
-    difference of the two is 2·(d/k)²·c·(H·S + S·H), also with diffraction.
-    """
-    y, x = pixel_axes(modulator)
-    added = blur * 2 * np.pi / wavelength / abs(distance)
-    back = np.linalg.inv(matrix[:2])
-    difference = np.zeros((2, 2))
-    away = (np.moveaxis(np.indices(camera.shape)[::-1], 0, -1) - matrix[2]) @ back - origin
-    near = np.abs(away).max(-1) < reach
-    for sign in (1, -1):
-        show(extra=sign * added / 2 * (x**2 + y**2))
-        frame = exposed(camera, "spot", 0.7)
-        difference += sign * back.T @ _second_moments(frame, near) @ back
-    scale = (wavelength * distance / (2 * np.pi)) ** 2 * np.add.outer(moments, moments)
-    hessian = -difference / (2 * scale * added)
-    # Curvatures larger than the lens has are approached step by step.
-    hessian *= min(1.0, added / np.linalg.norm(hessian, 2))
-    return -(hessian[0, 0] * x**2 + 2 * hessian[0, 1] * x * y + hessian[1, 1] * y**2) / 2
 
 
 def _second_moments(frame: np.ndarray, near: np.ndarray) -> np.ndarray:
