@@ -30,6 +30,9 @@ _DENSITIES = (1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
 _REFERENCE_TURN, _REFERENCE_TAPS = 1.0, 32
 _LONGEST_REFERENCE = 1 << 18
 _MOST_NODES = 600
+# Nodes of integrals beyond the band, and the largest curvature of the phase along them, relative to its decay: they are
+# exact to 1e-9 then.
+_TURNED_NODES, _STRAIGHT = 8, 3e-3
 _SLAB = 1 << 22
 # A slab that stays in the processor's cache.
 _BLOCK = 1 << 16
@@ -245,10 +248,17 @@ def _propagator(distance: float, squared: np.ndarray) -> np.ndarray:
 
 
 def reference_response(axis: Axis, transverse) -> np.ndarray:
-    """Return the response to 1e-9: by a fine rule or, where waves along the plane are in the band, in closed form."""
+    """Return the response to 1e-9: in closed form but for the end of the band, or by a fine rule."""
     found = np.zeros((len(transverse), axis.samples), dtype=np.complex128)
     reach = axis.displacement(transverse)
-    limited = np.isfinite(reach) & ((reach + axis.samples) * 2 * math.pi / _REFERENCE_TURN < _LONGEST_REFERENCE)
+    # Where the end of the band lands far outside the lags, the phase beyond it is nearly a straight line.
+    outside = np.where(np.isfinite(reach), reach - axis.samples, 0) * axis.pitch
+    straight = (outside > 0) & (axis.wavelength * axis.distance < 4 * math.pi * _STRAIGHT * outside**2)
+    if straight.any():
+        found[straight] = _unlimited_response(axis, transverse[straight]) - _beyond_the_band(axis, transverse[straight])
+    limited = (
+        ~straight & np.isfinite(reach) & ((reach + axis.samples) * 2 * math.pi / _REFERENCE_TURN < _LONGEST_REFERENCE)
+    )
     # One rule for each octave of its length.
     lengths = np.where(limited, np.ceil(np.log2(np.where(limited, reach, 0) + axis.samples)), -1)
     for exponent in np.unique(lengths[limited]):
@@ -256,12 +266,13 @@ def reference_response(axis: Axis, transverse) -> np.ndarray:
         count = _even_fast(max(2**exponent * 2 * math.pi / _REFERENCE_TURN, 8 * _SHORTEST))
         rule = Rule(count, end_corrections(-_REFERENCE_TURN, _REFERENCE_TURN, _REFERENCE_TAPS))
         found[chosen] = response(axis, transverse[chosen], rule)
-    rest = transverse[~limited]
+    left = ~(straight | limited)
+    rest = transverse[left]
     if len(rest) and _tail_nodes(axis) <= _MOST_NODES:
-        found[~limited] = _unlimited_response(axis, rest) - _decaying_tail(axis, rest)
+        found[left] = _unlimited_response(axis, rest) - _decaying_tail(axis, rest)
     elif len(rest):
         # So close to the field that hardly any wave leaves the grid.
-        found[~limited] = response(axis, rest, Rule(_LONGEST_REFERENCE // 4))
+        found[left] = response(axis, rest, Rule(_LONGEST_REFERENCE // 4))
     return found
 
 
@@ -273,6 +284,30 @@ def _unlimited_response(axis: Axis, transverse) -> np.ndarray:
     axial = np.sqrt(((1 / axis.wavelength) ** 2 - np.asarray(transverse) ** 2).astype(np.complex128))[:, None]
     rho = np.hypot(np.arange(axis.samples) * axis.pitch, axis.distance)
     return 1j * np.pi * axial * axis.distance / rho * scipy.special.hankel1(1, 2 * np.pi * axial * rho) * axis.pitch
+
+
+def _beyond_the_band(axis: Axis, transverse) -> np.ndarray:
+    """Return the integral over the frequencies beyond the band, of waves that land outside all lags.
+
+    From both ends of the band the path is turned straight down in the complex plane, where the integrand decays without
+    an oscillation: f = B − iτ, and Gauss and Laguerre's nodes for τ.
+    """
+    nodes, weights = np.polynomial.laguerre.laggauss(_TURNED_NODES)
+    squared = (1 / axis.wavelength) ** 2 - np.asarray(transverse)[:, None, None] ** 2
+    landing = axis.distance * axis.band / np.sqrt(squared - axis.band**2)
+    found = np.empty((len(transverse), axis.samples), dtype=np.complex128)
+    step = max(1, _BLOCK // axis.samples)
+    for start in range(0, len(transverse), step):
+        part = slice(start, start + step)
+        sums = 0j
+        for place in (np.arange(axis.samples)[:, None] * axis.pitch, -np.arange(axis.samples)[:, None] * axis.pitch):
+            rate = 2 * np.pi * (landing[part] - place)
+            frequency = axis.band - 1j * nodes / rate
+            cycles = axis.distance * np.sqrt(squared[part] - frequency**2) + place * frequency
+            waves = np.exp(2j * np.pi * (cycles.real % 1.0) - 2 * np.pi * cycles.imag + nodes)
+            sums = sums - 1j * (waves * weights / rate).sum(-1)
+        found[part] = sums
+    return axis.pitch * found
 
 
 def _tail_nodes(axis: Axis) -> int:

@@ -1,12 +1,14 @@
 import json
 import math
 import tracemalloc
+from itertools import pairwise
 
 import array_api_strict
 import numpy as np
 import physics
 import pytest
 import torch
+from scipy.integrate import simpson
 
 import odak
 import odak.learn.wave
@@ -274,3 +276,26 @@ def test_rules_are_found_in_little_memory():
         tracemalloc.stop()
     assert rule.tapered and 1e-3 < rule.error < 1e-2
     assert peak < 400e6
+
+
+@pytest.mark.parametrize(("distance", "samples"), [(0.3, 64), (20.0, 48)])
+def test_the_reference_of_far_planes_is_a_sum_of_waves(distance, samples):
+    """Simpson's rule over the band, with a hundred points for each cycle of the phase at its end."""
+    axis = quadrature_rules.Axis(samples, 8e-6, 532e-9, distance, 0.5 / 8e-6)
+    across, count = np.array([0.0, 4e4]), 1 + (1 << (23 if distance > 1 else 18))
+    found = quadrature_rules.reference_response(axis, across)
+    frequency = np.linspace(0, axis.band, count)
+    for row, fixed in enumerate(across):
+        wave = np.exp(2j * np.pi * (distance * np.sqrt((1 / 532e-9) ** 2 - fixed**2 - frequency**2) % 1.0))
+        for lag in (0, samples - 1):
+            wanted = 2 * axis.pitch * simpson(wave * np.cos(2 * np.pi * frequency * lag * axis.pitch), x=frequency)
+            assert abs(found[row, lag] - wanted) < 1e-6 * abs(wanted)
+
+
+def test_errors_of_far_planes_go_on_beyond_the_longest_rule():
+    """What the sampled kernel holds beyond the band falls off steadily with the distance."""
+    errors = [
+        odak.wave.sampling_report((64, 64), 8e-6, 532e-9, distance).predicted_error
+        for distance in (5.0, 10.0, 20.0, 40.0)
+    ]
+    assert all(a > b > 0.5 * a for a, b in pairwise(errors)), errors
