@@ -136,6 +136,8 @@ def exposed(camera: CheckedCamera, pattern: str, level: float = EXPOSED) -> np.n
     The exposure begins as the last pattern of the same name left it, and is set only where it does not fit.
     """
     camera.exposure = camera.exposures.get(pattern, camera.exposure)
+    if not camera.examined:
+        set_exposure(camera, level=level)
     for _ in range(6):
         frame = camera.capture(1)[0].astype(float)
         share = frame.max() / camera.top

@@ -454,7 +454,7 @@ def _fade(n: int, start: int, total: int, factor: float | None) -> list[float]:
         rise = [(1 - math.cos(math.pi * t / max(start - 1, 1))) / 2 for t in range(start)]
         fall = [(1 + math.cos(math.pi * t / max(after - 1, 1))) / 2 for t in range(after)]
         return rise + [1.0] * n + fall
-    power = 100.0 ** max(factor, 0.0)
+    power = 100.0 ** min(max(factor, 0.0), 150.0)  # beyond which the window is a step
 
     def steps(count):
         return [max(math.cos(math.pi / 2 * i / max(count - 1, 1)), 0.0) ** power for i in range(count)]

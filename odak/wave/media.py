@@ -270,6 +270,8 @@ def _parts(medium, step: _Step):
     dtype = xp.complex128 if absorbs else xp.float64
     medium = medium.to(dtype) if is_torch(medium) else xp.asarray(medium, dtype=dtype, device=step.device)
     real, imaginary = (xp.real(medium), xp.imag(medium)) if absorbs else (medium, None)
+    if _array.is_readable(real) and not bool(xp.all(real > 0)):
+        raise ValueError(f"index must have positive real parts, got {float(xp.min(real)):g}")
     return xp.broadcast_to(real, step.shape), imaginary
 
 

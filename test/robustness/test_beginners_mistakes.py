@@ -97,6 +97,7 @@ def test_differences_of_colours_that_are_not_lab_are_pointed_out(difference):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         difference(perception.srgb_to_lab(GREY), perception.srgb_to_lab(0.9 * GREY))
+        perception.delta_e_itp(GREY, 0.9 * GREY)  # of ICtCp, which lies in 0 … 1
 
 
 @pytest.mark.parametrize(("width", "distance"), [(0.2, 700.0), (300.0, 0.7)])

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 import odak.tools
-from odak.tools.matrix import blur_gaussian, crop_center, generate_2d_gaussian, quantize, zero_pad
+from odak.tools.matrix import blur_gaussian, crop_center, generate_2d_gaussian, quantize, smooth_pad, zero_pad
 
 sides = st.integers(1, 9)
 
@@ -135,3 +135,10 @@ def test_quantised_levels_stay_within_their_bits():
 def test_bfloat16_becomes_float32():
     array = odak.tools.convert_to_numpy(torch.tensor([1.5, -2.0], dtype=torch.bfloat16))
     assert (array.dtype, array.tolist()) == (np.float32, [1.5, -2.0])
+
+
+def test_steep_windows_are_steps():
+    field = np.ones((4, 4))
+    assert np.array_equal(
+        smooth_pad(field, [8, 8], smooth_factor=[1e3, 1e3]), smooth_pad(field, [8, 8], smooth_factor=[50, 50])
+    )

@@ -261,3 +261,8 @@ def test_few_levels_of_index_cost_little_with_bounded_error():
     sides = np.broadcast_to(1.33 + 0.26 * (np.arange(12) / 11)[:, None, None], (12, 32, 32))
     carried = propagate_through_medium(flat, sides, *lengths, levels=2)
     assert np.allclose(carried, np.exp(1j * K * 0.2e-6 / 532e-9 * sides[:, 0, 0].sum()), atol=1e-10)
+
+
+def test_an_index_that_is_not_positive_is_refused():
+    with pytest.raises(ValueError, match=r"index must have positive real parts, got -1\.5"):
+        odak.wave.propagate_through_medium(np.ones((8, 8), complex), np.full((2, 8, 8), -1.5), 1e-6, 1e-6, 532e-9)

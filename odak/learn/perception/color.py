@@ -1068,7 +1068,7 @@ def delta_e(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     >>> delta_e(first, second).item()
     5.0
     """
-    first, second = _pair(first, second)
+    first, second = _lab_pair(first, second)
     return root((first - second).square().sum(-3, keepdim=True))
 
 
@@ -1143,7 +1143,7 @@ def ciede2000(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     >>> round(ciede2000(pair[:1], pair[1:]).item(), 4)
     2.0425
     """
-    first, second = _pair(first, second)
+    first, second = _lab_pair(first, second)
     (l1, a1, b1), (l2, a2, b2) = first.unbind(-3), second.unbind(-3)
     mean_chroma = (_norm(a1, b1) + _norm(a2, b2)) / 2
     stretch = 1.5 - _saturating(mean_chroma) / 2
@@ -1167,13 +1167,18 @@ def ciede2000(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     return root(squares.clamp_min(0)).unsqueeze(-3)
 
 
-def _pair(first, second):
-    first, second = as_pictures("first", first), as_pictures("second", second)
-    _validate.fitting(first=first, second=second)
+def _lab_pair(first, second):
+    first, second = _pair(first, second)
     if first.numel() and second.numel() and _array.is_readable(first) and _array.is_readable(second):
         (low, high), (low_too, high_too) = (torch.aminmax(picture.detach()) for picture in (first, second))
         if min(low, low_too) >= 0 and 0 < max(high, high_too) <= 1:
             warn("first and second lie in 0 … 1 in all three channels: L* is 0 … 100, was RGB meant?", ArgumentWarning)
+    return first, second
+
+
+def _pair(first, second):
+    first, second = as_pictures("first", first), as_pictures("second", second)
+    _validate.fitting(first=first, second=second)
     return first, second
 
 

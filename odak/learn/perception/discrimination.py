@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
+from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigsh
 
 from odak import _torch_private, _validate
 from odak._warnings import ConvergenceWarning, warn
@@ -192,6 +192,10 @@ def eigendistortions(
                     ConvergenceWarning,
                 )
                 return error.eigenvalues, error.eigenvectors
+            except ArpackError as error:
+                raise ValueError(
+                    "the response of model must change with the picture, got none to first order at this picture"
+                ) from error
 
         if least:
             # Values near 0 are not resolved relative to themselves: these are the largest ones of a difference.

@@ -425,11 +425,12 @@ def checked_view(real_image_width, real_viewing_distance) -> tuple:
     width = _validate.number("real_image_width", real_image_width, positive=True)
     distance = _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
     if _array.is_readable(width) and _array.is_readable(distance):
-        angle = math.degrees(2 * math.atan(float(width) / float(distance) / 2))
+        wide, far = _validate.numbers((width, distance))
+        angle = math.degrees(2 * math.atan(wide / far / 2))
         if not _NARROWEST <= angle <= _WIDEST:
             warn(
-                f"real_image_width {float(width):g} at real_viewing_distance {float(distance):g} is a picture of "
-                f"{angle:.2g} degrees: both are lengths in one unit",
+                f"real_image_width {wide:g} at real_viewing_distance {far:g} is a picture of {angle:.2g} degrees: both "
+                "are lengths in one unit",
                 ArgumentWarning,
             )
     return width, distance

@@ -1,5 +1,6 @@
 """Rotations, distances, voxels and projection of points as differentiable tensors; angles in degrees."""
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -40,6 +41,8 @@ __all__ = [
 ]
 
 _NONE = torch.zeros(1, 3)
+# Cells of a cloud of points, whose centres take 3 GB.
+_MOST_CELLS = 1 << 28
 
 
 def quaternion_to_rotation_matrix(quaternions: torch.Tensor) -> torch.Tensor:
@@ -245,6 +248,11 @@ def point_cloud_to_voxel(
     cells = (extent - 1e-6 * extent.clamp(min=1)).ceil().clamp(min=1).long()
     index = torch.minimum(((points - low) / size).floor().long(), cells - 1)
     counts = cells.tolist()
+    if math.prod(counts) > _MOST_CELLS:
+        raise ValueError(
+            f"voxel_size must divide the cloud into at most {_MOST_CELLS} cells, got {size.tolist()}, which makes "
+            f"{' x '.join(map(str, counts))}: points and sizes are in one unit"
+        )
     grid = torch.zeros(counts, device=points.device)
     grid[index[:, 0], index[:, 1], index[:, 2]] = 1
     steps = (torch.arange(n, dtype=points.dtype, device=points.device) + 0.5 for n in counts)

@@ -114,6 +114,7 @@ def test_maximum_differentiation_of_quadratic_forms(largest):
         (lambda: metamer(lambda one: 1.0, noise(4, 4)), "model must return a tensor"),
         (lambda: eigendistortions(torch.square, noise(2, 2), 4), "count must be less than the 4 values"),
         (lambda: eigendistortions(torch.square, noise(2, 2), tolerance=0), "tolerance"),
+        (lambda: eigendistortions(torch.square, 0 * noise(2, 2)), "response of model must change with the picture"),
         (
             lambda: maximum_differentiation(torch.sub, torch.sub, noise(2, 2), noise(2, 2)),
             "held must return a tensor of one number",

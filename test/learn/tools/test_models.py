@@ -101,3 +101,5 @@ def test_voxels_of_points_that_are_not_finite_are_refused():
         tools.point_cloud_to_voxel(torch.tensor([[0.0, 0.0, float("nan")], [1.0, 1.0, 1.0]]))
     with pytest.raises(ValueError, match="voxel_size must be three numbers or one, got 2"):
         tools.point_cloud_to_voxel(torch.rand(4, 3), [0.1, 0.1])
+    with pytest.raises(ValueError, match=r"cells, got .* points and sizes are in one unit"):
+        tools.point_cloud_to_voxel(1000 * torch.eye(3))
