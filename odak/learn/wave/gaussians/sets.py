@@ -90,7 +90,8 @@ class ColmapView(NamedTuple):
     name : str
         Name of the image file.
     camera : PerspectiveCamera
-        Camera with the axes of odak, in which both axes of the image are inverted.
+        Camera with the axes of odak, in which both axes of the image are inverted, and with odak's pixels at whole
+        coordinates, half a pixel before COLMAP's.
     size : tuple of int
         Width and height of the image in pixels.
 
@@ -341,8 +342,8 @@ def load_colmap(folder: str | os.PathLike[str], device: torch.device | str = "cp
     ...     written = write_to_text_file(["1 PINHOLE 640 480 500 500 320 240"], files[0])
     ...     written = write_to_text_file(["1 1 0 0 0 0 0 0 1 first.png", ""], files[1])
     ...     views = load_colmap(folder)
-    >>> views[0].name, views[0].size
-    ('first.png', (640, 480))
+    >>> views[0].name, views[0].size, views[0].camera.principal_point.tolist()
+    ('first.png', (640, 480), [319.5, 239.5])
     """
     place = Path(validate_path(folder, name="folder"))
     for extension, read_cameras, read_images in (
@@ -362,7 +363,9 @@ def load_colmap(folder: str | os.PathLike[str], device: torch.device | str = "cp
         if number not in cameras:
             raise ValueError(f"{str(place)!r}: image {name!r} names camera {number}, which there is not")
         size, (fx, fy, cx, cy) = cameras[number]
-        camera = PerspectiveCamera(*_pose(quaternion, shift), torch.tensor([fx, fy]), torch.tensor([cx, cy]), device)
+        # The middle of COLMAP's first pixel is at (0.5, 0.5), that of odak's pictures at (0, 0).
+        middle = torch.tensor([cx - 0.5, cy - 0.5])
+        camera = PerspectiveCamera(*_pose(quaternion, shift), torch.tensor([fx, fy]), middle, device)
         views.append(ColmapView(name, camera, size))
     return sorted(views, key=lambda view: view.name)
 
