@@ -605,7 +605,8 @@ class Display(torch.nn.Module):
         Returns
         -------
         torch.Tensor
-            Real ``[..., D, C, rows, columns]``, in units of the light on the modulator.
+            Real ``[..., D, C, rows, columns]``, in units of what a flat phase sends into the order in the middle: the
+            light on the modulator times the square of its `fill`, and of the `fill` of a panel before it.
         """
         light, amplitudes = self._light(phases), self._amplitudes(amplitudes)
         powers = self.powers if powers is None else self._fitting(powers)
@@ -1416,7 +1417,7 @@ class DisplayedHologram:
         Means over the areas of pixels, at the brightness closest to the target, ``[D, C, rows, columns]``, by
         :meth:`Display.judge`.
     brightness : torch.Tensor
-        Factor of each colour by which images are brighter than the light on the panel, ``[C]``.
+        Factor of each colour by which images are brighter than what :meth:`Display.forward` returns, ``[C]``.
     psnr : torch.Tensor
         Peak signal-to-noise ratio of the images in decibels, ``[D, C]``.
     psnr_at_points : torch.Tensor
@@ -1716,6 +1717,8 @@ def _focal_targets(display, target):
     if not isinstance(target, tuple) or len(target) != 2:
         return None
     iris = display.iris
+    # An iris passes frequencies up to radius/(λ·focal_length), λ in air: in a medium the sine of the cone is smaller.
+    sine = iris.radius / (iris.focal_length * display.medium) if isinstance(iris, Iris) else None
     return multiplane_loss(
         *target,
         number_of_planes=display.shape[0],
@@ -1723,7 +1726,7 @@ def _focal_targets(display, target):
         distances=display.distances,
         wavelengths=[wavelength / display.medium for wavelength in display.wavelengths],
         pixel_pitch=display.modulator.pitch,
-        numerical_aperture=iris.radius / iris.focal_length if isinstance(iris, Iris) else None,
+        numerical_aperture=sine,
     )
 
 

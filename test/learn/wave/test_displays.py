@@ -461,6 +461,16 @@ def test_a_picture_with_depth_is_sharp_on_its_own_plane(disc):
     assert by_geometry.target[0, 0, :, 25:].std() < disc[:, 25:].std() and by_geometry.psnr_in_focus > 15
 
 
+def test_defocus_of_an_iris_in_a_medium_is_that_of_the_same_light_in_air(disc):
+    depth = (torch.arange(48) > 24).float().expand(40, -1)
+    panel, run = Modulator(disc.shape, PITCH), Run(iterations=1, progress=False)
+    in_water = Display(panel, WAVELENGTH, [2e-3, 4e-3], iris=Iris(1e-3, 0.05), medium=1.33)
+    # Waves of the wavelength in the medium; the iris passes the same frequencies.
+    in_air = Display(panel, WAVELENGTH / 1.33, [2e-3, 4e-3], iris=Iris(1e-3 / 1.33, 0.05))
+    wet, dry = (optimise(display, (disc, depth), run=run).target for display in (in_water, in_air))
+    torch.testing.assert_close(wet, dry)
+
+
 def test_a_seed_reaches_the_random_numbers_of_a_loss(disc):
     def noisy(images, target, generator=None):
         return (images - target - 0.1 * torch.randn(target.shape, generator=generator)).square().mean()
