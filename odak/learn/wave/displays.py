@@ -458,6 +458,15 @@ class Display(torch.nn.Module):
         pixels = tuple(panel.resolution), _pitch_pair(panel.pitch), float(panel.fill)
         return repr((pixels, before, self.wavelengths, behind, self.distances, stop(self.iris), float(self.medium)))
 
+    def _fingerprint(self) -> str:
+        """Return a short text that a display of other lengths, light or panels does not have."""
+        panel, first = self.modulator, self._first
+        given = [self.powers] if self.profile is None else [self.powers, self.profile]
+        if isinstance(panel.response, torch.nn.Module):
+            given += panel.response.state_dict().values()
+        words = self._geometry, panel.bits, None if first is None else first.bits
+        return fingerprint(torch.tensor(list(repr(words).encode())), *given)
+
     def _once(self, make: str, *given):
         """Return the tensor that a method makes from constants, which is kept until the display moves."""
         if torch.compiler.is_dynamo_compiling():
@@ -1226,7 +1235,7 @@ class Descent:
             rate,
             run,
             solver=self.method,
-            about=lambda: {"solver": repr(self), "display": repr(display), "target": fingerprint(*given)},
+            about=lambda: {"solver": repr(self), "display": display._fingerprint(), "target": fingerprint(*given)},
             generators=drawn_from,
         )
         powers = found().detach() if self.powers else None

@@ -162,6 +162,8 @@ def eyebox_hologram(
     turned = bool(turns.any())
     turns = turns.detach().expand(len(places), 2)
     modulate = unit_phasor if slm is None else slm
+    if (samples := getattr(slm, "samples_per_pixel", 1)) != 1:
+        raise ValueError(f"slm must have one sample per pixel here, got {samples}")
     loss_of, drawn_from = seeded_loss(loss_function, generator.initial_seed(), device)
     shape = (frames, *targets.shape[-2:])
 
@@ -196,7 +198,10 @@ def eyebox_hologram(
         return loss_of(shown * best_scale(shown.detach(), wanted, None), wanted)
 
     def about():
-        given = {"learning_rate": learning_rate, "optimizer": optimizer, "pupils": at_once}
+        given: dict[str, Any] = {"learning_rate": learning_rate, "optimizer": optimizer, "pupils": at_once}
+        lengths = {"wavelength": wavelength, "distance": distance, "pitch": pitch, "pupil_diameter": diameters}
+        lengths |= {} if foci is None else {"focus": foci}
+        given |= {name: _validate.numbers(length) for name, length in lengths.items()}
         return given | {"targets and places": fingerprint(targets, places, *([turns] if turned else []))}
 
     minimise(

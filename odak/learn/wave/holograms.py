@@ -319,6 +319,7 @@ def stochastic_gradient_descent(
     def about():
         given = {"learning_rate": learning_rate, "optimizer": optimizer, "scale": scale, "target": fingerprint(target)}
         given |= {} if cutoff is None else {"cutoff": cutoff}
+        given |= {} if fill is None else {"pixel_fill": fill}
         lengths = {"wavelength": wavelength, "distance": distance, "pixel_pitch": pixel_pitch}
         given |= {name: _validate.numbers(length) for name, length in lengths.items()}
         return given | {"propagation_type": propagation_type}

@@ -292,6 +292,18 @@ def test_a_run_is_continued_bit_for_bit(disc, tmp_path):
     stop = Run(callback=lambda iteration, loss: iteration == 2, **options)
     optimise(display, disc, solver=Descent("adam"), run=stop)
     assert torch.equal(optimise(display, disc, solver=Descent("adam"), run=Run(**options)).phases, whole.phases)
+    panel, light = Modulator(disc.shape, PITCH), torch.full(disc.shape, 0.5)
+    dim = spatial_light_modulator(bits=None, amplitude=light)
+    for other in (
+        Display(panel, WAVELENGTH, 2.00001e-3),
+        Display(panel, WAVELENGTH, 2e-3, medium=1.33),
+        Display(panel, WAVELENGTH, 2e-3, profile=light),
+        Display(panel, WAVELENGTH, 2e-3, powers=torch.tensor([[0.5]])),
+        Display(Modulator(disc.shape, PITCH, bits=4), WAVELENGTH, 2e-3),
+        Display(Modulator(disc.shape, PITCH, response=dim), WAVELENGTH, 2e-3),
+    ):
+        with pytest.raises(ValueError, match="is of another run: its display"):
+            optimise(other, disc, solver=Descent("adam"), start=whole.phases, run=Run(**options))
 
 
 @pytest.mark.parametrize(

@@ -202,6 +202,13 @@ def test_places_drawn_by_step_and_checkpoints(tmp_path):
     kept = {"checkpoint": tmp_path / "run.pt", "checkpoint_every": 1}
     wave.eyebox_hologram(picture(n=24), *lengths, iterations=6, callback=stop, **kept, **options)
     assert torch.equal(wave.eyebox_hologram(picture(n=24), *lengths, iterations=6, **kept, **options)[0], whole)
+    known = {"wavelength": WAVELENGTH, "distance": DISTANCE, "pitch": PITCH, "iterations": 6} | kept | options
+    for name, other in (
+        ("wavelength", 450e-9), ("distance", 0.9 * DISTANCE), ("pitch", (PITCH, 0.9 * PITCH)), ("pupil_diameter", 1e-3),
+        ("focus", DISTANCE),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=f"is of another run: its {name} differ"):
+            wave.eyebox_hologram(picture(n=24), **(known | {name: other}))
 
 
 @pytest.mark.parametrize(
@@ -215,6 +222,7 @@ def test_places_drawn_by_step_and_checkpoints(tmp_path):
         ({"rotation": [[0.0, 1.0]] * 3}, ValueError, r"rotation must be \[2\] or \[2, 2\]"),
         ({"pupils_per_step": 1, "optimizer": "lbfgs"}, ValueError, "pupils_per_step must be left out"),
         ({"initial_phase": torch.zeros(4, 4)}, ValueError, "initial_phase must be"),
+        ({"slm": wave.spatial_light_modulator(samples_per_pixel=2)}, ValueError, "slm must have one sample per pixel"),
     ],
 )
 def test_bad_arguments_are_named(change, error, message):

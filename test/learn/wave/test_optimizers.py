@@ -348,8 +348,24 @@ def test_interruption_and_resumption(tmp_path):
     resumed = optimizer(checkpoint=path).optimize(9)
     for one, other in zip(whole, resumed, strict=True):
         assert torch.equal(torch.as_tensor(one), torch.as_tensor(other))
-    with pytest.raises(ValueError, match="learning_rate differ"):
-        optimizer(checkpoint=path, learning_rate=0.2).optimize(9)
+    for made, options, told in (
+        (optimizer(checkpoint=path, learning_rate=0.2), {}, "learning_rate"),
+        (optimizer(checkpoint=path, double_phase=False), {}, "double_phase"),
+        (optimizer(checkpoint=path), {"eyebox": {"diameter": 6}}, "eyebox"),
+        (optimizer(checkpoint=path), {"inject_noise": True}, "noise"),
+    ):
+        with pytest.raises(ValueError, match=f"its {told} differ"):
+            made.optimize(9, **options)
+
+
+def test_powers_of_a_checkpoint_that_are_not_learned_are_those_of_the_run(tmp_path):
+    powers, path = tmp_path / "powers.pt", tmp_path / "run.pt"
+    options = {"method": "conventional", "channel_power_filename": str(powers), "checkpoint": path}
+    torch.save(torch.ones(3, 3), powers)
+    optimizer(**options).optimize(2)
+    torch.save(torch.eye(3), powers)
+    with pytest.raises(ValueError, match="its channel_power differ"):
+        optimizer(**options).optimize(2)
 
 
 def test_older_form():

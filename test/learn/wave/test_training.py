@@ -44,6 +44,7 @@ def test_a_checkpoint_of_another_problem_is_refused(tmp_path):
         ({"target": target, "wavelength": 633e-9}, "its wavelength differ"),
         ({"target": target, "distance": 2e-3, "pitch": 4e-6}, "its distance, pixel_pitch differ"),
         ({"target": target, "scale": True}, "its scale differ"),
+        ({"target": target, "pixel_fill": 0.8}, "its pixel_fill differ"),
         ({"target": target, "propagation_type": "AS"}, "its propagation_type differ"),
     ):
         with pytest.raises(ValueError, match=told):
