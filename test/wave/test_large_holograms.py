@@ -142,6 +142,17 @@ def test_an_interrupted_run_ends_as_an_unbroken_one(tmp_path, monkeypatch):
         hologram_in_chunks(picture(), tmp_path / "b", 4, **{**PROBLEM, "distance": 3e-3})
 
 
+def test_the_state_of_another_picture_is_refused(tmp_path):
+    dask = pytest.importorskip("dask.array")
+    pytest.importorskip("zarr")
+    first = hologram_in_chunks(picture(), tmp_path, 1, **PROBLEM).compute()
+    # The same picture, whatever its chunks.
+    again = hologram_in_chunks(dask.asarray(picture()).rechunk(7), tmp_path, 1, **PROBLEM).compute()
+    np.testing.assert_array_equal(again, first)
+    with pytest.raises(ValueError, match="state of another problem: other target"):
+        hologram_in_chunks(picture()[:, ::-1], tmp_path, 1, **PROBLEM)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "damage",
