@@ -280,8 +280,9 @@ class CSFLoss(nn.Module):
         return math.sqrt(width * height)
 
     def _frequencies(self, picture):
-        """Return frequencies in cycles per degree at the middle of the picture, kept by size."""
-        key = (tuple(picture.shape[-2:]), picture.dtype, picture.device)
+        """Return frequencies in cycles per degree at the middle of the picture, kept by size and place."""
+        view = self.real_image_width, self.real_viewing_distance
+        key = (tuple(picture.shape[-2:]), picture.dtype, picture.device, view)
         if self._kept != key:
             rows, columns = picture.shape[-2:]
             pitch = math.degrees(self.real_image_width / columns / self.real_viewing_distance)
@@ -704,7 +705,8 @@ class VisibilityLoss(nn.Module):
     def _sensitivities(self, picture, gaze, mean):
         """Return for each band the sensitivity to brightness and to the two colours, over its pixels."""
         gaze = tuple(float(value) for value in _validate.several("gaze", gaze, 2))
-        key = (tuple(picture.shape[-2:]), picture.dtype, picture.device, gaze, tuple(mean.flatten().tolist()))
+        view = gaze, self.real_image_width, self.real_viewing_distance
+        key = (tuple(picture.shape[-2:]), picture.dtype, picture.device, view, tuple(mean.flatten().tolist()))
         if self._kept is None or self._kept[0] != key:
             with _torch_private.keeping(), torch.no_grad():
                 self._kept = (key, self._new_sensitivities(picture, gaze, mean.clone()))

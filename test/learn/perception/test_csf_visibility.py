@@ -102,6 +102,16 @@ def test_gradients():
     assert torch.autograd.gradcheck(lambda one: loss(one, target, (0.2, 0.3)), image, fast_mode=True, rtol=1e-2)
 
 
+@pytest.mark.parametrize("kind", [CSFLoss, VisibilityLoss])
+@pytest.mark.parametrize("name", ["real_image_width", "real_viewing_distance"])
+def test_a_viewer_who_moves_is_as_if_there_from_the_start(kind, name):
+    image, target = torch.rand(2, 1, 3, 32, 32, generator=torch.Generator().manual_seed(0))
+    moved, there = kind(**NARROW), kind(**{**NARROW, name: 0.4})
+    before = moved(image, target)
+    setattr(moved, name, 0.4)
+    assert moved(image, target) == there(image, target) != before
+
+
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
 def test_losses_of_half_precision_are_those_of_single(dtype):
     generator = torch.Generator().manual_seed(0)
