@@ -1177,8 +1177,10 @@ def newton(start, direction, shape: Shape, guess, limit: int = 64):
         low, high = xp.where(known & (error <= 0), t, low), xp.where(known & (error >= 0), t, high)
         better = known & (abs(error) < smallest)
         best, smallest = xp.where(better, t, best), xp.where(better, abs(error), smallest)
-        noise = 16 * epsilon(t) * (abs(x) + abs(y) + abs(z) + abs(start[2]) + abs(here.height))
-        settled = done | (known & (abs(error) <= noise))
+        size = abs(x) + abs(y) + abs(z) + abs(start[2]) + abs(here.height)
+        settled = done | (known & (abs(error) <= 16 * epsilon(t) * size))
+        # Heights whose terms cancel are rounded more coarsely than their size tells: there a small step does not help.
+        settled = settled | (known & ~better & (abs(error) <= epsilon(t) ** (2 / 3) * size * abs(slope)))
         crossed = crossed | (xp.isfinite(low) & xp.isfinite(high)) | settled
         following = t - error / xp.where(slope == 0, 1.0, slope)
         bracketed = xp.isfinite(low) & xp.isfinite(high)

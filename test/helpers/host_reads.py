@@ -111,7 +111,7 @@ REASONS = {
         raytracing/system/design: _take_glasses best_of restarts
         raytracing/system/eye: accommodation_response
         raytracing/system/optimise: _linearly_compensated _seeing_limits least_squares tolerances_for_yield
-        raytracing/system/pupils: _by_chart _chief_rays _continuation _differences _search _solve solve_pairs
+        raytracing/system/pupils: _by_chart _chief_rays _continuation _differences _past_ends _search _solve solve_pairs
         raytracing/system/sequence: _adjoint axis_signs
         raytracing/system/waves: _peak
         wave/display_models: _match_brightness _numbers match_gaps misfit

@@ -149,6 +149,19 @@ def test_many_rays_all_converge(name, dtype, random):
     assert (hit.status == 0).all() and hit.distance.dtype == dtype
 
 
+def test_heights_whose_terms_cancel_are_met():
+    """Every ray ends at the rounding of the terms, far above that of the height: 1 + T14(r/25), terms of 1e5."""
+    powers = np.polynomial.chebyshev.cheb2poly([0.0] * 14 + [1.0])[2::2]
+    shape = core.EvenAsphere(0.0, 0.0, powers * 25.0 ** -np.arange(2.0, 15.0, 2.0))
+    start = np.stack([np.linspace(-26, -20, 301), np.full(301, 0.3), np.full(301, -5.0)], -1)
+    rays = np.stack([start, np.broadcast_to([0.1, 0.02, 1.0], start.shape)], -2)
+    for hit in (core.intersect_w_sag(rays, shape), rt.intersect_w_sag(torch.as_tensor(rays), shape)):
+        x, y, z = np.asarray(hit.point).T
+        assert (np.asarray(hit.status) == 0).all()
+        height = 1 + np.polynomial.chebyshev.chebval(np.hypot(x, y) / 25, [0.0] * 14 + [1.0])
+        np.testing.assert_allclose(z, height, rtol=0, atol=1e-9)
+
+
 def test_statuses():
     ray = [[[0, 0, -5], [0, 0, 1]], [[3, 0, -5], [0, 0, 1]], [[0, 0, 5], [0, 0, 1]], [[11, 0, -5], [0, 0, 1]]]
     for surface in (core.Conic(0.1), core.EvenAsphere(0.1, 0.0, [0.0])):

@@ -1,5 +1,6 @@
 """Rays from field points through points of a pupil: pupil patterns, paraxial and real aiming."""
 
+import hashlib
 import math
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ from odak.learn.raytracing.system.prescriptions import Prescription, checked_pre
 from odak.learn.raytracing.system.surfaces import checked_system, is_break
 from odak.learn.raytracing.system.tracing import Rays, Traced, in_surface_frame, trace
 from odak.raytracing.batches import needs_gradient
+from odak.raytracing.surfaces import Parametric
 
 PATTERNS = ("rings", "grid", "x", "y", "random", "gauss")
 AIMS = ("paraxial", "real")
@@ -27,14 +29,15 @@ WIDE, BEFORE = 80.0, 20.0
 CLOSE = 1e-6
 # The same on the way of a continuation, and steps tried at once there.
 NEAR, SHARES = 1e-2, 16
-# Chief rays that were found last, and charts of the pupil about them, by all that they depend on: an analysis aims the
-# same fields many times.
-KEPT = 8
-_CHIEF_RAYS: dict[tuple, tuple[torch.Tensor, ...]] = {}
+# Chief rays that were found last, and what was found from them, by all that they depend on: an analysis aims the same
+# fields many times. At most so many ends of spokes are kept of each.
+KEPT, ENDS = 8, 4096
 # From this number of rays on a chart is worth its own rays, a Gaussian quadrature of some rings; the degree of
 # its polynomials.
 CHARTED, CHART_RINGS, DEGREE = 200, 6, 8
 POWERS = [(i, n - i) for n in range(DEGREE + 1) for i in range(n + 1)]
+# Points this close to a spoke lie on it; beyond its end by as much as the smallest step of a continuation.
+ALONG, BEYOND = 2e-9, 1e-3
 # Spokes of the Gaussian quadrature for each of its rings. Steps along a spoke in which its clear parts are looked for,
 # and halvings by which their ends are found.
 SPOKES, STEPS, HALVINGS = 4, 48, 13
@@ -100,6 +103,30 @@ def pupil_samples(
         line, still = _line(count), torch.zeros(count, dtype=wide)
         found = torch.stack([line, still] if pattern == "x" else [still, line], -1)
     return found.to(device=device, dtype=dtype)
+
+
+class ChiefRays(NamedTuple):
+    """Chief rays of field points, and what was found from them.
+
+    Attributes
+    ----------
+    x, y, reached : torch.Tensor
+        Their coordinates in the entrance pupil ``[..., F, 1]``, and which were found.
+    chart : torch.Tensor or None
+        Polynomials of :func:`_chart` about them.
+    ends : torch.Tensor or None
+        ``[N, 4]``: where the stop cannot be reached any more from the chief ray outwards: number of the field,
+        direction (x, y) and distance from the centre of the stop.
+    """
+
+    x: torch.Tensor
+    y: torch.Tensor
+    reached: torch.Tensor
+    chart: torch.Tensor | None = None
+    ends: torch.Tensor | None = None
+
+
+_CHIEF_RAYS: dict[tuple, ChiefRays] = {}
 
 
 class PupilQuadrature(NamedTuple):
@@ -555,11 +582,11 @@ def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: to
     """
     given: Any = (numbers, pupil, points, fields)
     constants = _constant(given)
-    graph = needs_gradient(*(value for value in numbers if isinstance(value, torch.Tensor)), points, fields)
+    graph = needs_gradient(*_values(numbers), points, fields)
     # The search has no derivatives: it is done apart from transforms of torch.func where these wrap no number of it.
     apart = _is_plain(system, *constants)
     with _torch_private.without_derivatives() if apart else torch.no_grad():
-        known = _key(system, constants[0], constants[3], wide) if apart else None
+        known = _key(system, constants[0], constants[1], constants[3], wide) if apart else None
         x, y, found, jacobian = _search(system, constants if apart else given, wide, known, graph)
     if jacobian is not None:
         # One more step with a graph carries the gradient; its Jacobian has none.
@@ -571,7 +598,9 @@ def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: to
 
 
 def _constant(value):
-    """Return tensors, also those in tuples, without what grad, jvp or another transform of torch.func wraps."""
+    """Return tensors, also those in tuples and shapes, without what a transform of torch.func (grad, jvp, …) wraps."""
+    if isinstance(value, Parametric):
+        return type(value)(*map(_constant, value.parameters()))
     if isinstance(value, tuple):
         parts = map(_constant, value)
         return value._make(parts) if hasattr(value, "_make") else tuple(parts)
@@ -581,10 +610,15 @@ def _constant(value):
 def _is_plain(system, numbers: Prescription, pupil, points, fields) -> bool:
     """Return whether a search has nothing but tensors on the processor that no transform wraps."""
     image = [] if system.image is None else [*system.image.parameters(), *system.image.buffers()]
-    values = [points, fields, *image, *(value for value in numbers if value is not None)]
-    if not all(isinstance(value, torch.Tensor) and value.device.type == "cpu" for value in values):
+    values = [points, fields, *image, *_values(numbers)]
+    if not all(value.device.type == "cpu" for value in values):
         return False
     return not is_compiling() and not _torch_private.is_wrapped(*values, *pupil[:5], *pupil.middle)
+
+
+def _values(numbers: Prescription) -> list[torch.Tensor]:
+    """Return all tensors of a prescription, the parameters of its shapes, phases and graded indices included."""
+    return [*(v for v in numbers if isinstance(v, torch.Tensor)), *(v for v, _ in numbers.others())]
 
 
 def _misses(system, numbers: Prescription, pupil, fields: torch.Tensor, wide: bool) -> Callable:
@@ -614,36 +648,41 @@ def _search(system, given: tuple, wide: bool, known: tuple | None, graph: bool) 
     goals = points.expand(*shape, 2)
     held = None if known is None else _CHIEF_RAYS.pop(known, None)
     if held is None:
-        held = _chief_rays(errors, places_of(pupil, centre), centre.expand(*shape[:-1], 1, 2), fields, step, radius)
-    cx, cy, reached, *chart = held
-    charted = known is not None and points.shape[-2] >= CHARTED and bool(reached.all())
-    if charted and not chart:
+        found = _chief_rays(errors, places_of(pupil, centre), centre.expand(*shape[:-1], 1, 2), fields, step, radius)
+        held = ChiefRays(*found)
+    charted = known is not None and points.shape[-2] >= CHARTED and bool(held.reached.all())
+    if charted and held.chart is None:
         nodes = pupil_samples("gauss", CHART_RINGS).to(points)
         ends = nodes.expand(*shape[:-1], *nodes.shape)
-        chart = [_chart(nodes, *_beside(errors, held, places_of(pupil, nodes), step, radius, ends))]
-    if known is not None:
-        _CHIEF_RAYS[known] = (cx, cy, reached, *chart)
-        if len(_CHIEF_RAYS) > KEPT:
-            # Another thread may have taken the oldest at the same time.
-            _CHIEF_RAYS.pop(next(iter(tuple(_CHIEF_RAYS)), ()), None)
+        held = held._replace(chart=_chart(nodes, *_beside(errors, held, places_of(pupil, nodes), step, radius, ends)))
     if charted:
-        x, y, found = _by_chart(errors, chart[0], points, step, radius, goals)
+        x, y, found = _by_chart(errors, held.chart, points, step, radius, goals)
     else:
         x, y, found = _beside(errors, held, places_of(pupil, points), step, radius, goals)
-    lost = reached & ~found
+    lost = held.reached & ~found
+    single = known is not None and math.prod(shape[:-2]) == 1
+    if single and held.ends is not None:
+        lost = lost & ~_past_ends(held.ends, goals.reshape(*shape[-2:], 2), lost.reshape(shape[-2:])).reshape(shape)
     if bool(lost.any()):
         # Those lost in any system of a batch, as fields of one ray each.
         some = lost.flatten(0, -3).any(0)
-        fx, fy = (value.expand(shape)[..., some, None] for value in (cx, cy))
+        fx, fy = (value.expand(shape)[..., some, None] for value in held[:2])
         ends, which = goals[..., some, :][..., None, :], fields.expand(*shape[-2:], 2)[some][:, None]
-        px, py, met = _continuation(errors, fx, fy, step, radius, lambda s: (s[..., None] * ends, which))
-        px, py, met = (value[..., 0] for value in (px, py, met))
+        px, py, met, way = _continuation(errors, fx, fy, step, radius, lambda s: (s[..., None] * ends, which))
+        px, py, met, way = (value[..., 0] for value in (px, py, met, way))
         better = met & lost[..., some]
         x[..., some], y[..., some] = (
             torch.where(better, px, x[..., some]),
             torch.where(better, py, y[..., some]),
         )
         found[..., some] = found[..., some] | better
+        if single:
+            held = held._replace(ends=_ends(held.ends, some.nonzero()[:, 0], ends.reshape(-1, 2), way, ~met))
+    if known is not None:
+        _CHIEF_RAYS[known] = held
+        if len(_CHIEF_RAYS) > KEPT:
+            # Another thread may have taken the oldest at the same time.
+            _CHIEF_RAYS.pop(next(iter(tuple(_CHIEF_RAYS)), ()), None)
     x, y = (torch.where(found, value, 0.0) for value in (x, y))
     if charted and not graph:
         return x, y, found, None
@@ -655,14 +694,41 @@ def _search(system, given: tuple, wide: bool, known: tuple | None, graph: bool) 
     return x, y, found, jacobian
 
 
-def _key(system, numbers: Prescription, fields: torch.Tensor, wide: bool) -> tuple | None:
+def _ends(before: torch.Tensor | None, field, goals, way, stopped) -> torch.Tensor:
+    """Return the ends of spokes, with those of rays that stopped at a part of the way to their goals ``[N, 2]``."""
+    size = goals.square().sum(-1, keepdim=True).sqrt()
+    found = torch.cat([field[:, None].to(goals), goals / size, way.reshape(-1, 1) * size], -1)[stopped.flatten()]
+    # Several rays of one spoke stop at the same place.
+    found = torch.cat([found[:, :3].round(decimals=9), found[:, 3:].round(decimals=3)], -1)
+    return torch.unique(found if before is None else torch.cat([before, found]), dim=0)[-ENDS:]
+
+
+def _past_ends(ends: torch.Tensor, goals: torch.Tensor, lost: torch.Tensor) -> torch.Tensor:
+    """Return which of the lost points ``[F, P, 2]`` of the stop lie behind an end of a spoke."""
+    past = torch.zeros_like(lost)
+    for field in lost.any(-1).nonzero()[:, 0].tolist():
+        # One row for each direction: rays farther out on it are not there either.
+        x, y, end = ends[ends[:, 0] == field, 1:].mT[..., None]
+        gx, gy = goals[field, lost[field]].unbind(-1)
+        along, across = gx * x + gy * y, gx * y - gy * x
+        past[field, lost[field]] = ((across.abs() <= ALONG) & (along > end + BEYOND)).any(0)
+    return past
+
+
+def _key(system, numbers: Prescription, pupil, fields: torch.Tensor, wide: bool) -> tuple | None:
     """Return all that chief rays depend on, None where it cannot be read."""
-    values: list[Any] = [value for value in (*numbers, fields) if value is not None]
+    values = [*_values(numbers), pupil.reach, pupil.stop_radius, fields]
     if not all(map(is_readable, values)):
         return None
     kinds = tuple((item.reflects, is_break(item), item.order) for item in system.surfaces)
-    whole = system.stop, system.object_distance, system.telecentric, wide, kinds
-    return *whole, tuple((tuple(v.shape), v.detach().contiguous().numpy().tobytes()) for v in values)
+    groups = (numbers.shapes, numbers.phases, numbers.gradients)
+    # A shape is its class and its parameters, which are read: they may have been changed in place.
+    classes = tuple(tuple(None if item is None else type(item) for item in group or ()) for group in groups)
+    digest = hashlib.sha256()
+    for value in values:
+        digest.update(value.detach().contiguous().numpy())
+    shapes = tuple(tuple(value.shape) for value in values)
+    return system.stop, system.object_distance, system.telecentric, wide, kinds, classes, shapes, digest.digest()
 
 
 def _chief_rays(errors, middle, centre, fields, step, radius):
@@ -671,7 +737,7 @@ def _chief_rays(errors, middle, centre, fields, step, radius):
     x, y, found = _solve(errors, *middle, step, radius, centre)
     if not bool(found.all()):
         # From the axis to the field.
-        px, py, met = _continuation(errors, *middle, step, radius, lambda s: (centre, s[..., None] * fields))
+        px, py, met, _ = _continuation(errors, *middle, step, radius, lambda s: (centre, s[..., None] * fields))
         done = met & ~found
         x, y, found = torch.where(done, px, x), torch.where(done, py, y), found | done
     return x, y, found
@@ -764,7 +830,7 @@ def _side_by_side(errors, places: list, goals, *where) -> list[tuple]:
 
 
 def _continuation(errors, x, y, step, radius, way):
-    """Return coordinates ``[..., N, 1]`` followed from s = 0 to s = 1, and which rays were found.
+    """Return coordinates ``[..., N, 1]`` followed from s = 0 to s = 1, which rays were found, and how far they came.
 
     Each march tries several steps along the tangent at once and takes those up to the first that fails.
     """
@@ -796,7 +862,7 @@ def _continuation(errors, x, y, step, radius, way):
     if bool(done.any()):
         x, y, met = _solve(errors, x, y, step, radius, *way(s))
         done = done & met
-    return x, y, done
+    return x, y, done, s
 
 
 def at_stop(system, numbers: Prescription, rays):

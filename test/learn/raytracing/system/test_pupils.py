@@ -34,7 +34,7 @@ from odak.learn.raytracing.system import (
     wavefront,
     write_zmx,
 )
-from odak.raytracing import RayStatus
+from odak.raytracing import OddAsphere, RayStatus
 
 F64 = torch.float64
 RADIUS, INDEX, FOCAL = 20.0, 1.5, 30.0
@@ -598,6 +598,78 @@ def test_wide_fields_are_aimed_in_few_traces(monkeypatch):
     pupils._CHIEF_RAYS.clear()
     assert all(torch.equal(a, b) for a, b in zip(bent, launch(lens, points, aim="real"), strict=True))
     assert not torch.equal(bent.y, first.y)
+
+
+def shaped():
+    """Return the wide lens with a surface that is a shape."""
+    lens = wide("120")
+    item, odd = lens.surfaces[0], torch.tensor([0.0, 0.0, 1e-6], dtype=F64)
+    shape = OddAsphere(float(item.curvature), 0.0, odd)
+    own = surface(shape=shape, thickness=float(item.thickness), material=item.material)
+    return optical_system([own, *list(lens.surfaces)[1:]], 2.8, "F-number", fields=[0.0, 30.0])
+
+
+def test_lenses_of_shapes_keep_their_chief_rays_and_charts(monkeypatch):
+    """A parameter that changes in place, another class of shape and another aperture are another lens."""
+    traced = []
+    monkeypatch.setattr(pupils, "trace", lambda *a, **b: (traced.append(1), trace(*a, **b))[1])
+    lens, points = shaped(), pupil_samples("rings", 8)
+    pupils._CHIEF_RAYS.clear()
+    first = launch(lens, points, aim="real")
+    counted = len(traced)
+    again = launch(lens, points, aim="real")
+    assert len(pupils._CHIEF_RAYS) == 1 and next(iter(pupils._CHIEF_RAYS.values())).chart is not None
+    assert len(traced) - counted < 5 < counted / 2
+    assert all(torch.equal(a, b) for a, b in zip(first, again, strict=True))
+    for change in (
+        lambda: lens.surfaces[0].shape.coefficients.data.mul_(30),
+        lambda: setattr(lens, "aperture", lens.aperture / 2),
+    ):
+        change()
+        changed = launch(lens, points, aim="real")
+        pupils._CHIEF_RAYS.clear()
+        alone = launch(lens, points, aim="real")
+        torch.testing.assert_close(torch.stack(changed), torch.stack(alone), rtol=0, atol=1e-14)
+        assert float((changed.y - again.y).abs().max()) > 1e-6
+        again = changed
+
+
+@pytest.mark.parametrize("forward", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_charts_of_lenses_of_shapes_keep_gradients_in_the_shapes(forward):
+    points, odd, lens = pupil_samples("rings", 8), torch.tensor([0.0, 0.0, 1e-6], dtype=F64), shaped()
+    numbers = lens.prescription()
+
+    def moved(bend):
+        own = OddAsphere(lens.surfaces[0].shape.curvature, lens.surfaces[0].shape.conic, bend)
+        given = numbers._replace(shapes=(own, *numbers.shapes[1:]))
+        return launch(lens, points, aim="real", prescription=given).y.square().sum()
+
+    moved(odd)
+    step = torch.tensor([0.0, 0.0, 1e-6], dtype=F64)
+    if forward:
+        load_forward_rules()
+        _, slope = torch.func.jvp(moved, (odd,), (step / 1e-6,))
+    else:
+        slope = torch.autograd.grad(moved(bend := odd.clone().requires_grad_()), bend)[0][2]
+    assert float(slope) == pytest.approx(float(moved(odd + step) - moved(odd - step)) / 2e-6, rel=1e-5)
+
+
+def test_rays_that_cannot_be_aimed_are_not_looked_for_again(monkeypatch):
+    traced = []
+    monkeypatch.setattr(pupils, "trace", lambda *a, **b: (traced.append(1), trace(*a, **b))[1])
+    lens, points = wide("160"), pupil_samples("y", 9) * 40
+    pupils._CHIEF_RAYS.clear()
+    first = launch(lens, points, aim="real")
+    counted = len(traced)
+    assert bool(torch.isinf(first.v).any()) and bool(torch.isfinite(first.v).any())
+    again = launch(lens, points, aim="real")
+    assert len(traced) - counted < counted / 3
+    # Points of other distances on the same spokes are aimed as by themselves.
+    other = launch(lens, points * 0.93, aim="real")
+    pupils._CHIEF_RAYS.clear()
+    alone = launch(lens, points * 0.93, aim="real")
+    for one, two in ((first, again), (other, alone)):
+        torch.testing.assert_close(torch.stack(one), torch.stack(two), rtol=1e-9, atol=1e-12)
 
 
 def test_many_rays_start_from_a_chart_and_end_where_few_do(monkeypatch):
