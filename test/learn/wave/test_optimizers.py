@@ -352,7 +352,7 @@ def test_interruption_and_resumption(tmp_path):
         (optimizer(checkpoint=path, learning_rate=0.2), {}, "learning_rate"),
         (optimizer(checkpoint=path, double_phase=False), {}, "double_phase"),
         (optimizer(checkpoint=path), {"eyebox": {"diameter": 6}}, "eyebox"),
-        (optimizer(checkpoint=path), {"inject_noise": True}, "noise"),
+        (optimizer(checkpoint=path), {"inject_noise": True}, "noise_ratio"),
     ):
         with pytest.raises(ValueError, match=f"its {told} differ"):
             made.optimize(9, **options)

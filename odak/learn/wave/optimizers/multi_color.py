@@ -309,11 +309,8 @@ class multi_color_hologram_optimizer:
 
         def about():
             given = {"method": self.method, "learning_rate": self.learning_rate, "weights": self.weights}
-            given |= {
-                "double_phase": self.double_phase,
-                "eyebox": repr(self._eyebox),
-                "noise": [inject_noise, noise_ratio],
-            }
+            given |= {"double_phase": self.double_phase, "eyebox": repr(self._eyebox)}
+            given |= {"noise_ratio": noise_ratio} if inject_noise else {}
             if not self.channel_power.requires_grad:
                 given["channel_power"] = fingerprint(self.channel_power)
             return given | {"targets": fingerprint(self.targets), "display": self.propagator.fingerprint()}
