@@ -13,7 +13,7 @@ from dataclasses import replace
 from laboratory import full_panel
 
 from odak import AccuracyWarning
-from odak.instruments import Lens, calibrate_table
+from odak.instruments import Lens, OpticalTable, calibrate_table
 
 SKIPPED = ("distance", "registration")
 
@@ -27,7 +27,7 @@ def main() -> None:
         begin = time.process_time()
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always", AccuracyWarning)
-            found = calibrate_table(table.modulator, table.camera, table.wavelength, path)
+            found = calibrate_table(OpticalTable(table.modulator, table.camera, table.wavelength, path))
         found = replace(found, distance=table.distance) if behind_lens else found
         named = table.errors(found).items()
         errors = ", ".join(f"{name} {error:.2g}" for name, error in named if name not in SKIPPED * behind_lens)

@@ -8,8 +8,9 @@ import math
 import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields, replace
 from numbers import Integral, Number, Real
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import numpy
 
@@ -46,6 +47,8 @@ _MOST_LENGTHS = 64
 # Kinds of numbers whose checks need no question about libraries.
 _NUMBERS = (float, int)
 F = TypeVar("F", bound=Callable)
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 def one_of(name: str, value: str, options: Iterable[str]) -> str:
@@ -550,6 +553,44 @@ def _by_known_names(function, own: list[str], options) -> dict[str, Any]:
             raise TypeError(f"{name} and {word} are one argument; give one of them")
         found[name] = value
     return found
+
+
+def takes_fields(older: str, **kinds: type) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Return a decorator by which fields of dataclasses may be arguments of their own, which is the older form.
+
+    Fields that are given beside an object of the class replace those of the object.
+
+    Parameters
+    ----------
+    older : str
+        Names of the positional arguments of the older form.
+    **kinds : type
+        Dataclasses by the names of the arguments that are objects of them.
+    """
+
+    def decorated(function):
+        parameters = inspect.signature(function).parameters.values()
+        newer = [parameter.name for parameter in parameters if parameter.kind is not inspect.Parameter.KEYWORD_ONLY]
+
+        @functools.wraps(function)
+        def form(*args, **options):
+            names = newer if any(isinstance(arg, tuple(kinds.values())) for arg in args) else older.split()
+            if len(args) > len(names):
+                raise TypeError(f"{function.__name__} takes at most {len(names)} positional arguments, got {len(args)}")
+            placed = dict(zip(names, args, strict=False))
+            if twice := placed.keys() & options.keys():
+                raise TypeError(f"{function.__name__} got {', '.join(sorted(twice))} twice")
+            options |= placed
+            for name, kind in kinds.items():
+                numbers = {field.name: options.pop(field.name) for field in fields(kind) if field.name in options}
+                if numbers:
+                    given = options.get(name)
+                    options[name] = kind(**numbers) if given is None else replace(given, **numbers)
+            return function(**options)
+
+        return form
+
+    return decorated
 
 
 def did_you_mean(value: str, names: Iterable[str]) -> str:

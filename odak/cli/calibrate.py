@@ -287,7 +287,7 @@ def _joined(
 
 
 def _phase(table: Table, known: Calibration) -> Found:
-    phases, doubt, _ = phases_with_uncertainty(table.modulator, table.camera, known.wavelength, known.distance)
+    phases, doubt, _ = phases_with_uncertainty(known.table(table.modulator, table.camera))
     found, uncertainties = _joined(known, {"phases": doubt}, phases=phases)
     line = np.linspace(phases[0], phases[-1], len(phases))
     return Found(
@@ -302,8 +302,7 @@ def _phase(table: Table, known: Calibration) -> Found:
 
 
 def _regions(table: Table, known: Calibration) -> Found:
-    there = (table.modulator, table.camera, known.wavelength, known.distance, known.registration)
-    tables, doubts = regions_with_uncertainty(*there, known.wavefront)
+    tables, doubts = regions_with_uncertainty(known.table(table.modulator, table.camera))
     ends = tables[..., -1]
     found, uncertainties = _joined(known, {"regional_phases": float(doubts.max())}, regional_phases=tables)
     return Found(
@@ -314,9 +313,8 @@ def _regions(table: Table, known: Calibration) -> Found:
 
 
 def _registration(table: Table, known: Calibration) -> Found:
-    there = (table.modulator, table.camera, known.wavelength, known.distance, known.response)
     middle = not known.wavefront.any()
-    mapping = instruments.register_camera(*there, wavefront=known.wavefront, middle=middle)
+    mapping = instruments.register_camera(known.table(table.modulator, table.camera), middle=middle)
     # The grid of spots, as register_camera places it.
     seen = table.camera if isinstance(known.distance, Lens) else table.modulator
     farthest = known.wavelength * abs(ray_matrix(known.distance)[1]) / (2 * table.modulator.pitch)
@@ -345,8 +343,7 @@ def _registration(table: Table, known: Calibration) -> Found:
 
 
 def _wavefront(table: Table, known: Calibration) -> Found:
-    there = (table.modulator, table.camera, known.wavelength, known.distance, known.response, known.registration)
-    wavefront, doubt = wavefront_with_uncertainty(*there, amplitude=known.amplitude)
+    wavefront, doubt = wavefront_with_uncertainty(known.table(table.modulator, table.camera))
     waves = wavefront / (2 * np.pi)
     found, uncertainties = _joined(known, {"wavefront": doubt}, wavefront=wavefront)
     return Found(
@@ -357,15 +354,13 @@ def _wavefront(table: Table, known: Calibration) -> Found:
 
 
 def _distance(table: Table, known: Calibration) -> Found:
-    there = (table.modulator, table.camera, known.wavelength, known.distance, known.response, known.registration)
-    distance, doubt = distance_with_uncertainty(*there, wavefront=known.wavefront)
+    distance, doubt = distance_with_uncertainty(known.table(table.modulator, table.camera))
     found, uncertainties = _joined(known, {"distance": doubt}, distance=distance)
     return Found(found, {"distance": (distance, "m"), **uncertainties}, _spot(table, known, found))
 
 
 def _illumination(table: Table, known: Calibration) -> Found:
-    there = (table.modulator, table.camera, known.wavelength, known.distance, known.response, known.registration)
-    amplitude, doubt = illumination_with_uncertainty(*there, wavefront=known.wavefront)
+    amplitude, doubt = illumination_with_uncertainty(known.table(table.modulator, table.camera))
     found, uncertainties = _joined(known, {"amplitude": doubt}, amplitude=amplitude)
     return Found(
         found,
@@ -429,7 +424,7 @@ def _polarisation(table: Table, known: Calibration) -> Found:
 
 
 def _all(table: Table, known: Calibration) -> Found:
-    found = instruments.calibrate_table(table.modulator, table.camera, known.wavelength, known.distance)
+    found = instruments.calibrate_table(known.table(table.modulator, table.camera))
 
     def draw(figure: Figure) -> None:
         left, middle, right = figure.subplots(1, 3)

@@ -39,4 +39,5 @@ from .protocols import Stage as Stage
 from .protocols import open_instrument as open_instrument
 from .registration import register_camera as register_camera
 from .simulated import SimulatedTable as SimulatedTable
+from .tables import OpticalTable as OpticalTable
 from .wavefronts import measure_wavefront as measure_wavefront

@@ -1,7 +1,7 @@
-"""Calibration of an optical table through the protocols of its instruments, and files of the results.
+"""Calibration of an optical table through the protocols of its instruments.
 
-The functions are called in this order, each with the results of those before: phase response, registration of the
-camera, wavefront, distance, illumination.
+The functions are called in this order, each with a table that has the results of those before: phase response,
+registration of the camera, wavefront, distance, illumination.
 """
 
 import math
@@ -24,9 +24,10 @@ from odak.instruments.phase_response import (
     regions_with_uncertainty,
     warn_of_short_range,
 )
-from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
+from odak.instruments.protocols import Camera, Modulator, check_square_pixels
 from odak.instruments.registration import SMALLEST_SHARE, beyond_view, check_view, registered
 from odak.instruments.spots import DEFOCUS, Part, aberration_modes, deflected, ideal_capture, pixel_axes, without
+from odak.instruments.tables import OpticalTable, parts_of
 from odak.instruments.wavefronts import UNSETTLED, wavefront_with_uncertainty
 
 __all__ = ["Calibration", "calibrate_table"]
@@ -156,6 +157,24 @@ class Calibration:
             Registration(np.diag([camera.pitch, camera.pitch, 1.0]), 0.0, shape),
         )
 
+    def table(self, modulator: Modulator, camera: Camera) -> OpticalTable:
+        """Return the table of a modulator and a camera as it was found, for further measurements.
+
+        Parameters
+        ----------
+        modulator : Modulator
+            The modulator.
+        camera : Camera
+            The camera.
+
+        Returns
+        -------
+        OpticalTable
+            The table, with the response of regions where it was measured.
+        """
+        there = (modulator, camera, self.wavelength, self.distance)
+        return OpticalTable(*there, self.response, self.registration, self.wavefront, self.amplitude)
+
     def _repr_html_(self) -> str:
         return _show.page(self, Calibration._view)
 
@@ -235,12 +254,10 @@ def _response_drawn(phases: np.ndarray) -> str:
     return f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 320 220" width="320" fill="none">{drawn}</svg>'
 
 
-@_validate.takes_units("wavelength", "distance")
+@_validate.takes_fields("modulator camera wavelength distance", table=OpticalTable)
+@_validate.takes_units()
 def calibrate_table(
-    modulator: Modulator,
-    camera: Camera,
-    wavelength: float,
-    distance: float | Lens,
+    table: OpticalTable,
     *,
     rounds: int = 2,
     regions: Sequence[int] | None = None,
@@ -255,15 +272,9 @@ def calibrate_table(
 
     Parameters
     ----------
-    modulator : Modulator
-        The modulator.
-    camera : Camera
-        The camera, roughly at `distance`.
-    wavelength : float
-        Vacuum wavelength in metres.
-    distance : float or Lens
-        Nominal distance from the modulator to the camera in metres, or the lens between them, near whose back focal
-        plane the camera is.
+    table : OpticalTable
+        The table, with its nominal distance, or with the lens near whose back focal plane the camera is. What is known
+        of it besides is measured anew.
     rounds : int
         Number of measurements of the registration and the wavefront; up to twice as many as long as the wavefront
         changes by more than a twentieth of a wavelength. With two, a calibration without a lens takes about 180
@@ -309,88 +320,84 @@ def calibrate_table(
     Examples
     --------
     >>> import warnings
-    >>> from odak.instruments import SimulatedTable, calibrate_table
-    >>> table = SimulatedTable(seed=1, shape=(48, 48), distance=6e-3, camera_shape=(110, 110), aberration=0.1)
+    >>> from odak.instruments import OpticalTable, SimulatedTable, calibrate_table
+    >>> hidden = SimulatedTable(seed=1, shape=(48, 48), distance=6e-3, camera_shape=(110, 110), aberration=0.1)
+    >>> table = OpticalTable(hidden.modulator, hidden.camera, hidden.laser.wavelength, 6e-3)
     >>> with warnings.catch_warnings():
     ...     warnings.simplefilter("ignore")  # the illumination of so few pixels is found within 3 % only
-    ...     found = calibrate_table(table.modulator, table.camera, table.laser.wavelength, 6e-3)
-    >>> bool(abs(found.distance / table.truth.distance - 1) < 0.01)
+    ...     found = calibrate_table(table)
+    >>> bool(abs(found.distance / hidden.truth.distance - 1) < 0.01)
     True
-    >>> bool(abs(found.phases - table.truth.phases).max() < 0.02)
+    >>> bool(abs(found.phases - hidden.truth.phases).max() < 0.02)
     True
     """
     rounds, partial = _validate.integer("rounds", rounds, minimum=1), _validate.flag("partial", partial)
-    behind_lens = isinstance(distance, Lens)
+    behind_lens = isinstance(table.distance, Lens)
     if behind_lens and (partial or regions not in (None, (1, 1))):
         raise ValueError("distance must be without a lens for regions and partial: behind one, pixels reach all places")
-    check_square_pixels(modulator, camera)
-    camera = checked_camera(camera)
-    there = (modulator, camera, wavelength)
-    phases, doubt, spread = phases_with_uncertainty(*there, distance, 15, 5)
+    modulator, camera, wavelength, _ = parts_of(table)
+    wavefront = np.zeros(modulator.shape)
+    table = replace(table, camera=camera, wavefront=wavefront, amplitude=None)
+    phases, doubt, spread = phases_with_uncertainty(table, 15, 5)
     warn_of_short_range(phases)
     regions = _regions_to_measure(regions, modulator, spread, behind_lens)
     uncertainty = {"phases": doubt}
-    response, regional = phases, None
-    wavefront, change = np.zeros(modulator.shape), math.inf
-    registration = None
+    table, registration = replace(table, phases=phases), None
+    regional, change = None, math.inf
     for turn in range(2 * rounds):
         if turn >= rounds and change < UNSETTLED:
             break
         grids = FIRST_GRIDS if turn == 0 else GRIDS
-        registration = registered(
-            *there, distance, response, wavefront, middle=turn == 0, captures=grids, start=registration
-        )
-        if turn == 0 and isinstance(distance, Lens):
-            _check_orders(*there, distance, registration)
-        elif turn == 0 and (part := _seen_part(*there, distance, registration, partial)):
-            found = calibrate_table(part, *there[1:], distance, rounds=rounds, regions=regions, partial=True)
-            return part.embedded(found)
+        registration = registered(table, middle=turn == 0, captures=grids, start=registration)
+        table = replace(table, registration=registration)
+        if turn == 0 and behind_lens:
+            _check_orders(table)
+        elif turn == 0 and (part := _seen_part(table, partial)):
+            within = replace(table, modulator=part)
+            return part.embedded(calibrate_table(within, rounds=rounds, regions=regions, partial=True))
         # An aberration falsifies the first registration, and so where the regions are thought to be.
         if turn == min(1, rounds - 1) and regions != (1, 1):
-            regional, doubts = regions_with_uncertainty(
-                *(*there, distance, registration, wavefront, regions), whole=phases
-            )
-            response = regional
+            regional, doubts = regions_with_uncertainty(table, regions, whole=phases)
+            table = replace(table, phases=regional)
             shares = np.multiply.outer(
                 *(between_regions(n, parts).mean(0) for n, parts in zip(modulator.shape, regions, strict=True))
             )
             phases = np.tensordot(shares, regional, axes=2)
             # The errors of the regions are partly independent.
             uncertainty = {"phases": 2 * float(np.linalg.norm(shares * doubts)), "regional_phases": float(doubts.max())}
-        known = (*there, distance, response, registration)
         if turn == 0:
-            found, doubt = wavefront_with_uncertainty(*known, iterations=5, captures=1)
+            found, doubt = wavefront_with_uncertainty(table, iterations=5, captures=1)
         else:
-            found, doubt = wavefront_with_uncertainty(*known, iterations=3, start=wavefront, captures=2)
-        if isinstance(distance, Lens):
+            found, doubt = wavefront_with_uncertainty(table, iterations=3, start=wavefront, captures=2)
+        if behind_lens:
             # An aberration does not change the scale and the shear of spots of which each has the light of all pixels.
-            found = without(found, aberration_modes(modulator, 1))
+            table = replace(table, wavefront=without(found, aberration_modes(modulator, 1)))
         else:
-            distance, found = _distance_and_wavefront(*known, found, None if turn == 0 else wavefront)
-            known = (*there, distance, response, registration)
-        change, wavefront = float((found - wavefront).std()), found
+            table = _with_distance_and_wavefront(table, found, turn == 0)
+        change, wavefront = float((table.wavefront - wavefront).std()), np.asarray(table.wavefront)
     # An error of the response of a region acts as an aberration, of the mean phase of a pattern. The factors here and
     # below are those that make standard deviations of the errors on 50 independent tables.
     response_error = 0.4 * uncertainty.get("regional_phases", 0.0)
     uncertainty["wavefront"] = math.hypot(1.5 * doubt, REST * change, SMALLEST_ERROR, response_error)
     by_distance = 0.0
-    if not isinstance(distance, Lens):
-        distance, doubt = distance_with_uncertainty(*known, wavefront, NEAR if rounds == 1 else None, FOCI, 2)
+    if not behind_lens:
+        distance, doubt = distance_with_uncertainty(table, NEAR if rounds == 1 else None, FOCI, 2)
+        table = replace(table, distance=distance)
         # A lens has the wavefront π/λ·(x² + y²)/f.
         y, x = pixel_axes(modulator)
         defocus = 0.2 * uncertainty["wavefront"] / (x**2 + y**2).std() * wavelength * distance**2 / np.pi
         uncertainty["distance"] = math.hypot(doubt, defocus)
         far = 0.35 * math.hypot(*modulator.shape) * modulator.pitch
         by_distance = far * uncertainty["distance"] / (distance * camera.pitch)
-    registration = registered(*there, distance, response, wavefront, captures=LAST_GRIDS, start=registration)
+    registration = registered(table, captures=LAST_GRIDS, start=registration)
     uncertainty["registration"] = math.hypot(registration.uncertainty, by_distance)
     registration = replace(registration, uncertainty=uncertainty["registration"])
     for text in _doubts(uncertainty):
         warn(text, AccuracyWarning)
-    amplitude, uncertainty["amplitude"] = illumination_with_uncertainty(
-        *there, distance, response, registration, wavefront, patterns=150 if behind_lens else PATTERNS
-    )
-    found = (wavelength, modulator.pitch, distance, phases, amplitude, wavefront)
+    table = replace(table, registration=registration)
+    patterns = 150 if behind_lens else PATTERNS
+    amplitude, uncertainty["amplitude"] = illumination_with_uncertainty(table, patterns=patterns)
+    found = (wavelength, modulator.pitch, table.distance, phases, amplitude, wavefront)
     return Calibration(*found, registration, regional, uncertainty)
 
 
@@ -412,8 +419,9 @@ def _regions_to_measure(regions, modulator: Modulator, spread: float, behind_len
     return regions
 
 
-def _check_orders(modulator: Modulator, camera: Camera, wavelength: float, lens: Lens, registration: Registration):
+def _check_orders(table: OpticalTable):
     """Raise an error if the spots of a first registration behind a lens were not found."""
+    modulator, camera, wavelength, lens, registration = parts_of(table, "registration")
     if registration.residual > LARGEST_RESIDUAL:
         spacing = 1e3 * wavelength * abs(ray_matrix(lens)[1]) / modulator.pitch
         rows, columns = (1e3 * n * camera.pitch for n in camera.shape)
@@ -425,40 +433,37 @@ def _check_orders(modulator: Modulator, camera: Camera, wavelength: float, lens:
         )
 
 
-def _seen_part(modulator, camera, wavelength, distance, registration, partial: bool) -> "_Middle | None":
+def _seen_part(table: OpticalTable, partial: bool) -> "_Middle | None":
     """Return the middle part of a modulator that a camera sees, or None if it sees all; without `partial`, it must."""
-    view = (modulator, camera, wavelength, distance, registration)
     share = np.ones(2)
     # The registration of the part differs by some pixels.
     spare = 0
-    while partial and (beyond := beyond_view(*view, share) + spare).max() > 0 and share.min() > SMALLEST_SHARE:
+    while partial and (beyond := beyond_view(table, share) + spare).max() > 0 and share.min() > SMALLEST_SHARE:
         share -= 0.02 * (beyond[::-1] > 0).any(-1)
         spare = 4
-    check_view(beyond_view(*view, share), camera)
+    check_view(beyond_view(table, share), table.camera)
     if (share == 1).all():
         return None
-    rows, columns = (2 * int(n * part / 2) for n, part in zip(modulator.shape, share, strict=True))
-    return _Middle(modulator, (rows, columns))
+    rows, columns = (2 * int(n * part / 2) for n, part in zip(table.modulator.shape, share, strict=True))
+    return _Middle(table.modulator, (rows, columns))
 
 
-def _distance_and_wavefront(
-    modulator, camera, wavelength, distance, response, registration, raw: np.ndarray, before: np.ndarray | None
-) -> tuple[float, np.ndarray]:
-    """Return the distance, and a measured wavefront without tilt and defocus, with the astigmatism of a focus.
+def _with_distance_and_wavefront(table: OpticalTable, raw: np.ndarray, first: bool) -> OpticalTable:
+    """Return a table with a measured wavefront without tilt and defocus, its distance, and the astigmatism of a focus.
 
-    The quadratic part of the wavefront `before`, which a focus gave, takes the place of the measured one.
+    The quadratic part of the wavefront of the table, which a focus gave, takes the place of the measured one.
     """
-    there, quadratic = (modulator, camera, wavelength), aberration_modes(modulator, 2)
-    found = raw if before is None else before + without(raw - before, quadratic)
+    modulator, _, wavelength, distance = parts_of(table)
+    quadratic = aberration_modes(modulator, 2)
+    found = raw if first else table.wavefront + without(raw - table.wavefront, quadratic)
     # Where the illumination is not symmetric, defocus shifts the sharpest astigmatism.
     if min(modulator.shape) * modulator.pitch < FEWEST * math.sqrt(wavelength * distance):
-        span = FAR if before is None else NEAR
-        distance, _ = distance_with_uncertainty(*there, distance, response, registration, found, span, captures=1)
+        distance, _ = distance_with_uncertainty(replace(table, wavefront=found), FAR if first else NEAR, captures=1)
     else:
         distance = _focused(modulator, wavelength, distance, raw)
     low = quadratic[[0, 1, DEFOCUS]]
-    found = without(found, low)
-    return distance, without(astigmatism_by_focus(*there, distance, response, registration, found), low)
+    table = replace(table, distance=distance, wavefront=without(found, low))
+    return replace(table, wavefront=without(astigmatism_by_focus(table), low))
 
 
 def _focused(modulator: Modulator, wavelength: float, distance: float, wavefront: np.ndarray) -> float:

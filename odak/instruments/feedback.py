@@ -10,8 +10,9 @@ from odak import _validate
 from odak._warnings import ConvergenceWarning, warn
 from odak.instruments.exposures import set_exposure
 from odak.instruments.mapping import Registration
-from odak.instruments.phase_response import nearest_levels
-from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
+from odak.instruments.phase_response import nearest_levels, without_lens
+from odak.instruments.protocols import Camera
+from odak.instruments.tables import OpticalTable, parts_of
 from odak.wave import spot_hologram, uniformity
 
 __all__ = ["SpotFeedback", "equalise_spots"]
@@ -52,18 +53,13 @@ class SpotFeedback:
     history: tuple[float, ...]
 
 
-@_validate.takes_units("wavelength", "distance", "radius")
+@_validate.takes_fields("modulator camera wavelength distance points phases registration", table=OpticalTable)
+@_validate.takes_units("radius")
 def equalise_spots(
-    modulator: Modulator,
-    camera: Camera,
-    wavelength: float,
-    distance: float,
+    table: OpticalTable,
     points: np.ndarray,
-    phases: np.ndarray,
-    registration: Registration,
     *,
     intensities: np.ndarray | None = None,
-    wavefront: np.ndarray | float = 0.0,
     turns: int = 10,
     captures: int = 16,
     radius: float | None = None,
@@ -76,24 +72,12 @@ def equalise_spots(
 
     Parameters
     ----------
-    modulator : Modulator
-        The modulator.
-    camera : Camera
-        The camera.
-    wavelength : float
-        Vacuum wavelength in metres.
-    distance : float
-        Distance from the modulator to the camera in metres.
+    table : OpticalTable
+        The table without a lens, with phases, a registration and the aberration that is corrected, if it is known.
     points : numpy.ndarray
         Spots x, y in metres ``[N, 2]`` in the plane of the camera, two or more.
-    phases : numpy.ndarray
-        Phase of each level in radians, from :func:`measure_phase_response`.
-    registration : Registration
-        Mapping of the camera, from :func:`register_camera`.
     intensities : numpy.ndarray, optional
         Light wanted in each spot ``[N]``, up to a common factor; equal by default.
-    wavefront : numpy.ndarray or float
-        Aberration in radians that is corrected, if it is known.
     turns : int
         Number of iterations.
     captures : int
@@ -120,7 +104,7 @@ def equalise_spots(
     Notes
     -----
     Brightness is light per area of the plane: 1 % of the scale of the registration is 2 % of it. An aberration shifts
-    the spots of :func:`register_camera`; give that its `wavefront`, or register before the aberration comes in.
+    the spots of :func:`register_camera`; give it a table with the aberration, or register before that comes in.
 
     Weighted Gerchberg–Saxton with the weights of Di Leonardo, Ianni and Ruocco, Opt. Express 15, 1913 (2007); feedback
     of a camera: Nogrette et al., Phys. Rev. X 4, 021034 (2014), appendix A.
@@ -128,27 +112,24 @@ def equalise_spots(
     Examples
     --------
     >>> import numpy as np
-    >>> from odak.instruments import Registration, SimulatedTable, equalise_spots
-    >>> table = SimulatedTable(1, shape=(32, 32), camera_shape=(96, 96), misalignment=False, nonlinearity=False)
+    >>> from odak.instruments import OpticalTable, Registration, SimulatedTable, equalise_spots
+    >>> hidden = SimulatedTable(1, shape=(32, 32), camera_shape=(96, 96), misalignment=False, nonlinearity=False)
     >>> points = np.array([[-6e-5, -6e-5], [0.0, 5e-5], [8e-5, -2e-5]])
     >>> registration = Registration(np.diag([4e-6, 4e-6, 1.0]), 0.0, (96, 96))
     >>> phases = 2 * np.pi * np.arange(256) / 255
-    >>> found = equalise_spots(
-    ...     table.modulator, table.camera, 532e-9, 20e-3, points, phases, registration, turns=3, captures=2
-    ... )
+    >>> table = OpticalTable(hidden.modulator, hidden.camera, 532e-9, 20e-3, phases, registration)
+    >>> found = equalise_spots(table, points, turns=3, captures=2)
     >>> found.history[0] < 0.95 < 0.99 < found.history[-1]
     True
     """
     points = np.asarray(_validate.real("points", _validate.array("points", points)), dtype=float)
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
         raise ValueError(f"points must be [N, 2] with N at least 2, got {list(points.shape)}")
-    wavelength = float(_validate.number("wavelength", wavelength, positive=True))
-    distance = float(_validate.number("distance", distance, positive=True))
+    distance = without_lens(table.distance, "every pixel sends light to all places")
+    modulator, camera, wavelength, _, phases, registration = parts_of(table, "phases", "registration")
     turns, captures = (
         _validate.integer(name, count, minimum=1) for name, count in (("turns", turns), ("captures", captures))
     )
-    check_square_pixels(modulator, camera)
-    camera = checked_camera(camera)
     asked = np.ones(len(points))
     if intensities is not None:
         asked = np.asarray(_validate.real("intensities", _validate.array("intensities", intensities), positive=True))
@@ -166,7 +147,7 @@ def equalise_spots(
         hologram, _ = spot_hologram(
             places, modulator.shape, wavelength, modulator.pitch, _TURNS, intensities=wanted, seed=0
         )
-        levels = nearest_levels(np.angle(hologram) - wavefront, phases)
+        levels = nearest_levels(np.angle(hologram) - table.wavefront, phases)
         modulator.show(levels)
         if turn == 0:
             set_exposure(camera)

@@ -8,9 +8,8 @@ from scipy.ndimage import uniform_filter
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.instruments.exposures import exposed, set_exposure
-from odak.instruments.mapping import Lens, Registration
 from odak.instruments.phase_response import nearest_levels, without_lens
-from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
+from odak.instruments.protocols import Camera, Modulator
 from odak.instruments.spots import (
     DEFOCUS,
     aberration_modes,
@@ -23,6 +22,7 @@ from odak.instruments.spots import (
     unsaturated,
     without,
 )
+from odak.instruments.tables import OpticalTable, parts_of
 
 __all__ = ["measure_distance"]
 
@@ -37,20 +37,9 @@ EVEN_SQUARE = math.sqrt(90)
 FOCUS = 0.01
 
 
-@_validate.takes_units("wavelength", "distance")
-def measure_distance(
-    modulator: Modulator,
-    camera: Camera,
-    wavelength: float,
-    distance: float | Lens,
-    phases: np.ndarray,
-    registration: Registration,
-    *,
-    wavefront: np.ndarray | float = 0.0,
-    span: float = 0.15,
-    samples: int = 15,
-    captures: int = 4,
-) -> float:
+@_validate.takes_fields("modulator camera wavelength distance phases registration", table=OpticalTable)
+@_validate.takes_units()
+def measure_distance(table: OpticalTable, *, span: float = 0.15, samples: int = 15, captures: int = 4) -> float:
     """Measure the distance from a modulator to a camera by the lens of sharpest focus.
 
     The depth of focus λ/NA² of all pixels may be a thousandth of the distance or less. A first sweep of focal lengths
@@ -59,21 +48,9 @@ def measure_distance(
 
     Parameters
     ----------
-    modulator : Modulator
-        The modulator.
-    camera : Camera
-        The camera.
-    wavelength : float
-        Vacuum wavelength in metres.
-    distance : float
-        Nominal distance in metres.
-    phases : numpy.ndarray
-        Phase of each level in radians, from :func:`measure_phase_response` or :func:`measure_regional_response`.
-    registration : Registration
-        Mapping of the camera, from :func:`register_camera`.
-    wavefront : numpy.ndarray or float
-        Aberration in radians that is corrected; its defocus is excluded, as it cannot be distinguished from the
-        distance.
+    table : OpticalTable
+        The table without a lens, with its nominal distance, phases, a registration and the aberration that is
+        corrected, whose defocus is excluded: it cannot be distinguished from the distance.
     span : float
         Half the range of the focal lengths of the first sweep, as a fraction of the distance, below 1.
     samples : int
@@ -98,34 +75,25 @@ def measure_distance(
 
     Examples
     --------
-    >>> from odak.instruments import Registration, SimulatedTable, measure_distance
-    >>> table = SimulatedTable(seed=1, shape=(32, 32), distance=4e-3, camera_shape=(48, 48), aberration=0.05)
-    >>> known = Registration(table.truth.homography, table.truth.distortion, table.camera.shape)
-    >>> there = (table.modulator, table.camera, 532e-9, 4e-3)
-    >>> found = measure_distance(*there, table.truth.phases, known, wavefront=table.truth.wavefront)
-    >>> bool(abs(found / table.truth.distance - 1) < 0.02)
+    >>> from odak.instruments import OpticalTable, Registration, SimulatedTable, measure_distance
+    >>> hidden = SimulatedTable(seed=1, shape=(32, 32), distance=4e-3, camera_shape=(48, 48), aberration=0.05)
+    >>> truth, there = hidden.truth, (hidden.modulator, hidden.camera, 532e-9, 4e-3)
+    >>> mapping = Registration(truth.homography, truth.distortion, hidden.camera.shape)
+    >>> found = measure_distance(OpticalTable(*there, truth.phases, mapping, truth.wavefront))
+    >>> bool(abs(found / truth.distance - 1) < 0.02)
     True
     """
-    there = (modulator, camera, wavelength, distance, phases, registration)
-    return distance_with_uncertainty(*there, wavefront, span, samples, captures)[0]
+    return distance_with_uncertainty(table, span, samples, captures)[0]
 
 
-def astigmatism_by_focus(
-    modulator: Modulator,
-    camera: Camera,
-    wavelength: float,
-    distance: float | Lens,
-    phases: np.ndarray,
-    registration: Registration,
-    wavefront: np.ndarray,
-) -> np.ndarray:
-    """Return a wavefront in radians with the astigmatism of the sharpest focus on the axis.
+def astigmatism_by_focus(table: OpticalTable) -> np.ndarray:
+    """Return the wavefront of a table in radians with the astigmatism of the sharpest focus on the axis.
 
     Unlike the displacements of the spots of lenslets, the sharpness does not depend on the registration. Its logarithm
     is a parabola of the astigmatism, through three captures for each of the two directions.
     """
-    camera = checked_camera(camera)
-    modes = aberration_modes(modulator, 2)
+    modulator, camera, wavelength, distance, phases, registration = parts_of(table, "phases", "registration")
+    wavefront, modes = np.asarray(table.wavefront), aberration_modes(modulator, 2)
     low = modes[[0, 1, DEFOCUS]]
     read_around(camera, np.rint(registration.camera_pixels(np.zeros(2))).astype(int), 14)
     lens = lens_phase(modulator, wavelength, distance)
@@ -183,30 +151,19 @@ def _check_focus(camera: Camera, powers: np.ndarray) -> None:
 
 
 def distance_with_uncertainty(
-    modulator: Modulator,
-    camera: Camera,
-    wavelength: float,
-    distance: float | Lens,
-    phases: np.ndarray,
-    registration: Registration,
-    wavefront: np.ndarray | float = 0.0,
-    span: float | None = 0.15,
-    samples: int = 15,
-    captures: int = 4,
+    table: OpticalTable, span: float | None = 0.15, samples: int = 15, captures: int = 4
 ) -> tuple[float, float]:
     """Return the distance from a modulator to a camera, and its uncertainty in metres.
 
     The parameters are as in :func:`measure_distance`; a span of None is for a distance that is known within the
     depth of focus. The error of the wavefront is not in the uncertainty.
     """
-    distance = without_lens(distance, "measure_wavefront finds the defocus")
-    check_square_pixels(modulator, camera)
-    camera = checked_camera(camera)
-    distance = float(_validate.number("distance", distance, positive=True))
+    distance = without_lens(table.distance, "measure_wavefront finds the defocus")
+    modulator, camera, wavelength, _, phases, registration = parts_of(table, "phases", "registration")
     samples = _validate.integer("samples", samples, minimum=5)
     if span is not None and _validate.number("span", span, positive=True) >= 1:
         raise ValueError(f"span must be a share of the distance below 1, got {span:g}")
-    correction = np.asarray(wavefront, float)
+    correction = np.asarray(table.wavefront, float)
     if correction.ndim:
         correction = without(correction, aberration_modes(modulator, 2)[[0, 1, DEFOCUS]])
     y, x = pixel_axes(modulator)

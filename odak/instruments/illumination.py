@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,10 +11,10 @@ from scipy.optimize import least_squares
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.instruments.exposures import combined, set_exposure
-from odak.instruments.mapping import Lens, Registration, ray_matrix
+from odak.instruments.mapping import Lens, ray_matrix
 from odak.instruments.phase_response import nearest_levels
-from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
 from odak.instruments.spots import averaged, lens_phase, pixel_axes, read_around
+from odak.instruments.tables import OpticalTable, parts_of
 
 __all__ = ["measure_illumination"]
 
@@ -31,16 +32,11 @@ VIEW, WIDEST = 0.35, 12
 QUARTERS = np.arange(4) * (np.pi / 2)
 
 
-@_validate.takes_units("wavelength", "distance")
+@_validate.takes_fields("modulator camera wavelength distance phases registration", table=OpticalTable)
+@_validate.takes_units()
 def measure_illumination(
-    modulator: Modulator,
-    camera: Camera,
-    wavelength: float,
-    distance: float | Lens,
-    phases: np.ndarray,
-    registration: Registration,
+    table: OpticalTable,
     *,
-    wavefront: np.ndarray | float = 0.0,
     cells: int = 8,
     order: int = 4,
     patterns: int = 150,
@@ -56,20 +52,8 @@ def measure_illumination(
 
     Parameters
     ----------
-    modulator : Modulator
-        The modulator.
-    camera : Camera
-        The camera.
-    wavelength : float
-        Vacuum wavelength in metres.
-    distance : float or Lens
-        Distance from the modulator to the camera in metres, or the lens between them.
-    phases : numpy.ndarray
-        Phase of each level in radians, from :func:`measure_phase_response` or :func:`measure_regional_response`.
-    registration : Registration
-        Mapping of the camera, from :func:`register_camera`.
-    wavefront : numpy.ndarray or float
-        Aberration in radians that is corrected.
+    table : OpticalTable
+        The table, with phases, a registration and the aberration that is corrected.
     cells : int
         Number of parts along each axis.
     order : int
@@ -95,37 +79,26 @@ def measure_illumination(
 
     Examples
     --------
-    >>> from odak.instruments import Registration, SimulatedTable, measure_illumination
-    >>> table = SimulatedTable(seed=1, shape=(32, 32), distance=4e-3, camera_shape=(48, 48), aberration=0.05)
-    >>> known = Registration(table.truth.homography, table.truth.distortion, table.camera.shape)
-    >>> there = (table.modulator, table.camera, 532e-9, table.truth.distance)
-    >>> found = measure_illumination(*there, table.truth.phases, known, wavefront=table.truth.wavefront, patterns=900)
-    >>> bool(abs(found - table.truth.amplitude / table.truth.amplitude.max()).mean() < 0.06)
+    >>> from odak.instruments import OpticalTable, Registration, SimulatedTable, measure_illumination
+    >>> hidden = SimulatedTable(seed=1, shape=(32, 32), distance=4e-3, camera_shape=(48, 48), aberration=0.05)
+    >>> truth = hidden.truth
+    >>> mapping = Registration(truth.homography, truth.distortion, hidden.camera.shape)
+    >>> known = (532e-9, truth.distance, truth.phases, mapping, truth.wavefront)
+    >>> found = measure_illumination(OpticalTable(hidden.modulator, hidden.camera, *known), patterns=900)
+    >>> bool(abs(found - truth.amplitude / truth.amplitude.max()).mean() < 0.06)
     True
     """
-    there = (modulator, camera, wavelength, distance, phases, registration)
-    return illumination_with_uncertainty(*there, wavefront, cells, order, patterns, captures)[0]
+    return illumination_with_uncertainty(table, cells, order, patterns, captures)[0]
 
 
 def illumination_with_uncertainty(
-    modulator: Modulator,
-    camera: Camera,
-    wavelength: float,
-    distance: float | Lens,
-    phases: np.ndarray,
-    registration: Registration,
-    wavefront: np.ndarray | float = 0.0,
-    cells: int = 8,
-    order: int = 4,
-    patterns: int = 150,
-    captures: int = 1,
+    table: OpticalTable, cells: int = 8, order: int = 4, patterns: int = 150, captures: int = 1
 ) -> tuple[np.ndarray, float]:
     """Return the amplitude of the illumination at a modulator, and its uncertainty (root mean square).
 
     The parameters are as in :func:`measure_illumination`.
     """
-    check_square_pixels(modulator, camera)
-    camera = checked_camera(camera)
+    modulator, camera, wavelength, distance, _, registration = parts_of(table, "phases", "registration")
     rows, columns = modulator.shape
     cells, order = _validate.integer("cells", cells, minimum=3), _validate.integer("order", order, minimum=1)
     number = [np.minimum(np.arange(n) * cells // n, cells - 1) for n in (rows, columns)]
@@ -145,8 +118,7 @@ def illumination_with_uncertainty(
     each = -(-_validate.integer("patterns", patterns, minimum=40) // len(corners))
     parts = [
         _speckles(
-            *(modulator, camera, wavelength, distance, phases, registration, wavefront, aside * corner, cell),
-            *(draw.integers(4, size=(each, cells * cells)), captures),
+            replace(table, camera=camera), aside * corner, cell, draw.integers(4, size=(each, cells * cells)), captures
         )
         for corner in corners
     ]
@@ -240,10 +212,9 @@ class _Speckles(NamedTuple):
     """Wave of each cell at points of the pixels of the camera ``[pixels, 4, cells]``."""
 
 
-def _speckles(
-    modulator, camera, wavelength, distance, phases, registration, wavefront, point, cell, steps, captures
-) -> _Speckles:
+def _speckles(table: OpticalTable, point: np.ndarray, cell: np.ndarray, steps: np.ndarray, captures) -> _Speckles:
     """Capture the light of cells with random phases that is focused at a point."""
+    modulator, camera, wavelength, distance, phases, registration = parts_of(table, "phases", "registration")
     y, x = pixel_axes(modulator)
     _, b = ray_matrix(distance)
     farthest = 0.95 * wavelength * abs(b) / (2 * modulator.pitch)
@@ -252,7 +223,7 @@ def _speckles(
     else:
         reaches = (np.abs(x - point[0]) < farthest) & (np.abs(y - point[1]) < farthest)
     rows, columns = np.indices(modulator.shape)
-    lens = lens_phase(modulator, wavelength, distance, point) - wavefront
+    lens = lens_phase(modulator, wavelength, distance, point) - table.wavefront
     # The light of the other pixels is deflected by the largest angle.
     shown = np.stack(
         [nearest_levels(np.where(reaches, lens + turn, np.pi * (rows + columns)), phases) for turn in QUARTERS]

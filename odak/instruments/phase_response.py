@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -11,9 +12,10 @@ from scipy.ndimage import uniform_filter
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.instruments.exposures import SATURATED, STALE, set_exposure
-from odak.instruments.mapping import Lens, Registration
-from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
+from odak.instruments.mapping import Lens
+from odak.instruments.protocols import Camera, Modulator
 from odak.instruments.spots import averaged, brightest, deflected, lens_phase, pixel_axes, read_around
+from odak.instruments.tables import OpticalTable, parts_of
 
 __all__ = ["measure_phase_response", "measure_regional_response"]
 
@@ -100,16 +102,9 @@ def between_regions(pixels: int, parts: int) -> np.ndarray:
     return make_interp_spline(np.arange(parts), np.eye(parts), k=min(parts - 1, 3))(places)
 
 
-@_validate.takes_units("wavelength", "distance")
-def measure_phase_response(
-    modulator: Modulator,
-    camera: Camera,
-    wavelength: float,
-    distance: float | Lens,
-    *,
-    samples: int = 25,
-    captures: int = 4,
-) -> np.ndarray:
+@_validate.takes_fields("modulator camera wavelength distance", table=OpticalTable)
+@_validate.takes_units()
+def measure_phase_response(table: OpticalTable, *, samples: int = 25, captures: int = 4) -> np.ndarray:
     """Measure the phase of each level of a modulator.
 
     One half of the panel shows a level g, the same everywhere; a fixed pattern deflects the light of the other half
@@ -120,17 +115,10 @@ def measure_phase_response(
 
     Parameters
     ----------
-    modulator : Modulator
-        The modulator.
-    camera : Camera
-        The camera, roughly at `distance`. Its exposure is set for light that is not focused, twice as long as the
-        brightest pixels allow, which are left out.
-    wavelength : float
-        Vacuum wavelength in metres.
-    distance : float or Lens
-        Nominal distance from the modulator to the camera in metres, or the lens between them. Behind a lens both halves
-        form the focus on the axis, and the sign of the phases, for which the image turns by 180°, is taken to be
-        positive.
+    table : OpticalTable
+        The table. The exposure of the camera is set for light that is not focused, twice as long as the brightest
+        pixels allow, which are left out. Behind a lens both halves form the focus on the axis, and the sign of the
+        phases, for which the image turns by 180°, is taken to be positive.
     samples : int
         Number of levels measured, at least 8; those between are interpolated by a cubic spline.
     captures : int
@@ -169,36 +157,29 @@ def measure_phase_response(
     Examples
     --------
     >>> import numpy as np
-    >>> from odak.instruments import SimulatedTable, measure_phase_response
-    >>> table = SimulatedTable(seed=1, shape=(32, 32), distance=4e-3, camera_shape=(48, 48), aberration=0.05)
-    >>> phases = measure_phase_response(table.modulator, table.camera, 532e-9, 4e-3, samples=9)
-    >>> bool(np.abs(phases - table.truth.phases).max() < 0.02)
+    >>> from odak.instruments import OpticalTable, SimulatedTable, measure_phase_response
+    >>> hidden = SimulatedTable(seed=1, shape=(32, 32), distance=4e-3, camera_shape=(48, 48), aberration=0.05)
+    >>> phases = measure_phase_response(OpticalTable(hidden.modulator, hidden.camera, 532e-9, 4e-3), samples=9)
+    >>> bool(np.abs(phases - hidden.truth.phases).max() < 0.02)
     True
     """
-    phases, _, spread = phases_with_uncertainty(modulator, camera, wavelength, distance, samples, captures)
+    phases, _, spread = phases_with_uncertainty(table, samples, captures)
     _warn_of_deviations(spread)
     warn_of_short_range(phases)
     return phases
 
 
 def phases_with_uncertainty(
-    modulator: Modulator,
-    camera: Camera,
-    wavelength: float,
-    distance: float | Lens,
-    samples: int = 25,
-    captures: int = 4,
+    table: OpticalTable, samples: int = 25, captures: int = 4
 ) -> tuple[np.ndarray, float, float]:
     """Return the phase of each level, its uncertainty, and the deviation of the captures from one phase at all pixels.
 
     The parameters are as in :func:`measure_phase_response`.
     """
-    check_square_pixels(modulator, camera)
-    camera = checked_camera(camera)
+    modulator, camera, wavelength, distance = parts_of(table)
     top = (1 << _validate.integer("modulator.bits", modulator.bits, minimum=1)) - 1
     # Responses that begin as a power of the level bend most there.
     levels = np.union1d(_measured_levels(top, samples), [1])
-    lens_phase(modulator, wavelength, distance)  # checks the lengths
     columns = modulator.shape[1]
     left = np.arange(columns) < columns // 2
     if isinstance(distance, Lens):
@@ -409,18 +390,10 @@ def warn_of_short_range(phases: np.ndarray) -> None:
         )
 
 
-@_validate.takes_units("wavelength", "distance")
+@_validate.takes_fields("modulator camera wavelength distance registration", table=OpticalTable)
+@_validate.takes_units()
 def measure_regional_response(
-    modulator: Modulator,
-    camera: Camera,
-    wavelength: float,
-    distance: float | Lens,
-    registration: Registration,
-    *,
-    wavefront: np.ndarray | float = 0.0,
-    regions: Sequence[int] = (3, 3),
-    samples: int = 15,
-    captures: int = 4,
+    table: OpticalTable, *, regions: Sequence[int] = (3, 3), samples: int = 15, captures: int = 4
 ) -> np.ndarray:
     """Measure the phase of each level in regions of a modulator, whose response varies over it.
 
@@ -431,18 +404,8 @@ def measure_regional_response(
 
     Parameters
     ----------
-    modulator : Modulator
-        The modulator.
-    camera : Camera
-        The camera.
-    wavelength : float
-        Vacuum wavelength in metres.
-    distance : float
-        Distance from the modulator to the camera in metres.
-    registration : Registration
-        Mapping of the camera, from :func:`register_camera`.
-    wavefront : numpy.ndarray or float
-        Aberration in radians, which displaces the light of a region.
+    table : OpticalTable
+        The table without a lens, with a registration and the aberration, which displaces the light of a region.
     regions : sequence of int
         Rows and columns of regions, two or more in all, of at least 12 pixels along each side.
     samples : int
@@ -463,26 +426,19 @@ def measure_regional_response(
 
     Examples
     --------
-    >>> from odak.instruments import Registration, SimulatedTable, measure_regional_response
-    >>> table = SimulatedTable(seed=1, shape=(32, 32), distance=4e-3, camera_shape=(96, 96), aberration=0.05)
-    >>> known = Registration(table.truth.homography, table.truth.distortion, table.camera.shape)
-    >>> phases = measure_regional_response(
-    ...     table.modulator, table.camera, 532e-9, 4e-3, known, regions=(1, 2), samples=9, captures=1
-    ... )
-    >>> phases.shape, bool(abs(phases - table.truth.phases).max() < 0.1)
+    >>> from odak.instruments import OpticalTable, Registration, SimulatedTable, measure_regional_response
+    >>> hidden = SimulatedTable(seed=1, shape=(32, 32), distance=4e-3, camera_shape=(96, 96), aberration=0.05)
+    >>> mapping = Registration(hidden.truth.homography, hidden.truth.distortion, hidden.camera.shape)
+    >>> table = OpticalTable(hidden.modulator, hidden.camera, 532e-9, 4e-3, registration=mapping)
+    >>> phases = measure_regional_response(table, regions=(1, 2), samples=9, captures=1)
+    >>> phases.shape, bool(abs(phases - hidden.truth.phases).max() < 0.1)
     ((1, 2, 256), True)
     """
-    there = (modulator, camera, wavelength, distance, registration)
-    return regions_with_uncertainty(*there, wavefront, regions, samples, captures)[0]
+    return regions_with_uncertainty(table, regions, samples, captures)[0]
 
 
 def regions_with_uncertainty(
-    modulator: Modulator,
-    camera: Camera,
-    wavelength: float,
-    distance: float | Lens,
-    registration: Registration,
-    wavefront: np.ndarray | float = 0.0,
+    table: OpticalTable,
     regions: Sequence[int] = (3, 3),
     samples: int = 15,
     captures: int = 4,
@@ -493,9 +449,9 @@ def regions_with_uncertainty(
     The parameters are as in :func:`measure_regional_response`; `whole` is the phase of each level of the whole
     modulator. Multiples of it are subtracted before phases are interpolated between the measured levels.
     """
-    distance = without_lens(distance, "its pixels send light to the same places")
-    check_square_pixels(modulator, camera)
-    camera = checked_camera(camera)
+    distance = without_lens(table.distance, "its pixels send light to the same places")
+    modulator, camera, wavelength, _, registration = parts_of(table, "registration")
+    wavefront = np.broadcast_to(table.wavefront, modulator.shape)
     rows, columns = modulator.shape
     down, across = _validate.size("regions", regions)
     if rows < SMALLEST_REGION * down or columns < SMALLEST_REGION * across:
@@ -506,11 +462,9 @@ def regions_with_uncertainty(
     if down * across == 1:
         raise ValueError(f"regions must be two or more, got {[down, across]}")
     if across == 1:
-        turned = Registration(registration.homography[[1, 0, 2]], registration.distortion, registration.shape)
-        there = (_Transposed(modulator), camera, wavelength, distance, turned)
-        found, uncertainty = regions_with_uncertainty(
-            *(*there, np.broadcast_to(wavefront, modulator.shape).T, (1, down), samples, captures, whole)
-        )
+        mapping = replace(registration, homography=registration.homography[[1, 0, 2]])
+        turned = replace(table, modulator=_Transposed(modulator), registration=mapping, wavefront=wavefront.T)
+        found, uncertainty = regions_with_uncertainty(turned, (1, down), samples, captures, whole)
         return found.swapaxes(0, 1), uncertainty.T
     top = (1 << _validate.integer("modulator.bits", modulator.bits, minimum=1)) - 1
     levels = _measured_levels(top, samples)
@@ -520,7 +474,7 @@ def regions_with_uncertainty(
     )
     number = np.repeat(np.arange(across), [len(part) for part in x])
     # Rows and columns of the camera that the light of each pixel of the modulator reaches.
-    slopes = np.gradient(np.broadcast_to(wavefront, modulator.shape), modulator.pitch)[::-1]
+    slopes = np.gradient(wavefront, modulator.pitch)[::-1]
     points = np.stack(np.meshgrid(np.concatenate(x), np.concatenate(y)), axis=-1)
     reached = registration.camera_pixels(points + wavelength * distance / (2 * np.pi) * np.stack(slopes, axis=-1))
     reached = reached.reshape(-1, 2)[:, ::-1]

@@ -13,8 +13,9 @@ from odak._warnings import AccuracyWarning, warn
 from odak.instruments.exposures import exposed, set_exposure
 from odak.instruments.mapping import Lens, Registration, ray_matrix
 from odak.instruments.phase_response import nearest_levels
-from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
+from odak.instruments.protocols import Camera
 from odak.instruments.spots import Part, averaged, brightest, centroid, lenslets, pixel_axes, spots_phase
+from odak.instruments.tables import OpticalTable, parts_of
 
 __all__ = ["register_camera"]
 
@@ -35,15 +36,11 @@ CURVATURES, FLAT = 4, 0.5
 LEAST_MARGIN, SMALLEST_SHARE = 8, 0.3
 
 
-@_validate.takes_units("wavelength", "distance")
+@_validate.takes_fields("modulator camera wavelength distance phases", table=OpticalTable)
+@_validate.takes_units()
 def register_camera(
-    modulator: Modulator,
-    camera: Camera,
-    wavelength: float,
-    distance: float | Lens,
-    phases: np.ndarray,
+    table: OpticalTable,
     *,
-    wavefront: np.ndarray | float = 0.0,
     grid: Sequence[int] = (6, 6),
     extent: float = 0.75,
     middle: bool = False,
@@ -61,18 +58,8 @@ def register_camera(
 
     Parameters
     ----------
-    modulator : Modulator
-        The modulator.
-    camera : Camera
-        The camera.
-    wavelength : float
-        Vacuum wavelength in metres.
-    distance : float or Lens
-        Distance from the modulator to the camera in metres, or the lens between them.
-    phases : numpy.ndarray
-        Phase of each level in radians, from :func:`measure_phase_response` or :func:`measure_regional_response`.
-    wavefront : numpy.ndarray or float
-        Aberration in radians that is corrected; coma and astigmatism that are not shift the spots.
+    table : OpticalTable
+        The table, with phases and the aberration that is corrected; coma and astigmatism that are not shift the spots.
     grid : sequence of int
         Rows and columns of spots.
     extent : float
@@ -100,26 +87,21 @@ def register_camera(
     Examples
     --------
     >>> import numpy as np
-    >>> from odak.instruments import Registration, SimulatedTable, register_camera
-    >>> table = SimulatedTable(seed=1, shape=(48, 48), distance=6e-3, camera_shape=(110, 110), aberration=0.05)
-    >>> there = (table.modulator, table.camera, 532e-9, 6e-3)
-    >>> found = register_camera(*there, table.truth.phases, wavefront=table.truth.wavefront, grid=(4, 4))
-    >>> exact = Registration(table.truth.homography, table.truth.distortion, table.camera.shape)
+    >>> from odak.instruments import OpticalTable, Registration, SimulatedTable, register_camera
+    >>> hidden = SimulatedTable(seed=1, shape=(48, 48), distance=6e-3, camera_shape=(110, 110), aberration=0.05)
+    >>> truth, there = hidden.truth, (hidden.modulator, hidden.camera, 532e-9, 6e-3)
+    >>> table = OpticalTable(*there, truth.phases, wavefront=truth.wavefront)
+    >>> found = register_camera(table, grid=(4, 4))
+    >>> exact = Registration(truth.homography, truth.distortion, hidden.camera.shape)
     >>> middle = np.array([[55.0, 55.0]])
     >>> bool(np.linalg.norm(found.plane_points(middle) - exact.plane_points(middle)) < 4e-6)
     True
     """
-    there = (modulator, camera, wavelength, distance, phases)
-    return registered(*there, wavefront, grid, extent, middle, captures)
+    return registered(table, grid, extent, middle, captures)
 
 
 def registered(
-    modulator: Modulator,
-    camera: Camera,
-    wavelength: float,
-    distance: float | Lens,
-    phases: np.ndarray,
-    wavefront: np.ndarray | float = 0.0,
+    table: OpticalTable,
     grid: Sequence[int] = (6, 6),
     extent: float = 0.75,
     middle: bool = False,
@@ -131,9 +113,7 @@ def registered(
     The parameters are as in :func:`register_camera`; `start` is a mapping that is correct within some pixels, which
     takes the place of single spots.
     """
-    check_square_pixels(modulator, camera)
-    camera = checked_camera(camera)
-    spots = _Spots(modulator, camera, wavelength, distance, phases, wavefront, extent, middle)
+    spots = _Spots(table, extent, middle)
     captures = _validate.integer("captures", captures, minimum=1)
     matrix = spots.near_axis() if start is None else spots.matrix_of(start)
     if middle:
@@ -142,7 +122,7 @@ def registered(
         # Spots that the aberration had spread are smaller now.
         matrix = spots.far_from_axis(matrix)
     points, seen = spots.grid(_validate.size("grid", grid), captures, matrix)
-    found = _fitted(points, seen, matrix, camera)
+    found = _fitted(points, seen, matrix, spots.camera)
     # An aberration spreads the spots of a first registration.
     if found.residual > (2.0 if middle else 0.5):
         warn(
@@ -158,9 +138,10 @@ class _Spots:
     Their matrix ``[3, 2]`` is an affine estimate of the pixels of points, columns first: ``[x, y, 1] @ matrix``.
     """
 
-    def __init__(self, modulator, camera, wavelength, distance, phases, wavefront, extent, middle):
+    def __init__(self, table: OpticalTable, extent: float, middle: bool):
+        modulator, camera, wavelength, distance, self.phases = parts_of(table, "phases")
         self.modulator, self.camera, self.wavelength, self.distance = modulator, camera, wavelength, distance
-        self.phases, self.wavefront = phases, wavefront
+        self.wavefront = table.wavefront
         shape, pitch = np.array(modulator.shape), modulator.pitch
         a, self.b = ray_matrix(distance)
         self.behind_lens = isinstance(distance, Lens)
@@ -348,19 +329,13 @@ def _check_places(axis: np.ndarray, matrix: np.ndarray, camera: Camera, missed: 
         )
 
 
-def beyond_view(
-    modulator: Modulator,
-    camera: Camera,
-    wavelength: float,
-    distance: float,
-    registration: Registration,
-    share=(1.0, 1.0),
-) -> np.ndarray:
+def beyond_view(table: OpticalTable, share=(1.0, 1.0)) -> np.ndarray:
     """Return how many pixels the spots of the outermost lenslets lie outside the image of a camera; inside: negative.
 
     The axes are columns and rows, and the sides of each the first and the last ``[2, 2]``. `share` is the used share of
     the modulator's rows and columns.
     """
+    modulator, camera, wavelength, distance, registration = parts_of(table, "registration")
     size = np.array(modulator.shape) * share
     half = (size * (1 - 1 / lenslets(size, wavelength, distance, modulator.pitch)))[::-1] * modulator.pitch / 2
     points = half * np.array(list(itertools.product((-1, 0, 1), repeat=2)))

@@ -45,7 +45,7 @@ class Part(NamedTuple):
 
 
 def lens_phase(
-    modulator: Modulator | Part, wavelength: float, distance: float | Lens, point: Sequence[float] = (0, 0)
+    modulator: Modulator | Part, wavelength: float, distance: float | Lens, point: Sequence[float] | np.ndarray = (0, 0)
 ) -> np.ndarray:
     """Return the phase in radians ``[rows, columns]`` of a lens that focuses at a point x, y of a plane.
 
@@ -57,7 +57,7 @@ def lens_phase(
         Vacuum wavelength in metres.
     distance : float or Lens
         Focal length in metres, or the lens between the modulator and the plane.
-    point : sequence of float
+    point : sequence of float or numpy.ndarray
         x and y in metres.
     """
     wavelength = float(_validate.number("wavelength", wavelength, positive=True))

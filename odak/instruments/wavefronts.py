@@ -8,9 +8,9 @@ import numpy as np
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.instruments.exposures import exposed
-from odak.instruments.mapping import Lens, Registration, ray_matrix
+from odak.instruments.mapping import Lens, ray_matrix
 from odak.instruments.phase_response import nearest_levels
-from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
+from odak.instruments.protocols import Modulator
 from odak.instruments.registration import SPREAD
 from odak.instruments.spots import (
     DEFOCUS,
@@ -24,6 +24,7 @@ from odak.instruments.spots import (
     pixel_axes,
     without,
 )
+from odak.instruments.tables import OpticalTable, parts_of
 
 __all__ = ["measure_wavefront"]
 
@@ -39,16 +40,11 @@ FOURTH = 14
 UNSETTLED = 2 * np.pi / 20
 
 
-@_validate.takes_units("wavelength", "distance")
+@_validate.takes_fields("modulator camera wavelength distance phases registration", table=OpticalTable)
+@_validate.takes_units()
 def measure_wavefront(
-    modulator: Modulator,
-    camera: Camera,
-    wavelength: float,
-    distance: float | Lens,
-    phases: np.ndarray,
-    registration: Registration,
+    table: OpticalTable,
     *,
-    amplitude: np.ndarray | float | None = None,
     cells: int | None = None,
     order: int = 4,
     iterations: int = 10,
@@ -67,21 +63,9 @@ def measure_wavefront(
 
     Parameters
     ----------
-    modulator : Modulator
-        The modulator.
-    camera : Camera
-        The camera.
-    wavelength : float
-        Vacuum wavelength in metres.
-    distance : float or Lens
-        Distance from the modulator to the camera in metres, or the lens between them.
-    phases : numpy.ndarray
-        Phase of each level in radians, from :func:`measure_phase_response` or :func:`measure_regional_response`.
-    registration : Registration
-        Mapping of the camera, from :func:`register_camera`.
-    amplitude : numpy.ndarray or float, optional
-        Amplitude of the illumination, for the simulation of the ideal table; estimated from the brightness of the spots
-        by default.
+    table : OpticalTable
+        The table, with phases and a registration. Its amplitude serves the simulation of the ideal table, and is
+        estimated from the brightness of the spots where it is None; its wavefront is measured anew.
     cells : int, optional
         Number of lenslets along each axis; by default as many as are wider than diffraction allows, from 4 to 6.
     order : int
@@ -109,33 +93,27 @@ def measure_wavefront(
     Examples
     --------
     >>> import numpy as np
-    >>> from odak.instruments import Registration, SimulatedTable, measure_wavefront
-    >>> table = SimulatedTable(seed=1, shape=(48, 48), distance=6e-3, camera_shape=(110, 110), aberration=0.1)
-    >>> known = Registration(table.truth.homography, table.truth.distortion, table.camera.shape)
-    >>> there = (table.modulator, table.camera, 532e-9, table.truth.distance)
-    >>> found = measure_wavefront(*there, table.truth.phases, known, iterations=4, captures=1)
+    >>> from odak.instruments import OpticalTable, Registration, SimulatedTable, measure_wavefront
+    >>> hidden = SimulatedTable(seed=1, shape=(48, 48), distance=6e-3, camera_shape=(110, 110), aberration=0.1)
+    >>> truth = hidden.truth
+    >>> mapping = Registration(truth.homography, truth.distortion, hidden.camera.shape)
+    >>> table = OpticalTable(hidden.modulator, hidden.camera, 532e-9, truth.distance, truth.phases, mapping)
+    >>> found = measure_wavefront(table, iterations=4, captures=1)
 
     Up to piston and tilt, it is the aberration within a hundredth of a wavelength:
 
     >>> rows, columns = np.indices(found.shape)
     >>> planes = np.stack([rows, columns, np.ones(found.shape)], axis=-1).reshape(-1, 3)
-    >>> error = (found - table.truth.wavefront).ravel()
+    >>> error = (found - truth.wavefront).ravel()
     >>> error = error - planes @ np.linalg.lstsq(planes, error)[0]
     >>> bool(error.std() < 2 * np.pi / 100)
     True
     """
-    there = (modulator, camera, wavelength, distance, phases, registration)
-    return wavefront_with_uncertainty(*there, amplitude, cells, order, iterations, captures, start)[0]
+    return wavefront_with_uncertainty(table, cells, order, iterations, captures, start)[0]
 
 
 def wavefront_with_uncertainty(
-    modulator: Modulator,
-    camera: Camera,
-    wavelength: float,
-    distance: float | Lens,
-    phases: np.ndarray,
-    registration: Registration,
-    amplitude: np.ndarray | float | None = None,
+    table: OpticalTable,
     cells: int | None = None,
     order: int = 4,
     iterations: int = 10,
@@ -146,8 +124,7 @@ def wavefront_with_uncertainty(
 
     The parameters are as in :func:`measure_wavefront`.
     """
-    check_square_pixels(modulator, camera)
-    camera = checked_camera(camera)
+    modulator, camera, wavelength, distance, phases, registration = parts_of(table, "phases", "registration")
     shape = np.array(modulator.shape)
     order, iterations, captures = (
         _validate.integer(name, value, minimum=least)
@@ -245,7 +222,7 @@ def wavefront_with_uncertainty(
             frame += seen / captures
         frame[dark] = np.quantile(frame, 0.02)
         seen = np.stack([centroid(frame, place, reach) for place in places])
-        lit = _lit(modulator, frame, seen, middles, reach) if amplitude is None else amplitude
+        lit = _lit(modulator, frame, seen, middles, reach) if table.amplitude is None else table.amplitude
         ideal = np.where(dark, 0, ideal_capture(modulator, phase, lit, wavelength, distance, registration))
         wanted = np.stack([centroid(ideal, place, reach) for place in places])
         moved = registration.plane_points(seen) - registration.plane_points(wanted)

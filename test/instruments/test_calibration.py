@@ -71,7 +71,9 @@ def test_the_middle_of_a_panel_that_is_larger_than_the_camera():
     table = Laboratory((150, 128), distance=0.02, camera_shape=(200, 260), wavefront=wavefront)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(calibration, "phases_with_uncertainty", lambda *_: (table.phases, 0.0, 0.0))
-        patch.setattr(calibration, "illumination_with_uncertainty", lambda part, *_, **__: (np.ones(part.shape), 0.0))
+        patch.setattr(
+            calibration, "illumination_with_uncertainty", lambda part, *_, **__: (np.ones(part.modulator.shape), 0.0)
+        )
         found = instruments.calibrate_table(*instruments_of(table), 532e-9, 0.02, partial=True)
     seen = np.flatnonzero(found.amplitude.any(-1))
     assert found.amplitude.shape == (150, 128) and 90 < len(seen) < 140 and found.amplitude[seen].all()

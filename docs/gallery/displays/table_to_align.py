@@ -6,12 +6,15 @@ calibration uses only the modulator and the camera. Another seed gives a table w
 errors, which the registration determines in the same way.
 """
 
+from dataclasses import replace
+
 import matplotlib.pyplot as plt
 import numpy as np
 from scipy.ndimage import map_coordinates
 
 from odak.instruments import (
     Calibration,
+    OpticalTable,
     SimulatedTable,
     measure_phase_response,
     measure_wavefront,
@@ -21,24 +24,23 @@ from odak.instruments import (
 from odak.instruments.phase_response import nearest_levels
 from odak.instruments.spots import spots_phase
 
-table = SimulatedTable(seed=7)
-modulator, camera = table.modulator, table.camera
-there = (modulator, camera, table.laser.wavelength, 20e-3)
-nominal = Calibration.nominal(*there)
+hidden = SimulatedTable(seed=7)
+modulator, camera = hidden.modulator, hidden.camera
+table = OpticalTable(modulator, camera, hidden.laser.wavelength, distance=20e-3)
+nominal = Calibration.nominal(modulator, camera, table.wavelength, table.distance)
 
 # %%
-phases = measure_phase_response(*there, samples=17)
-wavefront = 0.0
+table = replace(table, phases=measure_phase_response(table, samples=17))
 for _ in range(3):
-    found = register_camera(*there, phases, wavefront=wavefront)
-    wavefront = measure_wavefront(*there, phases, found, captures=3)
-found = register_camera(*there, phases, wavefront=wavefront)
+    table = replace(table, registration=register_camera(table))
+    table = replace(table, wavefront=measure_wavefront(table, captures=3))
+found = register_camera(table)
 
 # %%
 letter = ["####", "#...", "###.", "#...", "#..."]
 rows, columns = np.nonzero([[cell == "#" for cell in row] for row in letter])
 points = np.stack([columns - 1.5, rows - 2.0], axis=-1) * 0.12e-3
-phase = spots_phase(modulator, there[2], there[3], points)
+phase = spots_phase(modulator, table.wavelength, table.distance, points)
 
 
 def photograph(levels):
@@ -48,7 +50,7 @@ def photograph(levels):
 
 
 before = photograph(nominal.levels(phase))
-after = photograph(nearest_levels(phase - wavefront, phases))
+after = photograph(nearest_levels(phase - table.wavefront, table.phases))
 
 
 def seen(frame, place, reach=5):

@@ -1,11 +1,10 @@
 """Automatic design: lenses from flat plates, by a curriculum of growing aperture and field."""
 
 import copy
-import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple, ParamSpec, TypeVar
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import torch
 
@@ -77,10 +76,6 @@ LEAST_DIAGONAL = 5e-9
 DAMPING_RANGE = (1e-5, 1e-1)
 # Root mean square of the spots of the result, in focal lengths, above which a warning is issued: 11 um for 4.55 mm.
 ACCEPTED_SPOT = 1 / 400
-
-
-P = ParamSpec("P")
-R = TypeVar("R")
 
 
 class Stage(NamedTuple):
@@ -327,30 +322,12 @@ def _set_number(holder: Any, name: str, **limits: Any) -> None:
         object.__setattr__(holder, name, _validate.constant(name, getattr(holder, name), **limits))
 
 
-def _takes_numbers(design: Callable[P, R]) -> Callable[P, R]:
-    """Let the numbers of requirements, dimensions and search be arguments of their own, which is the older form."""
-
-    @functools.wraps(design)
-    def form(elements, *requirements, **options):
-        for name, kind in (
-            ("requirements", LensRequirements),
-            ("dimensions", LensDimensions),
-            ("search", DesignSearch),
-        ):
-            names = [field.name for field in fields(kind)]
-            numbers = {key: options.pop(key) for key in names if key in options}
-            if kind is LensRequirements and requirements and not isinstance(requirements[0], kind):
-                numbers |= dict(zip(names, requirements, strict=False))
-                requirements = requirements[len(names) :]
-            if numbers:
-                given = options.get(name)
-                options[name] = kind(**numbers) if given is None else replace(given, **numbers)
-        return design(elements, *requirements, **options)
-
-    return form  # type: ignore[return-value]
-
-
-@_takes_numbers
+@_validate.takes_fields(
+    "elements focal_length f_number half_field wavelengths distortion axial_color chief_ray_angle unit",
+    requirements=LensRequirements,
+    dimensions=LensDimensions,
+    search=DesignSearch,
+)
 def automatic_design(
     elements: Sequence[Any],
     requirements: LensRequirements,
