@@ -22,7 +22,7 @@ def test_sharpest_focus_has_the_astigmatism_of_the_table():
     there = (*instruments_of(table), 532e-9, truth.distance, truth.phases, known)
     # Parabolas through sharpness of a tenth of a wavelength beside the peak, and then nearer to it.
     for _ in range(3):
-        wrong = focus.astigmatism_by_focus(*there, wrong)
+        wrong = focus.astigmatism_by_focus(instruments.OpticalTable(*there, wrong))
     assert rms(spots.without(wrong - truth.wavefront, low)) < 2 * np.pi / 400
 
 
@@ -58,7 +58,7 @@ def aligned(laboratory):
 def distance_found(wrong, shape, bits=8, distance=0.1, **options):
     table = Laboratory(shape, distance=distance, bits=bits)
     there = (*instruments_of(table), table.wavelength, distance * (1 + wrong), table.phases, aligned(table))
-    return focus.distance_with_uncertainty(*there, **options)[0] / distance
+    return instruments.measure_distance(instruments.OpticalTable(*there), **options) / distance
 
 
 def test_distance_of_a_panel_whose_depth_of_focus_is_narrow():
