@@ -36,7 +36,7 @@ MEASUREMENTS = [
 
 def drawn():
     """Return a simulated table of one seed, and its truth as a table that is known."""
-    hidden = SimulatedTable(1, shape=(32, 32), distance=4e-3, camera_shape=(72, 72), aberration=0.1)
+    hidden = SimulatedTable(1, shape=(32, 32), distance=4e-3, camera_shape=(90, 90), aberration=0.1)
     truth = hidden.truth
     mapping = Registration(truth.homography, truth.distortion, hidden.camera.shape)
     known = (truth.distance, truth.phases, mapping, truth.wavefront, truth.amplitude)
