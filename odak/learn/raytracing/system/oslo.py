@@ -33,6 +33,9 @@ WAVES = (0.58756, 0.48613, 0.65627)
 _POWERS = ("AD", "AE", "AF", "AG")
 # Commands without effect on rays.
 _INERT = frozenset(("DES", "NOT", "SNO", "TCE", "APCK", "GSP", "PFM", "CBK", "CHK"))
+# A comment of `write_len`: a field point in OSLO's coordinates FBY, FBX (parts of the tangent of ANG, or of OBH), the
+# limits FY1, FY2, FX1, FX2 of its pupil, and its weight. OSLO keeps field points outside the description of the lens.
+_POINT = "// field point"
 
 
 def read_len(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optical_system, ZmxReport]:
@@ -60,8 +63,9 @@ def read_len(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optic
     -----
     Understood are spheres and conics with terms AD to AG, mirrors, perfect lenses (PFL), glasses of catalogues and by
     their indices (GLA MOD), apertures that are checked (AP CHK), EBR, NAO and FNO, ANG and OBH, and a solve PY 0 behind
-    the last surface. OSLO states one field, the largest: 0, 0.7 and 1 times its tangent are taken. Decentred and
-    special surfaces, pickups and other solves are refused by name.
+    the last surface. OSLO states one field, the largest: 0, 0.7 and 1 times its tangent are taken, or the field points
+    that :func:`write_len` adds as comments. Decentred and special surfaces, pickups and other solves are refused by
+    name.
 
     Examples
     --------
@@ -92,6 +96,12 @@ def _commands(path: Path, ignored: list[str]) -> tuple[dict, list[dict]]:
     """Return the entries of the whole lens and of each surface, by their commands."""
     head: dict[str, Any] = {}
     surfaces: list[dict[str, Any]] = [{}]
+    for number, line in enumerate(lens_text(path).splitlines(), start=1):
+        if line.startswith(_POINT):
+            words = line.removeprefix(_POINT).split()
+            if len(words) != 7:
+                raise ValueError(f"line {number}: a field point must have 7 numbers, got {len(words)}")
+            head.setdefault("points", []).append([_value(number, "a field point", [word]) for word in words])
     for number, words in _sentences(path):
         key, rest = words[0].upper(), words[1:]
         if key == "END":
@@ -194,7 +204,7 @@ def _built(head: dict, entries: list[dict], glasses: dict, path: Path, ignored: 
     if solved:
         items[-1].thickness.fill_(float(first_order(system).image_distance))
     items[-1].thickness += defocus
-    return optical_system(items, size, form, fields=_fields(head, system, scale, notes), **names)
+    return optical_system(items, size, form, **_fields(head, system, scale, notes), **names)
 
 
 def _aperture(head: dict, near: bool) -> tuple[float, str]:
@@ -207,21 +217,33 @@ def _aperture(head: dict, near: bool) -> tuple[float, str]:
     return 0.0, "EPD"
 
 
-def _fields(head: dict, system, scale: float, notes: list) -> list[float]:
-    """Return 0, 0.7 and 1 times the largest field."""
+def _fields(head: dict, system, scale: float, notes: list) -> dict[str, Any]:
+    """Return the field points with weights and vignetting factors, or 0, 0.7 and 1 times the largest field."""
+    points = head.get("points", [[share, 0.0, -1.0, 1.0, -1.0, 1.0, 1.0] for share in (0.0, 0.7, 1.0)])
     if system.at_infinity:
         largest = math.tan(math.radians(abs(head.get("ANG", 0.0))))
-        points = [math.degrees(math.atan(share * largest)) for share in (0.0, 0.7, 1.0)]
     elif "OBH" in head:
-        points = [share * head["OBH"] * scale for share in (0.0, 0.7, 1.0)]
+        largest = head["OBH"] * scale
     else:
         reach = system.object_distance + float(first_order(system).entrance_pupil_distance)
         largest = -reach * math.tan(math.radians(head.get("ANG", 0.0)))
-        points = [share * largest for share in (0.0, 0.7, 1.0)]
-    if not any(points):
-        return [0.0]
-    notes.append("the file states the largest field: 0, 0.7 and 1 times its tangent or height are taken")
-    return points
+    fields = [(x * largest, y * largest) for y, x, *_ in points]
+    if system.at_infinity:
+        fields = [(math.degrees(math.atan(x)), math.degrees(math.atan(y))) for x, y in fields]
+    if "points" not in head:
+        if not largest:
+            return {"fields": [0.0]}
+        notes.append("the file states the largest field: 0, 0.7 and 1 times its tangent or height are taken")
+    found: dict[str, Any] = {"fields": fields}
+    factors = [
+        ((left + right) / 2, (low + high) / 2, 1 - (right - left) / 2, 1 - (high - low) / 2)
+        for _, _, low, high, left, right, _ in points
+    ]
+    if any(map(any, factors)):
+        found["vignetting_factors"] = factors
+    if any(point[-1] != 1 for point in points):
+        found["field_weights"] = [point[-1] for point in points]
+    return found
 
 
 def _surface(number: int, entry: dict, context: Context) -> surface:
@@ -291,8 +313,9 @@ def write_len(system: optical_system, path: Any) -> None:
 
     Notes
     -----
-    Of the fields the largest is written, of an aperture at the stop its entrance pupil. Glasses are written by their
-    indices at the system's wavelengths, the primary one first.
+    Of an aperture at the stop its entrance pupil is written. Glasses are written by their indices at the system's
+    wavelengths, the primary one first. Of the fields OSLO takes the largest; all of them, their weights and their
+    vignetting factors are comments, which :func:`read_len` understands.
 
     Examples
     --------
@@ -330,11 +353,9 @@ def _len_text(system) -> str:
         size = system.aperture if system.aperture_type == "NA" else math.nan
         if math.isnan(size):
             raise ValueError("the aperture of a near object must be given as NA")
-    largest = max(system.fields, key=lambda field: abs(field[1]))
-    if any(field[0] for field in system.fields):
-        raise ValueError("fields along x are not written")
+    largest, points = _points(system)
     lines += [f"NAO {size!r}" if near else f"EBR {size!r}"]
-    lines += [f"OBH {largest[1] * scale!r}" if near else f"ANG {abs(largest[1])!r}", "UNI 1.0", f"WV {waves}"]
+    lines += [f"OBH {largest * scale!r}" if near else f"ANG {abs(largest)!r}", "UNI 1.0", *points, f"WV {waves}"]
     lines += ["WW " + " ".join(repr(float((system.wavelength_weights or [1.0] * len(order))[i])) for i in order)]
     lines += ["AIR", f"TH {system.object_distance * scale if near else 1e20!r}"]
     held = own_surfaces(system)
@@ -345,6 +366,26 @@ def _len_text(system) -> str:
     else:
         lines += ["NXT", "AIR"]
     return "\n".join([*lines, f"END {len(held) + 1}"]) + "\n"
+
+
+def _points(system) -> tuple[float, list[str]]:
+    """Return the largest field, and a comment for each field."""
+    largest = max((value for field in system.fields for value in field), key=abs)
+    if system.at_infinity and abs(largest) >= 90:
+        raise ValueError(f"fields of 90 degrees and more are not written, got {largest:g} degrees")
+
+    def size(value: float) -> float:
+        return math.tan(math.radians(value)) if system.at_infinity else value
+
+    unit = abs(size(largest)) if system.at_infinity else size(largest)
+    factors = system.vignetting_factors or [(0.0,) * 4] * len(system.fields)
+    weights = system.field_weights or [1.0] * len(system.fields)
+    lines = []
+    for (x, y), (dx, dy, cx, cy), weight in zip(system.fields, factors, weights, strict=True):
+        parts = [size(y) / unit, size(x) / unit] if unit else [0.0, 0.0]
+        parts += [dy - (1 - cy), dy + (1 - cy), dx - (1 - cx), dx + (1 - cx), weight]
+        lines.append(" ".join([_POINT, *map(repr, parts)]))
+    return largest, lines
 
 
 def _written(name: str, item, scale: float, index, place: int, stop: bool) -> list[str]:

@@ -108,6 +108,47 @@ def test_round_trips_are_exact(tmp_path, name):
     assert torch.allclose(first.y[order], second.y, atol=1e-9, equal_nan=True)
 
 
+@pytest.mark.parametrize("near", [False, True])
+def test_field_points_weights_and_vignetting_come_back(tmp_path, near):
+    fields = [(0.0, 0.0), (0.0, -14.0), (3.0, 9.0), (-5.0, 20.0)]
+    factors = [(0.0, 0.0, 0.0, 0.0), (0.1, -0.2, 0.05, 0.3), (0.0, 0.0, 0.0, 0.25), (0.0, 0.1, 0.0, 0.0)]
+    lens = load_system("cooke_triplet")
+    distance, aperture = (200.0, (0.02, "NA")) if near else (math.inf, (lens.aperture, lens.aperture_type))
+    lens = optical_system(
+        lens.surfaces,
+        *aperture,
+        object_distance=distance,
+        fields=fields,
+        field_weights=[1.0, 2.0, 0.5, 1.0],
+        vignetting_factors=factors,
+        wavelengths=lens.wavelengths,
+    )
+    write_len(lens, tmp_path / "lens.len")
+    again, report = read_len(tmp_path / "lens.len")
+    for name in ("fields", "field_weights", "vignetting_factors"):
+        found, expected = (torch.tensor(getattr(item, name), dtype=torch.float64) for item in (again, lens))
+        torch.testing.assert_close(found, expected, rtol=1e-14, atol=1e-14)
+    assert not report.notes
+    # OSLO reads the largest field, and one that is changed by hand scales all of them.
+    text = (tmp_path / "lens.len").read_text()
+    assert ("OBH 20.0" if near else "ANG 20.0") in text
+    scaled, _ = read(tmp_path, text.replace("OBH 20.0", "OBH 10.0").replace("ANG 20.0", "ANG 10.0"))
+    assert scaled.fields[-1][1] == pytest.approx(10.0)
+    half = -7.0 if near else -math.degrees(math.atan(math.tan(math.radians(14)) * _ratio(10.0, 20.0)))
+    assert scaled.fields[1][1] == pytest.approx(half)
+
+
+def _ratio(one, other):
+    return math.tan(math.radians(one)) / math.tan(math.radians(other))
+
+
+def test_points_that_are_cut_short_and_fields_of_a_half_space_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="line 3: a field point must have 7 numbers, got 2"):
+        read(tmp_path, LENS.replace("EBR  0.5", "// field point 0.0 1.0"))
+    with pytest.raises(ValueError, match="fields of 90 degrees and more are not written, got 95 degrees"):
+        write_len(optical_system([surface(50.0, thickness=5.0)], 1.0, fields=[0.0, 95.0]), tmp_path / "lens.len")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
