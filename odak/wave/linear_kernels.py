@@ -16,8 +16,16 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._warnings import SamplingWarning, warn
-from odak.wave.quadrature import SAFETY, Axis, Rule, plain_rule, rule_for
-from odak.wave.transfer_functions import Grid, alias_free_weight, by_columns, in_slabs
+from odak.wave.quadrature import CLOSED, SAFETY, TURNED_NODES, Axis, Rule, plain_rule, rule_for, rules_for
+from odak.wave.transfer_functions import (
+    Grid,
+    alias_free_weight,
+    angular_spectrum,
+    by_columns,
+    in_slabs,
+    make_complex,
+    rayleigh_sommerfeld_response,
+)
 
 TOLERANCE = 1e-4
 # Relative error of a field above which a warning is issued.
@@ -85,36 +93,114 @@ class LinearGrid(Grid):
                     values = values * xp.astype(_pixel_spectrum(frequency * pitch, self.pixel_fill), values.dtype)
             return self._linear(values * weights[first], first, rules)
 
+        def transfer(columns):
+            return self._linear(columns * weights[last], last, rules)
+
+        steps = [max(1, _SLAB // rule.count) for rule in rules]
+        return self._in_two_passes(spectrum, lines.shape[-2], transfer, steps, first)
+
+    def _in_two_passes(self, spectra, count: int, transform, steps, first: int):
+        """Return the transfer function: ``spectra(slice)`` along one axis, and their ``transform(columns)``."""
+        xp, last = self.xp, 1 - first
+
         def transfer(part):
-            found = self._linear(xp.matrix_transpose(half[..., part]) * weights[last], last, rules)
+            found = transform(xp.matrix_transpose(half[..., part]))
             found = xp.astype(found, self.dtype if self.stored is None else self.stored, copy=False)
             return found if self.halves[last] else xp.take(found, self._mirror(self.shape[last]), axis=-1)
 
-        half = in_slabs(spectrum, lines.shape[-2], max(1, _SLAB // rules[first].count))
-        step, total = max(1, _SLAB // rules[last].count), self.shape[first]
-        found = in_slabs(transfer, half.shape[-1], step, total)
+        half = in_slabs(spectra, count, steps[first])
+        found = in_slabs(transfer, half.shape[-1], steps[last], self.shape[first])
         return xp.matrix_transpose(found) if first == 1 else found
 
     def _linear(self, half, axis: int, rules):
         """Return lines of spectra on the samples of the grid, of the lags within the window, from halves of spectra."""
-        count, size, between = rules[axis].count, self.shape[axis] // 2, self.halves[axis]
-        return _spectrum(_response(half, count, size, between), size, between)
+        lags = _response(half, rules[axis].count, self.shape[axis] // 2, self.halves[axis])
+        return self._spectrum(lags, axis)
+
+    def _spectrum(self, lags, axis: int):
+        return _spectrum(lags, self.shape[axis] // 2, self.halves[axis])
+
+    def is_far(self) -> bool:
+        """Return whether :meth:`evaluate_far` holds."""
+        if self.cutoff is not None or self.pixel_fill is not None or math.isinf(self.tolerance) or len(self.axes) < 2:
+            return False
+        numbers = self._numbers()
+        if numbers is None:
+            return False
+        return rules_for(axes_of([n // 2 for n in self.shape], *numbers), self.tolerance)[0] == CLOSED
+
+    def evaluate_far(self):
+        """Return what :meth:`evaluate` does of free space, where waves at the end of the band land outside the window.
+
+        The response of the band is the Rayleigh–Sommerfeld kernel, of all waves, less the waves beyond the band along
+        either axis, plus those beyond both, which have been subtracted twice. From the end of the band the path of an
+        integral is turned straight down in the complex plane, where the integrand decays without an oscillation: f − iτ
+        at a few of Gauss and Laguerre's nodes. Along the other axis, over all waves, it is a Hankel function.
+        """
+        xp, first = self.xp, 1 if by_columns(self.distance) else 0
+        down, across = (
+            (self._indices(n - 2, axis) + self.halves[axis] / 2) * self.pitch[axis] for axis, n in enumerate(self.shape)
+        )
+        (fy, ends_down), (fx, ends_across) = self._beyond_the_band(0, down), self._beyond_the_band(1, across)
+        both = _phasor(xp.abs(self.distance) * xp.sqrt(1 / self.wavelength**2 - fy**2 - fx**2))
+        left = xp.concat([ends_down, -self._all_waves(fx, down) * self.pitch[0]], axis=-1)
+        right = [both @ ends_across - self._all_waves(fy, across) * self.pitch[1], ends_across]
+        right = xp.concat(right, axis=-2)
+        weights = [xp.where(lags == 0, xp.ones_like(lags) / 2, xp.ones_like(lags)) for lags in (down, across)]
+
+        def spectra(part):
+            rows, columns = (part, slice(None)) if first == 1 else (slice(None), part)
+            squared = down[..., rows, :] ** 2 + across[..., columns] ** 2
+            lags = rayleigh_sommerfeld_response(self.distance, squared, self.wavelength) * self.pixel_area
+            beyond = left[..., rows, :] @ right[..., columns]
+            lags = (lags + xp.where(self.distance < 0, xp.conj(beyond), beyond)) * weights[first]
+            return self._spectrum(lags if first == 1 else xp.matrix_transpose(lags), first)
+
+        def transfer(columns):
+            return self._spectrum(columns * xp.reshape(weights[1 - first], (1, -1)), 1 - first)
+
+        sizes = [max(1, _SLAB // n) for n in self.shape]
+        return self._in_two_passes(spectra, self.shape[1 - first] // 2, transfer, sizes, first)
+
+    def _beyond_the_band(self, axis: int, lags):
+        """Return frequencies on the turned path, and the waves beyond both ends of the band at the lags."""
+        xp, pitch, band = self.xp, self.pitch[axis], 0.5 / self.pitch[axis]
+        nodes, weights = np.polynomial.laguerre.laggauss(TURNED_NODES)
+        nodes, weights = (
+            xp.reshape(xp.asarray(values, dtype=xp.float64, device=self.device), (1, -1) if axis == 0 else (-1, 1))
+            for values in (nodes, weights * np.exp(nodes))
+        )
+        # At the lag 0 the wave decays at this rate along the path.
+        rate = 2 * xp.pi * xp.abs(self.distance) * band / xp.sqrt(1 / self.wavelength**2 - band**2)
+        path = make_complex(band + 0 * nodes, -nodes / rate)
+        return xp.matrix_transpose(path), -2j * xp.cos(2 * xp.pi * path * lags) * (weights / rate * pitch)
+
+    def _all_waves(self, frequency, lags):
+        """Return the response along a line, iπq·z/ρ·H₁(2πqρ), for a frequency across, by the expansion for large qρ.
+
+        q² = 1/λ² − f² and ρ² = x² + z²; H₁ is the Hankel function of the first kind (Abramowitz and Stegun, 9.2.7).
+        """
+        xp, z = self.xp, self.xp.abs(self.distance)
+        axial, rho = xp.sqrt(1 / self.wavelength**2 - frequency**2), xp.sqrt(lags**2 + z**2)
+        argument = 2 * xp.pi * axial * rho
+        term = 1j / argument
+        series = 1 + term * (3 / 8 + term * (-15 / 128 + term * (315 / 3072 - term * (14175 / 98304))))
+        hankel = xp.sqrt(2 / (xp.pi * argument)) * _phasor(axial * rho - 0.375) * series
+        return 1j * xp.pi * axial * z / rho * hankel
 
     def _rules(self) -> tuple[Rule, Rule]:
         """Return the rules along rows and columns."""
         sizes = [n // 2 for n in self.shape]
         if math.isinf(self.tolerance):
             return plain_rule(sizes[0]), plain_rule(sizes[1])
-        lengths = (*self.pitch, self.wavelength, self.distance)
-        known = [_array.numbers_behind(value) for value in lengths]
-        numbers = [values[0] for values in known if values is not None]
-        if self.cutoff is not None or len(numbers) < len(known):
+        numbers = None if self.cutoff is not None else self._numbers()
+        if numbers is None:
             rows, columns = (
                 plain_rule(n) if axis in self.axes else Rule(1) for n, axis in zip(sizes, (-2, -1), strict=True)
             )
             return rows, columns
-        dy, dx, wavelength, distance = numbers
-        axes = axes_of(sizes, (dy, dx), wavelength, distance)
+        pitches, _, distance = numbers
+        axes = axes_of(sizes, *numbers)
         if len(self.axes) == 1:
             # Of the other axis there is the frequency zero alone.
             rule = rule_for(replace(axes[self.axes[0]], transverse=0.0), self.tolerance)
@@ -123,12 +209,21 @@ class LinearGrid(Grid):
         error = SAFETY * math.hypot(*(rule.error for rule in found))
         if error > _DOUBTFUL:
             warn(
-                f"the light of {sizes[0]} × {sizes[1]} samples, {max(dy, dx):.3g} m apart, at a distance of "
+                f"the light of {sizes[0]} × {sizes[1]} samples, {max(pitches):.3g} m apart, at a distance of "
                 f"{abs(distance):.3g} m is known to about {100 * min(error, 1):.0f} % only: give a shorter distance, "
                 "the focal plane of a lens, or the propagation type 'auto' or 'Rayleigh-Sommerfeld' where there is one",
                 SamplingWarning,
             )
         return found
+
+    def _numbers(self):
+        """Return the pair of pitches, the wavelength and the distance as numbers, None where they are not known."""
+        lengths = (*self.pitch, self.wavelength, self.distance)
+        known = [_array.numbers_behind(value) for value in lengths]
+        if None in known:
+            return None
+        dy, dx, wavelength, distance = (values[0] for values in known)
+        return (dy, dx), wavelength, distance
 
     def _weights(self, rule: Rule):
         """Return a rule's weights as a line, the first and the last one half, for :func:`_response`.
@@ -141,6 +236,12 @@ class LinearGrid(Grid):
             weights[-1] /= 2
         weights = xp.asarray(weights[None, :], dtype=xp.complex128, device=self.device)
         return xp.where(self.distance < 0, xp.conj(weights), weights) if rule.corrections else weights
+
+
+def _phasor(cycles):
+    """Return exp(i2π·cycles) of complex numbers of cycles."""
+    xp = _array.namespace(cycles)
+    return _array.phasor_of_cycles(xp.real(cycles)) * xp.exp(-2 * xp.pi * xp.imag(cycles))
 
 
 def axes_of(sizes, pitches, wavelength: float, distance: float) -> tuple[Axis, Axis]:
@@ -370,4 +471,7 @@ class linear_kernel:
         own |= {"cutoff": self.cutoff, "pixel_fill": self.pixel_fill, "tolerance": self.tolerance, "stored": stored}
         own["halves"] = self.halves
         own["axes"] = self.axes
-        return self.transfer(LinearGrid(**own))
+        linear = LinearGrid(**own)
+        if self.transfer is angular_spectrum and linear.is_far():
+            return linear.evaluate_far()
+        return self.transfer(linear)

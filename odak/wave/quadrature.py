@@ -31,8 +31,10 @@ _REFERENCE_TURN, _REFERENCE_TAPS = 1.0, 32
 _LONGEST_REFERENCE = 1 << 18
 _MOST_NODES = 600
 # Nodes of integrals beyond the band, and the largest curvature of the phase along them, relative to its decay: they are
-# exact to 1e-9 then.
-_TURNED_NODES, _STRAIGHT = 8, 3e-3
+# exact to 1e-9 then. One path serves all lags where the band ends at least so many windows aside.
+TURNED_NODES, _STRAIGHT, _WINDOWS_ASIDE = 8, 3e-3, 2
+# Least axial cycles of a wave at the end of the band for the expansion of a Hankel function.
+_CYCLES = 4
 _SLAB = 1 << 22
 # A slab that stays in the processor's cache.
 _BLOCK = 1 << 16
@@ -119,6 +121,24 @@ class Rule:
         return weights
 
 
+# No sum: the integral in closed form, but for the frequencies beyond the band.
+CLOSED = Rule(0, error=3e-9)
+
+
+def rules_for(axes: tuple[Axis, Axis], tolerance: float) -> tuple[Rule, Rule]:
+    """Return the rules along both axes of free space: the closed form where it holds for both, else sums."""
+    if all(_is_far(axis) for axis in axes):
+        return CLOSED, CLOSED
+    return rule_for(axes[0], tolerance), rule_for(axes[1], tolerance)
+
+
+def _is_far(axis: Axis) -> bool:
+    reach = float(axis.displacement())
+    if not (_is_straight_beyond(axis, reach) and reach >= _WINDOWS_ASIDE * axis.samples):
+        return False
+    return axis.distance * math.sqrt(1 / axis.wavelength**2 - axis.band**2) > _CYCLES
+
+
 def plain_rule(samples: int) -> Rule:
     """Return the rule for geometries that are not known as numbers, and for bands that end within a grid."""
     refinement = next(times for most, times in ((256, 8), (1024, 4), (math.inf, 2)) if samples < most)
@@ -189,8 +209,14 @@ def white_error(axis: Axis, rule: Rule | None) -> float:
     transverse, reference = _reference(axis)
     weights = axis.samples - np.arange(axis.samples)
     weights[1:] *= 2
-    difference = response(axis, transverse, rule) - reference
+    difference = _deviation(axis, transverse, rule, reference)
     return math.sqrt(np.sum(weights * np.abs(difference) ** 2) / np.sum(weights * np.abs(reference) ** 2))
+
+
+def _deviation(axis: Axis, transverse, rule: Rule | None, reference) -> np.ndarray:
+    if rule == CLOSED:
+        return CLOSED.error * reference
+    return response(axis, transverse, rule) - reference
 
 
 @functools.lru_cache(maxsize=32)
@@ -251,9 +277,7 @@ def reference_response(axis: Axis, transverse) -> np.ndarray:
     """Return the response to 1e-9: in closed form but for the end of the band, or by a fine rule."""
     found = np.zeros((len(transverse), axis.samples), dtype=np.complex128)
     reach = axis.displacement(transverse)
-    # Where the end of the band lands far outside the lags, the phase beyond it is nearly a straight line.
-    outside = np.where(np.isfinite(reach), reach - axis.samples, 0) * axis.pitch
-    straight = (outside > 0) & (axis.wavelength * axis.distance < 4 * math.pi * _STRAIGHT * outside**2)
+    straight = _is_straight_beyond(axis, reach)
     if straight.any():
         found[straight] = _unlimited_response(axis, transverse[straight]) - _beyond_the_band(axis, transverse[straight])
     limited = (
@@ -276,6 +300,12 @@ def reference_response(axis: Axis, transverse) -> np.ndarray:
     return found
 
 
+def _is_straight_beyond(axis: Axis, reach) -> np.ndarray:
+    """Return where the band ends so far outside the lags that the phase beyond is nearly a straight line."""
+    outside = np.where(np.isfinite(reach), reach - axis.samples, 0) * axis.pitch
+    return (outside > 0) & (axis.wavelength * axis.distance < 4 * math.pi * _STRAIGHT * outside**2)
+
+
 def _unlimited_response(axis: Axis, transverse) -> np.ndarray:
     """Return the first Rayleigh–Sommerfeld kernel along a line, iπq·z/ρ·H₁(2πqρ)·pitch.
 
@@ -292,7 +322,7 @@ def _beyond_the_band(axis: Axis, transverse) -> np.ndarray:
     From both ends of the band the path is turned straight down in the complex plane, where the integrand decays without
     an oscillation: f = B − iτ, and Gauss and Laguerre's nodes for τ.
     """
-    nodes, weights = np.polynomial.laguerre.laggauss(_TURNED_NODES)
+    nodes, weights = np.polynomial.laguerre.laggauss(TURNED_NODES)
     squared = (1 / axis.wavelength) ** 2 - np.asarray(transverse)[:, None, None] ** 2
     landing = axis.distance * axis.band / np.sqrt(squared - axis.band**2)
     found = np.empty((len(transverse), axis.samples), dtype=np.complex128)
@@ -371,7 +401,8 @@ def _difference(axis: Axis, count: int, pitch: float, rule: Rule | None) -> np.n
     transverse = np.arange(count // 2 + 1) / (count * pitch)
     travels = transverse < 0.999 / axis.wavelength
     difference = np.zeros((len(transverse), axis.samples), dtype=np.complex128)
-    difference[travels] = response(axis, transverse[travels], rule) - reference_response(axis, transverse[travels])
+    reference = reference_response(axis, transverse[travels])
+    difference[travels] = _deviation(axis, transverse[travels], rule, reference)
     return difference
 
 

@@ -15,7 +15,7 @@ from odak._bars import tqdm
 from odak._warnings import SamplingWarning, warn
 from odak.wave import transfer_functions as tf
 from odak.wave.linear_kernels import TOLERANCE, axes_of, linear_kernel
-from odak.wave.quadrature import SAFETY, Axis, field_error, predicted_white_error, rule_for
+from odak.wave.quadrature import SAFETY, Axis, field_error, predicted_white_error, rules_for
 
 # Largest error of the Fresnel phase, a fifth of a wave, at which the field is considered accurate.
 PARAXIAL_TOLERANCE = 0.2
@@ -245,7 +245,7 @@ def recommend(geometries: tuple[tuple[Axis, Axis], ...], tolerance: float) -> tu
 @lru_cache(maxsize=256)
 def linear_error(geometries: tuple[tuple[Axis, Axis], ...], tolerance: float) -> float:
     """Return a bound on the error that the linear angular spectrum makes on fields of flat spectrum."""
-    return _largest(predicted_white_error(axes, _rules(axes, tolerance)) for axes in geometries if axes[0].distance)
+    return _largest(predicted_white_error(axes, rules_for(axes, tolerance)) for axes in geometries if axes[0].distance)
 
 
 def _largest(errors) -> float:
@@ -260,7 +260,7 @@ def recommend_for_field(
     if distance == 0:
         return LINEAR, rounding
     found = {}
-    for name, rules in ((LINEAR, _rules(axes, tolerance)), (SAMPLED, (None, None))):
+    for name, rules in ((LINEAR, rules_for(axes, tolerance)), (SAMPLED, (None, None))):
         size = float(np.linalg.norm(_propagated(field, axes, distance, name, tolerance)))
         step()
         error = field_error(field, axes, rules, step)
@@ -269,10 +269,6 @@ def recommend_for_field(
             return name, found[name]
     name = min(found, key=found.__getitem__)
     return name, found[name]
-
-
-def _rules(axes, tolerance):
-    return tuple(rule_for(axis, tolerance) for axis in axes)
 
 
 def _propagated(field, axes, distance, name, tolerance):
