@@ -43,9 +43,9 @@ DEFINITIONS = {
     "psnr_before_quantisation_db": "psnr_db of the hologram before it was quantised, with its own s.",
     "ssim": "Mean structural similarity of s*I and T over the picture's window (Wang et al. 2004: Gaussian window 11 x "
     "11, sigma 1.5, K1 0.01, K2 0.03, peak 1); overall, the mean over channels.",
-    "efficiency": "Energy of I over the whole frame, divided by the modulator's energy (unit amplitude, so its number "
-    "of pixels).",
-    "efficiency_lit": f"Energy of I where T is at least {LIT} of its maximum, divided by the modulator's energy.",
+    "efficiency": "Energy of I over the whole frame, divided by the number of pixels: what a flat pattern (unit "
+    "amplitude) sends into its order, with gaps the share verification.pixel.fill_factor^2 of the light on the panel.",
+    "efficiency_lit": f"As efficiency, where T is at least {LIT} of its maximum.",
     "planes": "With several planes, I is taken from the plane that each pixel belongs to by the depth map, and "
     "psnr_db, ssim, scale and efficiency above belong to this image. Each plane by itself is held against its own "
     "target, the picture blurred outside the plane: over the picture's window (psnr_db, ssim) and over the pixels that "
