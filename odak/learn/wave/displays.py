@@ -228,7 +228,9 @@ class Display(torch.nn.Module):
         Patterns F that are shown one after another, faster than an eye tells apart; one for each source by default.
     powers : torch.Tensor, optional
         Power of each source in each frame, ``[F, C]``; by default frame f is lit by source f mod C alone. Images are
-        normalised to one unit of power of each source, shared out among its frames.
+        normalised to one unit of power of each source, shared out among its frames. All sources of a frame meet the
+        same phases in radians; for a panel that shows one path difference to all of them, use
+        :class:`odak.learn.wave.propagator` and its `phase_scale`.
     profile : torch.Tensor, optional
         Amplitude of the light on the modulator, ``[rows, columns]`` or ``[C, rows, columns]``; one by default.
     iris : Iris or str, optional
