@@ -18,7 +18,9 @@ class OpticalTable:
     """A modulator, a camera, the light path between them, and what has been measured of them.
 
     Each measurement takes a table and returns what it found; ``dataclasses.replace`` returns the table with it, for the
-    measurements that follow.
+    measurements that follow. They take the attributes as arguments of their own too, which is the older form:
+    ``register_camera(modulator, camera, wavelength, distance, phases)``. Beside a table, an attribute replaces its own:
+    ``register_camera(table, wavefront=0.0)``.
 
     Attributes
     ----------
