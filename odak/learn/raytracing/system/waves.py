@@ -51,6 +51,9 @@ CLOSE, MOST, ZOOMS = 0.25, 301, 6
 RING_COUNTS, SMALL = (8, 16, 32, 64), 1e-3
 # Root mean square of wavefronts in waves above which transfer functions are computed from rays.
 LARGE = 2.0
+# Counts of rays among which Strehl ratios take the first that resolves the wavefront: with neighbours more than half a
+# wave from each other over at most this part of the pupil.
+COUNTS, COARSE = (16, 32, 64, 128), 0.1
 
 
 class PlaneRays(NamedTuple):
@@ -383,7 +386,7 @@ def _derivatives(found, weight):
     return straight
 
 
-def strehl_ratio(system: Any, pupil: Any = "gauss", count: int = 16, **options: Any) -> torch.Tensor:
+def strehl_ratio(system: Any, pupil: Any = "gauss", count: int | None = None, **options: Any) -> torch.Tensor:
     """Return the peak of the diffraction image of a point relative to the same pupil without aberrations.
 
     Parameters
@@ -392,8 +395,8 @@ def strehl_ratio(system: Any, pupil: Any = "gauss", count: int = 16, **options: 
         The system.
     pupil : str, PupilQuadrature or torch.Tensor
         Pattern of :func:`pupil_samples`, points of :func:`pupil_quadrature`, or points ``[P, 2]``.
-    count : int
-        Count of :func:`pupil_samples`.
+    count : int, optional
+        Count of :func:`pupil_samples`; the first of 16, 32, 64 and 128 that resolves the wavefront by default.
     **options
         Of :func:`wavefront` (`prescription`, `fields`, `aim`, `vignetting`).
 
@@ -406,7 +409,8 @@ def strehl_ratio(system: Any, pupil: Any = "gauss", count: int = 16, **options: 
     -----
     The largest modulus of the sum of the plane waves of all rays in the image plane, not on a grid but at the maximum
     itself, whose distance from the chief ray does not matter. The pupil is uniformly filled, and light is scalar (Born
-    and Wolf, Principles of Optics, 1999, section 9.1.3).
+    and Wolf, Principles of Optics, 1999, section 9.1.3). An AccuracyWarning says where the rays are too few to resolve
+    the wavefront, whose sum then comes out too large: more than half a wave from a ray to the next.
 
     Examples
     --------
@@ -419,6 +423,25 @@ def strehl_ratio(system: Any, pupil: Any = "gauss", count: int = 16, **options: 
     >>> round(float(strehl_ratio(mirror)), 3), round(math.exp(-float((2 * math.pi * wavefront(mirror).rms) ** 2)), 3)
     (0.992, 0.992)
     """
+    named = isinstance(pupil, str)
+    counts = COUNTS if count is None and named else COUNTS[:1] if count is None else (count,)
+    for own in counts:
+        found, coarse = _strehl(system, pupil, own, options)
+        # NaN where no ray of a field arrives.
+        share = float(coarse.nan_to_num().max())
+        if share <= COARSE:
+            break
+    else:
+        warn(
+            f"rays do not resolve the wavefront over {100 * share:.0f} % of the pupil, and Strehl ratios come out too "
+            "large: take a larger count",
+            AccuracyWarning,
+        )
+    return found
+
+
+def _strehl(system, pupil, count: int, options: dict) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return Strehl ratios, and the part of the pupil over which the rays are too few to resolve the wavefront."""
     found = wavefront(system, pupil, count, **options)
     given = options.get("prescription")
     numbers = system.prescription() if given is None else given
@@ -429,8 +452,14 @@ def strehl_ratio(system: Any, pupil: Any = "gauss", count: int = 16, **options: 
     wave = phasor_of_cycles(torch.where(kept, found.path, 0.0), torch.complex128) * weight
     slopes = torch.where(kept[..., None], found.cosines, 0.0) / waves[..., None, None]
     with torch.no_grad():
-        x, y = _peak(wave, slopes, spot_diagram(system, pupil, count, **options, reference="chief"), kept)
-    return _sum_of_waves(wave, slopes, x, y)[..., 0, 0]
+        spots = spot_diagram(system, pupil, count, **options, reference="chief")
+        x, y = _peak(wave, slopes, spots, kept)
+        # The wavefront about the peak changes by as many waves per radius of the pupil as rays miss it in units of
+        # λ/NA; a ray stands for a part of the area of the pupil, whose root is its distance from the next.
+        missed = ((spots.x - x).square() + (spots.y - y).square()).sqrt().nan_to_num()
+        step = missed * slopes.square().sum(-1).amax(-1, keepdim=True).sqrt() * (math.pi * weight).sqrt()
+        coarse = (weight * (step > 0.5)).sum(-1)
+    return _sum_of_waves(wave, slopes, x, y)[..., 0, 0], coarse
 
 
 def _sum_of_waves(wave: torch.Tensor, slopes: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
@@ -552,7 +581,7 @@ def field_quality(system: Any, aim: str = "paraxial", *, fields: Any = None) -> 
         values = [
             spots,
             wavefront(system, points, **options).rms[0],
-            strehl_ratio(system, points, **options)[0],
+            _strehl(system, points, count, options)[0][0],
             passed.expand(spots.shape),
         ]
         changes = [(a - b).abs() for a, b in zip(values, before, strict=False)]
