@@ -308,8 +308,8 @@ def write_len(system: optical_system, path: Any) -> None:
     ------
     ValueError
         If the system holds parts that cannot be written: surfaces that are decentred or of other shapes than conics
-        with terms to r¹⁰, coordinate breaks, phases but ideal lenses, graded media, coatings, telecentric or afocal
-        systems.
+        with terms to r¹⁰, coordinate breaks, phases but ideal lenses, graded media, coatings, configurations,
+        telecentric or afocal systems.
 
     Notes
     -----
@@ -339,6 +339,8 @@ def _len_text(system) -> str:
         raise ValueError("telecentric and afocal systems are not written")
     if system.object_material != AIR:
         raise ValueError("a medium in front of the first surface is not written")
+    if system.settings:
+        raise ValueError(f"configurations are not written, got settings of {system.settings[0][0]}")
     scale, near = MICROMETRES[system.unit] / MICROMETRES["mm"], not system.at_infinity
     order = [system.reference, *(i for i in range(len(system.wavelengths)) if i != system.reference)]
     waves = " ".join(repr(system.wavelengths[i] * MICROMETRES[system.unit]) for i in order)

@@ -1221,12 +1221,17 @@ def _written_form(name: str, item, scale: float) -> list[str]:
     lines = {"CURV": value.get("curvature", value.get("curvature_y", 0.0)) / scale, "CONI": value.get("conic", 0.0)}
     given, extra = value.get("coefficients", []), []
     parameters: dict[int, float] = {}
-    if kind in (Conic, EvenAsphere):
-        word = "EVENASPH" if given else "STANDARD"
-        parameters = {i: a * scale ** (1 - 2 * i) for i, a in enumerate(given, start=1)}
-    elif kind is OddAsphere:
-        word, parameters = "ODDASPHE", {i: a * scale ** (1 - i) for i, a in enumerate(given, start=1)}
+    if kind in (Conic, EvenAsphere, OddAsphere):
+        step = 1 if kind is OddAsphere else 2
+        word = ("ODDASPHE" if kind is OddAsphere else "EVENASPH") if given else "STANDARD"
+        parameters = {i: a * scale ** (1 - step * i) for i, a in enumerate(given, start=1)}
+        if len(given) > 8:
+            # Terms beyond the eighth are lines XDAT of the extended types, with 1 as the radius of normalisation.
+            word, extra = ("XOSPHERE", "XASPHERE")[step - 1], [len(given), 1.0, *parameters.values()]
+            parameters = {}
     elif kind is Toroid:
+        if len(given) > 7:
+            raise ValueError(f"{name} is a Toroid of {len(given)} coefficients, of which the format has 7")
         word = "TOROIDAL"
         parameters = {1: scale / value["curvature_x"] if value["curvature_x"] else 0.0}
         parameters |= {i: a * scale ** (3 - 2 * i) for i, a in enumerate(given, start=2)}

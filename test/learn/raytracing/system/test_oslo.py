@@ -171,3 +171,7 @@ def test_what_is_not_written_is_refused(tmp_path):
     folded = optical_system([surface(thickness=5.0), coordinate_break(tilt=(5.0, 0.0, 0.0)), surface()], 2.0)
     with pytest.raises(ValueError, match=r"surfaces\[1\] is a coordinate break"):
         write_len(folded, tmp_path / "lens.len")
+    zoom = load_system("singlet")
+    zoom.settings = (("thickness", 0, (4.0, 5.0)),)
+    with pytest.raises(ValueError, match="configurations are not written, got settings of thickness"):
+        write_len(zoom, tmp_path / "lens.len")

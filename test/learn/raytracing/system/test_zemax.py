@@ -22,7 +22,7 @@ from odak.learn.raytracing.system import (
     trace_fields,
     write_zmx,
 )
-from odak.raytracing import Biconic, OddAsphere, PolynomialFreeform, Toroid, ZernikeFreeform
+from odak.raytracing import Biconic, EvenAsphere, OddAsphere, PolynomialFreeform, Toroid, ZernikeFreeform
 from odak.raytracing.apertures import CircularAperture, EllipticAperture, RectangularAperture
 from odak.raytracing.interfaces import IdealLens, LinearGrating, PolynomialPhase, RadialPhase
 
@@ -205,6 +205,8 @@ def test_ranges_that_a_file_extends_are_kept():
 
 FORMS = {
     "odd": surface(shape=OddAsphere(0.01, -0.2, [0.0, 1e-4, 1e-5])),
+    "many even": surface(80.0, conic=-0.4, coefficients=[0.0, 1e-5, *[3e-7 * 40.0**-i for i in range(7)], 1e-17]),
+    "many odd": surface(shape=OddAsphere(0.01, -0.2, [0.0, 1e-4, *[1e-5 * 9.0**-i for i in range(8)]])),
     "toroid": surface(shape=Toroid(0.01, 0.02, -0.3, [1e-5, 1e-7])),
     "cylinder": surface(shape=Toroid(0.0, 0.02)),
     "biconic": surface(shape=Biconic(0.01, 0.02, 0.1, -0.3)),
@@ -250,6 +252,20 @@ def test_every_form_is_written_to_and_read_from_both_files(tmp_path, name, unit)
         (tmp_path / "b.zmx").write_text(text)
         large, _ = read_zmx(tmp_path / "b.zmx")
         assert float(large.surfaces[1].thickness) == pytest.approx(200.0)
+
+
+def test_terms_beyond_the_eighth_are_those_of_extended_aspheres(tmp_path):
+    """Coefficients of r², r⁴, … and of r, r², … in metres come back in millimetres."""
+    given = [0.0, 1e-3, *[1e-4 * 0.5**i for i in range(7)]]
+    for kind, step, shape in (("XASPHERE", 2, EvenAsphere), ("XOSPHERE", 1, OddAsphere)):
+        metres = [a * 1e3 ** (step * i - 1) for i, a in enumerate(given, start=1)]
+        faces = [surface(shape=shape(100.0, -0.2, metres), thickness=0.03)]
+        write_zmx(optical_system(faces, 0.012, unit="m", wavelengths=550e-9), tmp_path / "a.zmx")
+        assert f"TYPE {kind}" in (tmp_path / "a.zmx").read_text()
+        found = read_zmx(tmp_path / "a.zmx")[0].surfaces[0].shape
+        assert found.coefficients.tolist() == pytest.approx(given, rel=1e-13)
+    with pytest.raises(ValueError, match=r"surfaces\[0\] is a Toroid of 8 coefficients, of which the format has 7"):
+        write_zmx(optical_system([surface(shape=Toroid(0.01, 0.02, 0.0, [1e-9] * 8))], 1.0), tmp_path / "b.zmx")
 
 
 def test_a_stand_in_for_a_glass_is_the_callers_choice(tmp_path):
