@@ -3,7 +3,6 @@
 import ast
 import functools
 import importlib
-import importlib.util
 import inspect
 import pathlib
 import re
@@ -12,13 +11,11 @@ import sys
 
 import numpy
 import pytest
+import structure
 
 import odak
 
 ROOT = pathlib.Path(odak.__file__).parent
-_specification = importlib.util.spec_from_file_location("structure", ROOT.parent / "scripts" / "structure.py")
-structure = importlib.util.module_from_spec(_specification)
-_specification.loader.exec_module(structure)
 MODULES = structure.modules()
 imports = functools.cache(structure.imports)
 

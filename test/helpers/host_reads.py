@@ -4,6 +4,8 @@ import ast
 from fnmatch import fnmatchcase
 from pathlib import Path
 
+import structure
+
 import odak
 
 FOLDER = Path(odak.__file__).parent / "learn"
@@ -166,7 +168,7 @@ def host_reads(folder: Path = FOLDER) -> set[str]:
     found = set()
     for path in folder.rglob("*.py"):
         module = path.relative_to(folder).with_suffix("").as_posix()
-        pending: list[tuple[ast.AST, str]] = [(ast.parse(path.read_text(encoding="utf-8")), "<module>")]
+        pending: list[tuple[ast.AST, str]] = [(structure.tree(path), "<module>")]
         while pending:
             node, function = pending.pop()
             if isinstance(node, ast.Raise) or (isinstance(node, _FUNCTIONS) and node.name in _TEXTS):

@@ -5,6 +5,9 @@ from fnmatch import fnmatchcase
 import pytest
 from host_reads import AT_RUN_TIME, host_reads, is_permitted, permitted
 
+# With other tests that read the syntax trees of all modules, in one process.
+pytestmark = pytest.mark.xdist_group("structure")
+
 
 @pytest.fixture(scope="module")
 def places():

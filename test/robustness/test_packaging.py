@@ -7,6 +7,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
+import structure
 
 import odak
 
@@ -55,6 +56,7 @@ def test_every_pin_names_one_version():
             assert re.fullmatch(r"[\w.-]+(\[\w+\])?==[\w.]+(; .+)?", line), line
 
 
+@pytest.mark.xdist_group("structure")
 def test_imports_are_declared():
     """What the package imports is declared in pyproject.toml, or part of Python."""
     modules = {"pillow": "PIL", "array-api-compat": "array_api_compat", "scikit-image": "skimage"}
@@ -63,7 +65,7 @@ def test_imports_are_declared():
     declared = {modules.get(name, name) for name in declared_names()} | {"odak"} | brought_along
     found = set()
     for path in (ROOT / "odak").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(structure.tree(path)):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             if isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 names = [node.module]
