@@ -116,8 +116,9 @@ def retrieve(
 ):
     """Return hologram and reconstruction after one iteration for each item of `turns`, for NumPy and PyTorch.
 
-    `options` are `callback` and `accelerated`: `callback(turn, phase)` is called after each iteration, and ends them by
-    returning True. A field that is `checked` is not looked at again.
+    `options` are `callback`, `accelerated` and `illumination`: `callback(turn, phase)` is called after each iteration,
+    and ends them by returning True; the illumination is the amplitude of the light on the hologram, one by default. A
+    field that is `checked` is not looked at again.
     """
     field = _validate.planes("field", field)
     if not checked:
@@ -141,6 +142,7 @@ def _alternate(
     callback=None,
     fill=None,
     accelerated=False,
+    illumination=1.0,
 ):
     """Return the hologram of pairs of a field and its distance.
 
@@ -160,18 +162,20 @@ def _alternate(
         pixels = pixel_aperture(planes[0][0], checked_pixel_fill(fill))
         # The way back ends at the modulator's field without its pixels' transfer function, which has zeros.
         light, back = functools.partial(light, aperture=pixels), functools.partial(light, aperture=1 / pixels)
-    before = found = generate_complex_field(1.0, phase)
+    before = found = generate_complex_field(illumination, phase)
     for count, turn in enumerate(turns):
         hologram = found
         if accelerated:
-            # The extrapolated field is set to amplitude one again, as only a phase-only hologram is propagated.
-            hologram = generate_complex_field(1.0, calculate_phase(found + (found - before) * (count / (count + 3))))
+            # The extrapolated field gets its amplitude again, as only a phase-only hologram is propagated.
+            hologram = generate_complex_field(
+                illumination, calculate_phase(found + (found - before) * (count / (count + 3)))
+            )
         corrected = hologram
         for target, distance in planes:
             change = _correction(light(hologram, distance=distance), target, update)
             corrected = corrected + back(change, distance=-distance) / len(planes)
         phase = within_range(calculate_phase(corrected), limit)
-        before, found = found, generate_complex_field(1.0, phase)
+        before, found = found, generate_complex_field(illumination, phase)
         if callback is not None and callback(turn, phase) is True:
             break
     return found

@@ -51,6 +51,8 @@ _ORDERS = 3
 _REACH = 4
 # Pixels around a modulator, at least, in which the light of its edges is followed behind another panel.
 _MARGIN = 32
+# Least amplitude of the light on the panel, as a share of its root mean square, that double phase makes up for.
+_DIMMEST = 0.1
 
 
 @dataclass(frozen=True)
@@ -714,6 +716,14 @@ class Display(torch.nn.Module):
     def _lit(self, light, colour):
         return light if self.profile is None else light * self.profile[colour].to(light.dtype)
 
+    @torch.no_grad()
+    def _flat(self, colour: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return what the light of a flat pattern has: amplitude, of mean square one, and phase, such as aberration."""
+        if self.profile is None and self.modulator.response is None:
+            return self.powers.new_ones(()), self.powers.new_zeros(())
+        light = self._lit(self._light(self.powers.new_zeros(self.frames, *self.modulator.resolution)), colour)[0]
+        return light.abs() / intensity(light).mean().sqrt(), light.angle()
+
     def _image(self, light, part: "_Part", powers, amplitudes=None):
         """Return the means over pixels of a part, ``[..., planes, rows, columns]``."""
         colour, frames, power = part.colour, part.frames, powers[:, part.colour]
@@ -1271,7 +1281,8 @@ def _frames_alone(display: Display, solver: str) -> list[tuple[int, int, int]]:
 class AlternatingProjections:
     """Gerchberg–Saxton, accelerated: an image on one plane in few iterations, without a gradient.
 
-    Use it where a hologram has to be there within seconds; :class:`Descent` comes closer to the target.
+    Use it where a hologram has to be there within seconds; :class:`Descent` comes closer to the target. Uneven light on
+    the panel and its aberration are made up for.
 
     Examples
     --------
@@ -1285,6 +1296,7 @@ class AlternatingProjections:
         display = problem.display
         phases = problem.start.clone()
         for frame, plane, colour in _frames_alone(display, "alternating projections"):
+            illumination, aberration = display._flat(colour)
             hologram = phase_retrieval.retrieve(
                 problem.target[plane, colour].sqrt() + 0j,
                 range(problem.run.iterations),
@@ -1293,12 +1305,13 @@ class AlternatingProjections:
                 display.wavelengths[colour] / display.medium,
                 TURN,
                 "Bandlimited Angular Spectrum",
-                phases[frame],
+                phases[frame] + aberration,
                 problem.run.seed,
                 fill=display.modulator.fill,
                 accelerated=True,
+                illumination=illumination.to(phases),
             )[0]
-            phases[frame] = hologram.angle()
+            phases[frame] = hologram.angle() - aberration
         return phases
 
 
@@ -1341,7 +1354,8 @@ class DoublePhase:
                 "auto",
                 zero_padding=[True, False, True],
             )
-            phases[frame] = encode_double_phase(there)
+            illumination, aberration = display._flat(colour)
+            phases[frame] = encode_double_phase(there / illumination.clamp_min(_DIMMEST)) - aberration
         return phases
 
 
@@ -1373,7 +1387,8 @@ class Network:
         model = network_on(phases.device) if self.model is None else self.model
         for frame, plane, colour in _frames_alone(display, "a network"):
             wavelength, distance = display.wavelengths[colour] / display.medium, display.distances[plane]
-            phases[frame] = model(problem.target[plane, colour], wavelength, display.modulator.pitch, distance)
+            wanted = model(problem.target[plane, colour], wavelength, display.modulator.pitch, distance)
+            phases[frame] = wanted - display._flat(colour)[1]
         return phases
 
 
@@ -1790,8 +1805,9 @@ def starting_phases(display, target, start, seed) -> torch.Tensor:
             seed=seed,
             frames=len(frames),
         )
+        aberration = 0.0 if name in ("flat", "random") else display._flat(colour)[1]
         for frame, phase in zip(frames, found.reshape(len(frames), *shape[1:]), strict=True):
-            phases[frame] = (
-                phase if display.lens is None or name != "gs" else _projected(display, target, colour, phase)
-            )
+            if display.lens is not None and name == "gs":
+                phase = _projected(display, target, colour, phase)
+            phases[frame] = phase - aberration
     return phases
