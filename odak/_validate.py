@@ -558,7 +558,8 @@ def _by_known_names(function, own: list[str], options) -> dict[str, Any]:
 def takes_fields(older: str, **kinds: type) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator by which fields of dataclasses may be arguments of their own, which is the older form.
 
-    Fields that are given beside an object of the class replace those of the object.
+    Fields that are given beside an object of the class replace those of the object. Where None is the default of an
+    argument, the function gets the object of no arguments in its place.
 
     Parameters
     ----------
@@ -569,8 +570,8 @@ def takes_fields(older: str, **kinds: type) -> Callable[[Callable[P, R]], Callab
     """
 
     def decorated(function):
-        parameters = inspect.signature(function).parameters.values()
-        newer = [parameter.name for parameter in parameters if parameter.kind is not inspect.Parameter.KEYWORD_ONLY]
+        parameters = inspect.signature(function).parameters
+        newer = [name for name, parameter in parameters.items() if parameter.kind is not inspect.Parameter.KEYWORD_ONLY]
 
         @functools.wraps(function)
         def form(*args, **options):
@@ -582,10 +583,18 @@ def takes_fields(older: str, **kinds: type) -> Callable[[Callable[P, R]], Callab
                 raise TypeError(f"{function.__name__} got {', '.join(sorted(twice))} twice")
             options |= placed
             for name, kind in kinds.items():
-                numbers = {field.name: options.pop(field.name) for field in fields(kind) if field.name in options}
-                if numbers:
-                    given = options.get(name)
-                    options[name] = kind(**numbers) if given is None else replace(given, **numbers)
+                optional = parameters[name].default is None
+                if optional and options.get(name, name) is None:
+                    del options[name]
+                own = [field.name for field in fields(kind) if field.name in options]
+                numbers = {key: options.pop(key) for key in own if not isinstance(options[key], kind)}
+                given = options.get(name)
+                if given is None and (numbers or optional):
+                    options[name] = kind(**numbers)
+                elif name in options and not isinstance(given, kind):
+                    raise TypeError(f"{name} must be {kind.__name__}, got {given!r:.80}")
+                elif numbers:
+                    options[name] = replace(given, **numbers)
             return function(**options)
 
         return form

@@ -334,7 +334,11 @@ BY_CALL = {
     f"{HERE}.system.lens_report": {"path": Build(lambda folder: folder / "report.html"), "figures": {}},
     f"{HERE}.system.seidel_sums": {"field": 1.0},
     f"{HERE}.system.ghost_system": {"first": 0, "second": 1},
-    f"{HERE}.system.optical_system": {"image": Build(lambda _: surface(-50.0)), "fields": [0.0, 2.0]},
+    f"{HERE}.system.optical_system": {
+        "image": Build(lambda _: surface(-50.0)),
+        "fields": [0.0, 2.0],
+        "name": "a lens",
+    },
 }
 POSITIVE = {
     HERE: {"colors", "count", "samples", "terms", "iterations", "numerical_aperture"},
@@ -363,5 +367,5 @@ ALLOWED = {
     (f"{HERE}.system.exit_field", "wavelength", "zero"): "the number of one of the system's wavelengths",
     (f"{HERE}.system.exit_field", "wavelength", "a negative number"): "counted from the last of the wavelengths",
     (f"{HERE}.system.surface", "material", "a number"): "an index that holds for all wavelengths, as documented",
-    (f"{HERE}.system.optical_system", "object_material", "a number"): "an index of all wavelengths, as documented",
+    (f"{HERE}.system.Conjugates", "object_material", "a number"): "an index of all wavelengths, as documented",
 }

@@ -105,6 +105,11 @@ from .pupils import pupil_quadrature as pupil_quadrature
 from .pupils import pupil_samples as pupil_samples
 from .pupils import trace_fields as trace_fields
 from .pupils import vignetting_factors as vignetting_factors
+from .specification import Conjugates as Conjugates
+from .specification import Fields as Fields
+from .specification import SystemAperture as SystemAperture
+from .specification import SystemRecord as SystemRecord
+from .specification import Wavelengths as Wavelengths
 from .surfaces import Coating as Coating
 from .surfaces import coordinate_break as coordinate_break
 from .surfaces import optical_system as optical_system

@@ -32,9 +32,9 @@ from odak.learn.raytracing.system.pupils import (
     weights_of,
 )
 from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
+from odak.learn.raytracing.system.specification import checked_weights
 from odak.learn.raytracing.system.surfaces import (
     checked_system,
-    checked_weights,
     is_break,
     layout_of,
     reference_of,
@@ -586,9 +586,9 @@ def incidence_angles(
     --------
     The last surface of a hemisphere is met along its normals by rays through its centre:
 
-    >>> from odak.learn.raytracing.system import incidence_angles, optical_system, surface
+    >>> from odak.learn.raytracing.system import Conjugates, SystemAperture, incidence_angles, optical_system, surface
     >>> rows = [surface(thickness=10.0, material=1.5), surface(-10.0, thickness=20.0)]
-    >>> lens = optical_system(rows, 0.2, "NA", object_distance=1e-9, fields=[0.0])
+    >>> lens = optical_system(rows, SystemAperture(0.2, "NA"), conjugates=Conjugates(1e-9))
     >>> bool(incidence_angles(lens, count=5).angle[1].max() < 1e-6)
     True
     """

@@ -404,12 +404,6 @@ def automatic_design(
     >>> abs(float(first_order(found.system).focal_length) - 100) < 1
     True
     """
-    dimensions = LensDimensions() if dimensions is None else dimensions
-    search = DesignSearch() if search is None else search
-    given = {"requirements": requirements, "dimensions": dimensions, "search": search}
-    for (name, value), kind in zip(given.items(), (LensRequirements, LensDimensions, DesignSearch), strict=True):
-        if not isinstance(value, kind):
-            raise TypeError(f"{name} must be {kind.__name__}, got {value!r:.80}")
     terms = _validate.integer("aspheric_terms", aspheric_terms)
     if isinstance(elements, str) or not isinstance(elements, Sequence) or not len(elements):
         raise TypeError(f'elements must be a sequence of materials and "stop", got {elements!r:.80}')
@@ -417,7 +411,7 @@ def automatic_design(
     # Behind a stop in front, spheres of wide fields lose rays long before aspheres do.
     steep = bool(terms) and isinstance(elements[0], str) and elements[0] == "stop"
     f = requirements.focal_length
-    dimensions, search = dimensions._around(f), search._filled(steep, makers)
+    dimensions, search = dimensions._around(f), search._filled(steep, makers)  # type: ignore[union-attr]
     system, curved, spaces = _flat_plates(elements, terms, steep, dimensions, requirements)
     start = copy.deepcopy(system)
     problem = _Problem(requirements, dimensions, terms, makers, system, curved, spaces, search.callback)
@@ -1015,7 +1009,7 @@ def _flat_plates(elements, terms: int, paraboloids: bool, dimensions: Any, requi
         row += [surface(thickness=float(cover[1]), material=cover[0]), surface(thickness=f)]
     row[-1].thickness.fill_(f / 4 if paraboloids else f)
     wavelengths, unit = list(requirements.wavelengths), requirements.unit
-    system = optical_system(row, 1.0, wavelengths=wavelengths, fields=[0.0], unit=unit)
+    system = optical_system(row, 1.0, wavelengths=wavelengths, unit=unit)
     return system, curved, spaces
 
 

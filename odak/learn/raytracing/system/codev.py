@@ -11,9 +11,8 @@ import numpy as np
 
 from odak.catalog.materials import MICROMETRES, Material, material, model_glass, tabulated
 from odak.learn.raytracing.system.paraxial import first_order
+from odak.learn.raytracing.system.specification import AIR, MIRROR, SystemAperture
 from odak.learn.raytracing.system.surfaces import (
-    AIR,
-    MIRROR,
     checked_system,
     coordinate_break,
     is_break,
@@ -402,11 +401,12 @@ def _built(reader: _Reader, glasses: dict, path: Path) -> optical_system:
         notes.append("no STO: the first surface is taken as the stop")
     names: dict[str, Any] = {"unit": "mm", "source": path.name, "wavelengths": waves, "reference": reference}
     names |= {"name": " ".join(word.lstrip("'") for word in head.get("TIT", [])) or path.stem, "image": image}
+    names["object_distance"] = distance
     if len(weights) == len(waves) and len(set(weights)) > 1:
         names["wavelength_weights"] = weights
 
     def system(size, form, **others):
-        return optical_system(list(items), size, form, object_distance=distance, **names, **others)
+        return optical_system(list(items), SystemAperture(size, form), **names, **others)
 
     size, form = _aperture(head, numbers, scale, system, notes)
     found = system(size, form)

@@ -14,6 +14,7 @@ from odak._array import is_readable
 from odak.catalog.materials import Material
 from odak.learn._tensors import kind_of, tensor
 from odak.learn.raytracing.system.analysis import wavefront
+from odak.learn.raytracing.system.specification import Conjugates, SystemRecord
 from odak.learn.raytracing.system.surfaces import optical_system, surface
 from odak.raytracing import components as vec
 from odak.raytracing.geometry import safe_sqrt
@@ -112,10 +113,12 @@ def navarro_eye(
         aperture=pupil_diameter,
         wavelengths=[wave * 1e3 for wave in waves],
         fields=fields,
-        object_distance=object_distance,
+        conjugates=Conjugates(object_distance),
         image=surface(RETINA),
-        name="Navarro's eye",
-        source="Navarro et al., J. Opt. Soc. Am. A 2, 1273 (1985); Escudero-Sanz and Navarro, ibid. 16, 1881 (1999)",
+        name=SystemRecord(
+            "Navarro's eye",
+            "Navarro et al., J. Opt. Soc. Am. A 2, 1273 (1985); Escudero-Sanz and Navarro, ibid. 16, 1881 (1999)",
+        ),
     )
 
 
@@ -214,10 +217,9 @@ def liou_brennan_eye(
         aperture=_pupil_width(pupil_diameter),
         wavelengths=[wave * 1e3 for wave in waves],
         fields=fields,
-        object_distance=object_distance,
+        conjugates=Conjugates(object_distance),
         image=surface(RETINA),
-        name="Liou and Brennan's eye",
-        source="Liou and Brennan, J. Opt. Soc. Am. A 14, 1684 (1997)",
+        name=SystemRecord("Liou and Brennan's eye", "Liou and Brennan, J. Opt. Soc. Am. A 14, 1684 (1997)"),
     )
 
 

@@ -86,10 +86,11 @@ class TracedSystem:
     A point in the focal plane of a lens becomes a wave of even amplitude, whose light all arrives:
 
     >>> import torch
-    >>> from odak.learn.raytracing.system import TracedSystem, optical_system, surface
+    >>> from odak.learn.raytracing.system import Conjugates, TracedSystem, optical_system, surface
     >>> from odak.learn.wave import optical_bench
     >>> front = surface(20.0, thickness=4.0, material="N-BK7")
-    >>> eyepiece = optical_system([front, surface(-20.0, thickness=18.0)], 4.0, object_distance=18.0)
+    >>> rows = [front, surface(-20.0, thickness=18.0)]
+    >>> eyepiece = optical_system(rows, 4.0, conjugates=Conjugates(18.0))
     >>> point = torch.zeros(64, 64, dtype=torch.complex128)
     >>> point[32, 32] = 1.0
     >>> pupil, pitch = optical_bench([TracedSystem(eyepiece, 40e-6, grid=(3, 3))], 550e-9).propagate(point, 8e-6)

@@ -14,7 +14,8 @@ import torch
 from odak.catalog.materials import MICROMETRES, tabulated
 from odak.learn.raytracing.system.codev import glass_by_name
 from odak.learn.raytracing.system.paraxial import first_order
-from odak.learn.raytracing.system.surfaces import AIR, MIRROR, checked_system, is_break, optical_system, surface
+from odak.learn.raytracing.system.specification import AIR, MIRROR, SystemAperture
+from odak.learn.raytracing.system.surfaces import checked_system, is_break, optical_system, surface
 from odak.learn.raytracing.system.system_files import (
     FAR,
     Context,
@@ -200,11 +201,11 @@ def _built(head: dict, entries: list[dict], glasses: dict, path: Path, ignored: 
     if form == "first":
         # The radius of the axial beam at the first surface.
         form, size = "NA", math.sin(math.atan(size * scale / 2 / distance))
-    system = optical_system(items, size, form, **names)
+    system = optical_system(items, SystemAperture(size, form), **names)
     if solved:
         items[-1].thickness.fill_(float(first_order(system).image_distance))
     items[-1].thickness += defocus
-    return optical_system(items, size, form, **_fields(head, system, scale, notes), **names)
+    return optical_system(items, SystemAperture(size, form), **_fields(head, system, scale, notes), **names)
 
 
 def _aperture(head: dict, near: bool) -> tuple[float, str]:

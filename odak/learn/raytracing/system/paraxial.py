@@ -8,6 +8,7 @@ import torch
 from odak import _array, _show, _validate
 from odak._array import is_readable
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
+from odak.learn.raytracing.system.specification import Conjugates, SystemAperture, SystemRecord, Wavelengths
 from odak.learn.raytracing.system.surfaces import Coating, checked_system, is_break, optical_system, surface
 from odak.raytracing.gradients import AxialGradient, RadialGradient, step
 
@@ -708,10 +709,9 @@ def ghost_system(system: Any, first: int, second: int) -> optical_system:
         raise ValueError("system must be made of refracting surfaces without coordinate breaks, phases and gradients")
 
     def medium(i: int):
-        item = items[i] if i >= 0 else None
-        if item is None:
-            return "air"
-        return float(item.index.detach()) if item.material is None else item.material
+        if i < 0:
+            return system.object_material
+        return float(items[i].index.detach()) if items[i].material is None else items[i].material
 
     def films(i: int, backwards: bool, behind=None):
         held = items[i].coating
@@ -747,15 +747,11 @@ def ghost_system(system: Any, first: int, second: int) -> optical_system:
         size = float(2 * pupil.reach if system.at_infinity else torch.sin(torch.atan(pupil.reach)))
     return optical_system(
         sequence,
-        size,
-        "EPD" if system.at_infinity else "NA",
-        wavelengths=system.wavelengths,
-        reference=system.reference,
+        SystemAperture(size, "EPD" if system.at_infinity else "NA", system.telecentric),
+        wavelengths=Wavelengths(system.wavelengths, system.reference),
         fields=system.fields,
-        object_distance=system.object_distance,
+        conjugates=Conjugates(system.object_distance, system.object_material),
         image=system.image,
         unit=system.unit,
-        telecentric=system.telecentric,
-        name=f"{system.name}, ghost of surfaces {second} and {first}",
-        source=system.source,
+        name=SystemRecord(f"{system.name}, ghost of surfaces {second} and {first}", system.source),
     )

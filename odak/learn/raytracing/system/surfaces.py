@@ -1,7 +1,7 @@
 """Optical systems: surfaces, their coatings, coordinate breaks, their sequence, and their numbers as tensors."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from dataclasses import fields as fields_of
 from itertools import pairwise
@@ -12,11 +12,24 @@ import torch
 
 from odak import _show, _validate
 from odak._array import Array, complex_dtype, is_readable, namespace
-from odak.catalog.materials import MICROMETRES, Material, check_weather, refractive_index
+from odak.catalog.materials import MICROMETRES, Material, refractive_index
 from odak.catalog.materials import material as find_material
 from odak.jones.thin_films import stack_response
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription, padded
 from odak.learn.raytracing.system.sequence import STANDARD, Frames, Layout, axis_signs, placement
+from odak.learn.raytracing.system.specification import (
+    AIR,
+    MIRROR,
+    Conjugates,
+    Fields,
+    SystemAperture,
+    SystemRecord,
+    Wavelengths,
+    checked_medium,
+    checked_settings,
+    checked_wavelengths,
+    number_or_infinity,
+)
 from odak.raytracing.apertures import Aperture, CircularAperture, CombinedAperture
 from odak.raytracing.components import terms
 from odak.raytracing.gradients import Gradient
@@ -170,8 +183,6 @@ def _index(medium, wavelength: Array | float, unit: str):
     return refractive_index(medium, wavelength, unit, medium="air")
 
 
-MIRROR, AIR = "mirror", "air"
-APERTURES = ("EPD", "F-number", "NA", "stop")
 D_LINE = 0.5875618  # micrometres
 ORDERS = ("shift", "tilt")
 VARIABLES = ("curvature", "radius", "conic", "coefficients", "thickness", "index", "shift", "tilt")
@@ -322,7 +333,7 @@ class surface(torch.nn.Module):
         _hold(self, "thickness", _validate.real("thickness", thickness))
         _hold(self, "shift", _several("shift", shift, (2,)))
         _hold(self, "tilt", _several("tilt", tilt, (2, 3)))
-        self.material = _medium(material)
+        self.material = checked_medium(material)
         if isinstance(self.material, (Real, torch.Tensor)):
             _hold(self, "index", _validate.real("material", material, positive=True))
             self.material = None
@@ -583,15 +594,6 @@ def _checked(name: str, value, kind: type):
     return value
 
 
-def number_or_infinity(name: str, value):
-    """Return a real number that may be infinite."""
-    if isinstance(value, Real) and not isinstance(value, bool) and math.isinf(value):
-        return value
-    if isinstance(value, torch.Tensor) and value.numel() == 1 and bool(torch.isinf(value.detach()).all()):
-        return value
-    return _validate.number(name, value)
-
-
 def _listed(name: str, values):
     if isinstance(values, torch.Tensor):
         return values
@@ -606,15 +608,6 @@ def _several(name: str, values, counts: tuple[int, ...]):
         accepted = "two numbers (x, y)" + (" or three (x, y, z)" if 3 in counts else "")
         raise ValueError(f"{name} must be {accepted}, got {values!r}")
     return values
-
-
-def _medium(value):
-    """Return "air", "mirror", a material of the catalogue, or the number or tensor that came."""
-    if isinstance(value, bool) or not isinstance(value, (str, Real, torch.Tensor, Material)):
-        raise TypeError(f"material must be a name, an index or a Material, got {type(value).__name__}")
-    if isinstance(value, str):
-        return value.casefold() if value.casefold() in (MIRROR, AIR) else find_material(value)
-    return value
 
 
 def layout_of(surfaces, prescription: Prescription, image=None, vignetting: bool = True) -> Layout:
@@ -717,55 +710,24 @@ class optical_system(torch.nn.Module):
     surfaces : sequence of surface
         In the order in which light meets them, coordinate breaks among them. The image plane follows, at the last
         one's thickness.
-    aperture : float
-        Size of the aperture; `aperture_type` states which size.
-    aperture_type : str
-        "EPD": diameter of the entrance pupil. "F-number": focal length over that diameter. "NA": n·sin of the marginal
-        ray's angle, in object space for a near object, in image space (paraxially) for an object at infinity. "stop":
-        diameter of the stop.
-    wavelengths : float or sequence of float
-        Vacuum wavelengths in `unit`; the d line, 587.5618 nm, by default.
-    reference : int, optional
-        Index of the wavelength at which first-order properties, pupils and reference spheres are computed; the middle
-        one by default.
-    fields : sequence
-        Field points: numbers y or pairs (x, y). Angles in degrees for an object at infinity, heights otherwise.
-        Angles of 90 and more are along x or y alone and need rays that are aimed, ``aim="real"``.
-    object_distance : float
-        From the object to the first vertex.
+    aperture : float or SystemAperture
+        Diameter of the entrance pupil; the object states other sizes.
+    fields : sequence or Fields
+        Field points, numbers y or pairs (x, y); the object has their weights and vignetting factors too. The axis by
+        default.
+    wavelengths : float, sequence of float or Wavelengths
+        Vacuum wavelengths in `unit`; the object has their weights and the reference too. The d line by default.
+    conjugates : Conjugates
+        Distance and medium of the object, and whether the image is at infinity. By default the object is infinitely
+        far away, in air.
     image : surface, optional
         Shape of the image surface: a curved sensor, a retina, a tilted plane. It may have a shape, a semi-diameter,
         apertures, a shift and a tilt; a thickness, a material, a phase, a gradient, a coating or a mark as the stop
         raise ValueError. A plane by default.
     unit : str
         Unit of all lengths, wavelengths included: "mm", "m", "um" or "nm".
-    name : str
-        Name of the system.
-    source : str
-        Where the system comes from: a book, a patent, a file.
-    telecentric : bool
-        Take the entrance pupil to be at infinity, so that chief rays of a near object are parallel to the axis; the
-        aperture must be given as "NA" or "stop". False by default.
-    afocal : bool
-        Take the image to be at infinity, as in a telescope: an ideal lens with a focal length of 1 m is appended
-        in the image plane, and its focal plane is the image. Its coordinates are tangents of angles times 1 m: in
-        analyses and figures a micrometre then means a microradian, and a cycle per millimetre a cycle per milliradian.
-        The aperture must be given as "EPD", "stop" or, for a near object, "NA". False by default.
-    vignetting_factors : sequence of sequence of float, optional
-        For each field point (VDX, VDY, VCX, VCY): its rays go through the pupil points (VDX + (1 − VCX)·x,
-        VDY + (1 − VCY)·y) in place of (x, y). None by default.
-    field_weights : sequence of float, optional
-        Weight of each field point in the merit function of :class:`lens_design`; equal by default.
-    wavelength_weights : sequence of float, optional
-        Weight of each wavelength in spots, in merit functions and in the monochrome picture of
-        :func:`image_simulation`; equal by default.
-    settings : sequence of tuple
-        Numbers that differ between configurations, such as zoom positions: (name, place, values), see
-        :class:`configurations`. They do not change the system itself. None by default.
-    object_material : str, float or Material
-        Medium in front of the first surface, from the object on: the oil of an immersion objective, the water in front
-        of an eye. Angles and numerical apertures in object space are measured in it. Air by default. The image lies in
-        the medium behind the last surface.
+    name : str or SystemRecord
+        Name of the system; the object has its source and its zoom positions too.
 
     Raises
     ------
@@ -783,6 +745,9 @@ class optical_system(torch.nn.Module):
     wherever rays are launched from one of the system's own field points, and move the chief ray, which goes through the
     centre of the vignetted pupil. Other field points have the whole pupil.
 
+    The system has what the five objects contain as attributes of the same names. All of these are also taken as
+    arguments, which is the older form: ``optical_system(surfaces, 8.0, "F-number", object_distance=50.0)``.
+
     Examples
     --------
     >>> from odak.learn.raytracing.system import first_order, optical_system, surface
@@ -793,39 +758,51 @@ class optical_system(torch.nn.Module):
     99.65
     """
 
+    aperture: float
+    aperture_type: str
+    telecentric: bool
+    fields: tuple[tuple[float, float], ...]
+    field_weights: tuple[float, ...] | None
+    vignetting_factors: tuple[tuple[float, ...], ...] | None
+    wavelengths: tuple[float, ...]
+    reference: int
+    wavelength_weights: tuple[float, ...] | None
+    object_distance: float
+    object_material: Any
+    afocal: bool
+    name: str
+    source: str
+    settings: tuple[tuple[str, int | None, tuple], ...]
+
+    @_validate.takes_fields(
+        "self surfaces aperture aperture_type",
+        aperture=SystemAperture,
+        fields=Fields,
+        wavelengths=Wavelengths,
+        conjugates=Conjugates,
+        name=SystemRecord,
+    )
     def __init__(
         self,
         surfaces: Sequence[surface],
-        aperture: float,
-        aperture_type: str = "EPD",
+        aperture: float | SystemAperture,
         *,
-        wavelengths: float | Sequence[float] | None = None,
-        reference: int | None = None,
-        fields: Iterable[Any] = (0.0,),
-        object_distance: float = math.inf,
+        fields: Iterable[Any] | Fields | None = None,
+        wavelengths: float | Sequence[float] | Wavelengths | None = None,
+        conjugates: Conjugates | None = None,
         image: surface | None = None,
         unit: str = "mm",
-        name: str = "",
-        source: str = "",
-        telecentric: bool = False,
-        afocal: bool = False,
-        vignetting_factors: Iterable[Any] | None = None,
-        field_weights: Iterable[Any] | None = None,
-        wavelength_weights: Iterable[Any] | None = None,
-        settings: Sequence[tuple[Any, ...]] = (),
-        object_material: Any = AIR,
+        name: str | SystemRecord | None = None,
     ):
         super().__init__()
-        surfaces, stop = _checked_surfaces(surfaces)
-        self.unit = _validate.one_of("unit", unit, MICROMETRES)
-        self.afocal = _validate.flag("afocal", afocal)
+        surfaces, self.stop = _checked_surfaces(surfaces)
+        for part in (aperture, fields, wavelengths, conjugates, name):
+            vars(self).update(vars(part))
+        self.unit, image = _validate.one_of("unit", unit, MICROMETRES), _image(image)
+        self.wavelengths = self.wavelengths or (D_LINE / MICROMETRES[self.unit],)
+        self.reference = len(self.wavelengths) // 2 if self.reference is None else self.reference
+        self._check_object(image)
         if self.afocal:
-            by_image = aperture_type == "F-number" or (aperture_type == "NA" and object_distance == math.inf)
-            if image is not None or by_image:
-                raise ValueError(
-                    "afocal needs an aperture of the object's side and no image surface, got aperture_type "
-                    f"{aperture_type!r} and image {image!r:.60}"
-                )
             surfaces.append(_angular_lens(surfaces, MICROMETRES[self.unit]))
         twice = next((i for i, (a, b) in enumerate(pairwise(surfaces)) if a is b), None)
         if surfaces[0].reflects is False and twice is not None:
@@ -833,58 +810,34 @@ class optical_system(torch.nn.Module):
                 f"surfaces[{twice}] and surfaces[{twice + 1}] are the same surface twice in a row; make one for each "
                 "place"
             )
-        try:
-            self.object_material = _medium(object_material)
-        except (TypeError, ValueError) as error:
-            raise type(error)(f"object_material: {error}") from None
-        if self.object_material == MIRROR or isinstance(self.object_material, torch.Tensor):
-            raise ValueError(f"object_material must be a name, a Material or an index, got {object_material!r:.80}")
-        self.surfaces = Row(surfaces, self.object_material)
-        self.stop = stop
-        self.aperture = _validate.constant("aperture", aperture, positive=True)
-        self.aperture_type = _validate.one_of("aperture_type", aperture_type, APERTURES)
-        default = D_LINE / MICROMETRES[self.unit]
-        self.wavelengths = _wavelengths(default if wavelengths is None else wavelengths)
-        count = len(self.wavelengths)
-        self.reference = count // 2 if reference is None else _validate.integer("reference", reference)
-        if self.reference >= count:
-            raise ValueError(f"reference must be below the number of wavelengths, {count}, got {self.reference}")
-        self.fields = _fields(fields)
-        (object_distance,) = _validate.constants(object_distance=object_distance)
-        self.object_distance = float(number_or_infinity("object_distance", object_distance))
-        self.telecentric = _validate.flag("telecentric", telecentric)
-        self._check_object()
-        self.image = _image(image)
-        self.vignetting_factors = _factors(vignetting_factors, len(self.fields))
-        self.field_weights = checked_weights("field_weights", field_weights, len(self.fields))
-        self.wavelength_weights = checked_weights("wavelength_weights", wavelength_weights, count)
-        self.name, self.source = _validate.text("name", name), _validate.text("source", source)
-        self.settings = checked_settings(settings, len(surfaces))
+        self.surfaces, self.image = Row(surfaces, self.object_material), image
+        self.settings = checked_settings(self.settings, len(surfaces))
 
     def _repr_html_(self) -> str:
         return _show.page(self, "odak.learn.raytracing.system.drawing:system_view")
 
-    def _check_object(self) -> None:
-        """Raise ValueError where the distance of the object contradicts the aperture or the fields."""
+    def _check_object(self, image: surface | None) -> None:
+        """Raise ValueError where the places of object and image contradict the aperture, the fields or the image."""
+        by_image = self.aperture_type == "F-number" or (self.aperture_type == "NA" and self.at_infinity)
+        if self.afocal and (image is not None or by_image):
+            raise ValueError(
+                "afocal needs an aperture of the object's side and no image surface, got aperture_type "
+                f"{self.aperture_type!r} and image {image!r:.60}"
+            )
         front: Any = 1.0 if self.at_infinity else self._front(self.wavelengths[self.reference])
         if self.aperture_type == "NA" and self.aperture >= front:
             medium = "air" if front == 1 else "a medium of this index"
             raise ValueError(
                 f"aperture must be below {front:g} as a numerical aperture in {medium}, got {self.aperture}"
             )
-        if not self.object_distance > 0:
-            raise ValueError(f"object_distance must be positive or infinite, got {self.object_distance}")
         if self.at_infinity and any(
             max(map(abs, f)) >= 90 and (min(map(abs, f)) or max(map(abs, f)) >= 180) for f in self.fields
         ):
             raise ValueError(
                 f"fields must be below 90 degrees from the axis, or below 180 along x or y alone, got {self.fields}"
             )
-        if self.telecentric and (self.at_infinity or self.aperture_type not in ("NA", "stop")):
-            raise ValueError(
-                'telecentric needs a near object, and an aperture given as "NA" or "stop"; got an object at '
-                f"{self.object_distance:g} and the aperture_type {self.aperture_type!r}"
-            )
+        if self.telecentric and self.at_infinity:
+            raise ValueError("telecentric needs a near object, got an object at infinity")
 
     @property
     def at_infinity(self) -> bool:
@@ -899,7 +852,7 @@ class optical_system(torch.nn.Module):
         wavelengths : sequence of float, optional
             The system's by default.
         """
-        wavelengths = self.wavelengths if wavelengths is None else _wavelengths(wavelengths)
+        wavelengths = self.wavelengths if wavelengths is None else checked_wavelengths(wavelengths)
         items: list[Any] = list(self.surfaces)
         longest = max(item.coefficients.numel() for item in items)
         coefficients = [
@@ -1102,118 +1055,6 @@ def _image(value) -> surface | None:
             f"got {value!r:.80}"
         )
     return value
-
-
-def _wavelengths(values) -> tuple[float, ...]:
-    (values,) = _validate.constants(wavelengths=values)
-    found = tuple(
-        _validate.numbers(
-            _validate.real("wavelengths", values if not isinstance(values, tuple) else list(values), positive=True)
-        )
-    )
-    if not found:
-        raise ValueError("wavelengths must contain at least one, got none")
-    return found
-
-
-def _fields(values) -> tuple[tuple[float, float], ...]:
-    if not isinstance(values, Iterable) or isinstance(values, str):
-        raise TypeError(f"fields must be a sequence of numbers y or pairs (x, y), got {type(values).__name__}")
-    (values,) = _validate.constants(fields=values)
-    values = values.tolist() if hasattr(values, "tolist") else values
-    points = [tuple(value) if isinstance(value, Iterable) else (0.0, value) for value in values]
-    if not points or any(len(point) != 2 for point in points):
-        raise ValueError(f"fields must be numbers y or pairs (x, y), at least one, got {values!r}")
-    return tuple((_validate.constant("fields", x), _validate.constant("fields", y)) for x, y in points)
-
-
-def _factors(values, count: int) -> tuple[tuple[float, ...], ...] | None:
-    if values is None:
-        return None
-    if isinstance(values, str) or not isinstance(values, Iterable):
-        raise TypeError(f"vignetting_factors must be a sequence of four numbers for each field, got {values!r:.80}")
-    found = tuple(tuple(float(v) for v in _validate.several("vignetting_factors", row, 4)) for row in values)
-    if len(found) != count:
-        raise ValueError(f"vignetting_factors must be given for each of {count} fields, got {len(found)}")
-    if any(row[2] >= 1 or row[3] >= 1 for row in found):
-        raise ValueError(f"vignetting_factors must have VCX and VCY below 1, which close the pupil, got {found}")
-    return found
-
-
-SETTINGS = {
-    "surfaces": ("thickness", "curvature", "conic", "index", "semi_diameter", "material"),
-    "system": ("aperture", "object_distance", "fields", "wavelengths", "image_heights", "real_image_heights"),
-    "environment": ("temperature", "pressure", "mount", "mirror"),
-}
-
-
-def checked_settings(settings, count: int) -> tuple[tuple[str, int | None, tuple], ...]:
-    """Return settings (name, place, values) of configurations after checking that they are.
-
-    Parameters
-    ----------
-    settings : sequence of tuple
-        The settings.
-    count : int
-        Number of surfaces of the system.
-    """
-    if isinstance(settings, (str, Mapping)) or not isinstance(settings, Iterable):
-        raise TypeError(f"settings must be a sequence of (name, place, values), got {type(settings).__name__}")
-    found: list[tuple[str, int | None, tuple]] = []
-    for entry in settings:
-        if not isinstance(entry, (tuple, list)) or len(entry) != 3:
-            raise ValueError(f"settings must be (name, place, values), got {entry!r:.80}")
-        name = _validate.one_of("name in settings", entry[0], [one for names in SETTINGS.values() for one in names])
-        whole = name not in SETTINGS["surfaces"]
-        if whole and entry[1] is not None:
-            raise ValueError(
-                f"place in settings must be None for {name}, which belongs to the system, got {entry[1]!r}"
-            )
-        place = None if whole else _validate.place_in("place in settings", entry[1], count)
-        values = entry[2].tolist() if hasattr(entry[2], "tolist") else entry[2]
-        if isinstance(values, str) or not isinstance(values, Iterable):
-            raise TypeError(f"values in settings must be a sequence, got {type(values).__name__}")
-        found.append((name, place, tuple(_setting(name, value) for value in values)))
-    if len({len(values) for _, _, values in found}) > 1 or any(not values for _, _, values in found):
-        counts = ", ".join(f"{len(values)} of {name}" for name, _, values in found)
-        raise ValueError(f"settings must have one value for each configuration, got {counts}")
-    return tuple(found)
-
-
-def _setting(name: str, value):
-    """Return the value of a setting after checking it."""
-    if name == "material":
-        return _medium(value)
-    if name in ("fields", "image_heights", "real_image_heights"):
-        return _fields(value)
-    if name == "wavelengths":
-        return _wavelengths(value)
-    if name == "object_distance":
-        return float(number_or_infinity(f"{name} in settings", value))
-    found = _validate.constant(f"{name} in settings", value, positive=name in ("aperture", "semi_diameter", "index"))
-    if name in ("temperature", "pressure"):
-        check_weather(**{name: found}, where=" in settings")
-    return found
-
-
-def checked_weights(name: str, values, count: int) -> tuple[float, ...] | None:
-    """Return weights as numbers of at least 0, one of them above it; None where there are none.
-
-    Parameters
-    ----------
-    name : str
-        Argument that the errors name.
-    values : sequence of float or None
-        The weights.
-    count : int
-        Their number.
-    """
-    if values is None:
-        return None
-    found = tuple(_validate.constant(name, v, least=0) for v in _validate.several(name, values, count))
-    if not any(found):
-        raise ValueError(f"{name} must have one above 0, got {found}")
-    return found
 
 
 def wavelengths_of(system, numbers: Prescription) -> torch.Tensor:

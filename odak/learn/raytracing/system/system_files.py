@@ -25,8 +25,8 @@ from odak.catalog.materials import (  # noqa: F401
 )
 from odak.learn.raytracing.system.paraxial import entrance_pupil, first_order
 from odak.learn.raytracing.system.pupils import at_stop, through_places, trace_fields
+from odak.learn.raytracing.system.specification import AIR, PARTS
 from odak.learn.raytracing.system.surfaces import (
-    AIR,
     Coating,
     checked_system,
     coordinate_break,
@@ -48,25 +48,7 @@ MAXIMUM_BYTES = 4 << 20
 _IMAGE = {"radius", "conic", "coefficients", "shape", "semi_diameter", "aperture", "shift", "tilt"}
 _SURFACE = _IMAGE | {"thickness", "material", "material_range", "stop", "phase", "gradient", "coating"}
 _BREAK = {"break", "shift", "tilt", "thickness", "order", "return_to"}
-_SYSTEM = {
-    "aperture",
-    "aperture_type",
-    "wavelengths",
-    "reference",
-    "fields",
-    "object_distance",
-    "image",
-    "unit",
-    "name",
-    "source",
-    "telecentric",
-    "afocal",
-    "vignetting_factors",
-    "field_weights",
-    "wavelength_weights",
-    "settings",
-    "object_material",
-}
+_SYSTEM = {"image", "unit", *(field.name for part in PARTS for field in dataclasses.fields(part))}
 FACTORS = ("VDXN", "VDYN", "VCXN", "VCYN")
 
 

@@ -11,10 +11,8 @@ import numpy as np
 
 from odak.catalog.materials import MICROMETRES, Material, glass_makers, material, model_glass, nearest_materials
 from odak.learn.raytracing.system.paraxial import first_order, matrix, signed_indices
+from odak.learn.raytracing.system.specification import AIR, MIRROR, SETTINGS, SystemAperture
 from odak.learn.raytracing.system.surfaces import (
-    AIR,
-    MIRROR,
-    SETTINGS,
     checked_system,
     coordinate_break,
     is_break,
@@ -273,7 +271,7 @@ def read_zmx(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optic
         _check_object(surfaces[0], math.isinf(distance), context)
         _note_settings(head, surfaces, notes)
         names: dict[str, Any] = {"unit": "mm", "name": " ".join(head["NAME"].words) if "NAME" in head else path.stem}
-        names["object_material"] = _glass(0, surfaces, context)
+        names |= {"object_distance": distance, "object_material": _glass(0, surfaces, context)}
         names |= {"source": path.name, "wavelengths": waves, "reference": reference, "wavelength_weights": weights}
         if not any(item.stop for item in built):
             notes.append("no STOP: the first surface is taken as the stop")
@@ -283,7 +281,7 @@ def read_zmx(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optic
             built[-1].thickness.fill_(back if math.isfinite(back) else 0.0)
 
         def system(size, form, **others):
-            return optical_system(list(built), size, form, object_distance=distance, image=image, **names, **others)
+            return optical_system(list(built), SystemAperture(size, form), image=image, **names, **others)
 
         names["afocal"] = bool(_count(head, 6))
         if names["afocal"] and image is not None:

@@ -14,13 +14,8 @@ from odak.learn.raytracing.system.environment import (
     tell_unknown,
 )
 from odak.learn.raytracing.system.prescriptions import Prescription
-from odak.learn.raytracing.system.surfaces import (
-    SETTINGS,
-    Row,
-    checked_settings,
-    checked_system,
-    optical_system,
-)
+from odak.learn.raytracing.system.specification import SETTINGS, checked_settings
+from odak.learn.raytracing.system.surfaces import Row, checked_system, optical_system
 from odak.learn.raytracing.system.system_files import fields_of_image_heights
 
 

@@ -10,6 +10,7 @@ import torch
 from scipy.optimize import brentq
 
 from odak.learn.raytracing.system import (
+    Conjugates,
     Rays,
     coordinate_break,
     first_order,
@@ -369,18 +370,20 @@ def test_a_ghost_is_two_reflections_traced_by_hand():
     expected = torch.full((1, 3), 2 * 1.5 * inside, dtype=F64)
     torch.testing.assert_close((found.path - direct.path)[:, 1], expected, atol=1e-12, rtol=0)
     c, n, t = 0.02, 1.6, 5.0
-    lens = optical_system([surface(1 / c, thickness=t, material=n), surface(-1 / c, thickness=40.0)], 0.02)
-    y, u = 1.0, -(n - 1) * c / n
-    y, u = y + t * u, u
-    # Reflected at the rear face, at the front face, then refracted: signed indices −n, n, 1.
-    u, index = (n * u - (-n - n) * -c * y) / -n, -n
-    y = y - t * u
-    u = (index * u - (n - index) * c * y) / n
-    y = y + t * u
-    u = n * u - (1 - n) * -c * y
-    ghost = ghost_system(lens, 0, 1)
-    assert float(first_order(ghost).image_distance) == pytest.approx(-y / u, rel=1e-12)
-    assert ghost.surfaces[0].stop and len(ghost.surfaces) == 4
+    for front in (1.0, 1.33):
+        lens = [surface(1 / c, thickness=t, material=n), surface(-1 / c, thickness=40.0)]
+        lens = optical_system(lens, 0.02, conjugates=Conjugates(object_material=front))
+        y, u = 1.0, -(n - front) * c / n
+        y, u = y + t * u, u
+        # Reflected at the rear face, at the front face, then refracted: signed indices −n, n, 1.
+        u, index = (n * u - (-n - n) * -c * y) / -n, -n
+        y = y - t * u
+        u = (index * u - (n - index) * c * y) / n
+        y = y + t * u
+        u = n * u - (1 - n) * -c * y
+        ghost = ghost_system(lens, 0, 1)
+        assert float(first_order(ghost).image_distance) == pytest.approx(-y / u, rel=1e-12)
+        assert ghost.surfaces[0].stop and len(ghost.surfaces) == 4
     with pytest.raises(ValueError, match="first must be below second"):
         ghost_system(lens, 1, 0)
 
