@@ -53,7 +53,8 @@ REASONS = {
         raytracing/system/paraxial: _check_forward _near_reach ghost_system medium passed seidel_sums
         raytracing/system/polarisation: jones_vector ghosts
         raytracing/system/pupils: _far real_places
-        raytracing/system/surfaces: _any _fields _image _optional checked_settings is_off_axis number_or_infinity vary
+        raytracing/system/specification: checked_fields checked_settings number_or_infinity
+        raytracing/system/surfaces: _any _image _optional is_off_axis vary
         raytracing/system/waves: _derivatives _exit_pupil _length _sign exit_field
         raytracing/mesh: _checked_faces _checked_vertices components
         raytracing/nonsequential: __post_init__ _plain _reach polarized system_elements trace
