@@ -1,4 +1,4 @@
-"""What a system is used with: its aperture, its field points, its wavelengths, and the places of object and image."""
+"""Conditions of use of a lens system: aperture, fields, wavelengths, and the places of object and image."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
