@@ -875,7 +875,9 @@ def trace(
     "report.json. The same seed gives the same lenses."
 )
 def tolerance(
-    system: Annotated[str, typer.Argument(metavar="SYSTEM", help="Name of a sample, or a .json, .zmx or .seq file.")],
+    system: Annotated[
+        str, typer.Argument(metavar="SYSTEM", help="Name of a sample, or a .json, .zmx, .seq or .len file.")
+    ],
     output: Output = Path("tolerance"),
     samples: Annotated[int, typer.Option(metavar="COUNT", help="Number of lenses.")] = 200,
     limit: Annotated[
