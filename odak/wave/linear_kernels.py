@@ -16,7 +16,7 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._warnings import SamplingWarning, warn
-from odak.wave.quadrature import CLOSED, SAFETY, TURNED_NODES, Axis, Rule, plain_rule, rule_for, rules_for
+from odak.wave.quadrature import CLOSED, PATH_NODES, SAFETY, Axis, Rule, plain_rule, rule_for, rules_for
 from odak.wave.transfer_functions import (
     Grid,
     alias_free_weight,
@@ -165,7 +165,7 @@ class LinearGrid(Grid):
     def _beyond_the_band(self, axis: int, lags):
         """Return frequencies on the turned path, and the waves beyond both ends of the band at the lags."""
         xp, pitch, band = self.xp, self.pitch[axis], 0.5 / self.pitch[axis]
-        nodes, weights = np.polynomial.laguerre.laggauss(TURNED_NODES)
+        nodes, weights = np.polynomial.laguerre.laggauss(PATH_NODES)
         nodes, weights = (
             xp.reshape(xp.asarray(values, dtype=xp.float64, device=self.device), (1, -1) if axis == 0 else (-1, 1))
             for values in (nodes, weights * np.exp(nodes))

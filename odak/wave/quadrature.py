@@ -31,8 +31,10 @@ _REFERENCE_TURN, _REFERENCE_TAPS = 1.0, 32
 _LONGEST_REFERENCE = 1 << 18
 _MOST_NODES = 600
 # Nodes of integrals beyond the band, and the largest curvature of the phase along them, relative to its decay: they are
-# exact to 1e-9 then. One path serves all lags where the band ends at least so many windows aside.
-TURNED_NODES, _STRAIGHT, _WINDOWS_ASIDE = 8, 3e-3, 2
+# exact to 1e-9 then.
+_TURNED_NODES, _STRAIGHT = 8, 3e-3
+# One path serves all lags where the band ends at least so many windows aside, by so many nodes: to 1e-8.
+PATH_NODES, _BENT, _WINDOWS_ASIDE = 24, 0.03, 1.25
 # Least axial cycles of a wave at the end of the band for the expansion of a Hankel function.
 _CYCLES = 4
 _SLAB = 1 << 22
@@ -122,7 +124,7 @@ class Rule:
 
 
 # No sum: the integral in closed form, but for the frequencies beyond the band.
-CLOSED = Rule(0, error=3e-9)
+CLOSED = Rule(0, error=1e-8)
 
 
 def rules_for(axes: tuple[Axis, Axis], tolerance: float) -> tuple[Rule, Rule]:
@@ -134,9 +136,14 @@ def rules_for(axes: tuple[Axis, Axis], tolerance: float) -> tuple[Rule, Rule]:
 
 def _is_far(axis: Axis) -> bool:
     reach = float(axis.displacement())
-    if not (_is_straight_beyond(axis, reach) and reach >= _WINDOWS_ASIDE * axis.samples):
+    if not (_curvature_beyond(axis, reach) < _BENT and reach >= _WINDOWS_ASIDE * axis.samples):
         return False
-    return axis.distance * math.sqrt(1 / axis.wavelength**2 - axis.band**2) > _CYCLES
+    axial = math.sqrt(1 / axis.wavelength**2 - axis.band**2)
+    # The wave of the last node must still decay along the path as the first ones do.
+    last = np.polynomial.laguerre.laggauss(PATH_NODES)[0][-1] / (2 * math.pi * reach * axis.pitch)
+    decay = np.sqrt(1 / axis.wavelength**2 - (axis.band - 1j * last) ** 2).imag * axis.distance / last
+    outside = (reach - axis.samples) * axis.pitch
+    return axis.distance * axial > _CYCLES and decay - axis.samples * axis.pitch > 0.8 * outside
 
 
 def plain_rule(samples: int) -> Rule:
@@ -277,7 +284,7 @@ def reference_response(axis: Axis, transverse) -> np.ndarray:
     """Return the response to 1e-9: in closed form but for the end of the band, or by a fine rule."""
     found = np.zeros((len(transverse), axis.samples), dtype=np.complex128)
     reach = axis.displacement(transverse)
-    straight = _is_straight_beyond(axis, reach)
+    straight = _curvature_beyond(axis, reach) < _STRAIGHT
     if straight.any():
         found[straight] = _unlimited_response(axis, transverse[straight]) - _beyond_the_band(axis, transverse[straight])
     limited = (
@@ -300,10 +307,11 @@ def reference_response(axis: Axis, transverse) -> np.ndarray:
     return found
 
 
-def _is_straight_beyond(axis: Axis, reach) -> np.ndarray:
-    """Return where the band ends so far outside the lags that the phase beyond is nearly a straight line."""
+def _curvature_beyond(axis: Axis, reach) -> np.ndarray:
+    """Return how curved the phase beyond the band is, relative to its decay at the last lag; infinite near the band."""
     outside = np.where(np.isfinite(reach), reach - axis.samples, 0) * axis.pitch
-    return (outside > 0) & (axis.wavelength * axis.distance < 4 * math.pi * _STRAIGHT * outside**2)
+    with np.errstate(divide="ignore"):
+        return np.where(outside > 0, axis.wavelength * axis.distance / (4 * math.pi * outside**2), np.inf)
 
 
 def _unlimited_response(axis: Axis, transverse) -> np.ndarray:
@@ -322,7 +330,7 @@ def _beyond_the_band(axis: Axis, transverse) -> np.ndarray:
     From both ends of the band the path is turned straight down in the complex plane, where the integrand decays without
     an oscillation: f = B − iτ, and Gauss and Laguerre's nodes for τ.
     """
-    nodes, weights = np.polynomial.laguerre.laggauss(TURNED_NODES)
+    nodes, weights = np.polynomial.laguerre.laggauss(_TURNED_NODES)
     squared = (1 / axis.wavelength) ** 2 - np.asarray(transverse)[:, None, None] ** 2
     landing = axis.distance * axis.band / np.sqrt(squared - axis.band**2)
     found = np.empty((len(transverse), axis.samples), dtype=np.complex128)

@@ -90,24 +90,26 @@ def kinds_of_field(shape, random):
     }
 
 
-@pytest.mark.parametrize(("dx", "padding"), [(8e-6, 20), (1e-6, 20)])
-@pytest.mark.parametrize("share", [-0.3, 1.0, 3.0])
-def test_predicted_error_bounds_the_actual_one(dx, padding, share, random):
+@pytest.mark.parametrize("dx", [8e-6, 1e-6])
+@pytest.mark.parametrize("share", [-0.3, 1.0, 2.0, 3.0])
+def test_predicted_error_bounds_the_actual_one(dx, share, random):
     shape = (24, 32)
     distance = share * shape[1] * dx**2 / WAVELENGTH
     white = odak.wave.sampling_report(shape, dx, WAVELENGTH, distance).predicted_error
     assert white < 1e-4
+    # At the largest distance the kernel is a closed form, far better than what is stated for all geometries.
+    closed = share == 3.0
+    assert (white < 1e-7) == closed
     for kind, field in kinds_of_field(shape, random).items():
-        exact = quadrature(field, distance, dx, padding)
+        exact = plane_waves(field, distance, (dx, dx))
         found = odak.wave.propagate_beam(field, None, distance, dx, WAVELENGTH, "auto")
         actual = np.linalg.norm(found - exact) / np.linalg.norm(exact)
         report = odak.wave.sampling_report(shape, dx, WAVELENGTH, distance, field=field)
         assert actual < 1e-4
-        # The reference sums are accurate to some 1e-7 of the whole band.
-        assert actual < report.predicted_error + 3e-7, kind
-        assert report.predicted_error < 10 * (actual + 3e-7), kind
+        assert actual < report.predicted_error + 3e-12, kind
+        assert closed or report.predicted_error < 10 * (actual + 3e-7), kind
         if kind == "random phase":
-            assert white / 5 < actual < white
+            assert (closed or white / 5 < actual) and actual < white
 
 
 def plane_waves(field, distance, pitches):
@@ -307,7 +309,7 @@ def _response_of_the_band(shape, pitch, distance, halves=(0, 0)):
 
 @pytest.mark.parametrize("distance", [0.05, -0.02])
 def test_far_planes_are_sums_of_waves(distance, random):
-    """Beyond five critical distances the kernel is a closed form, of which the sampled one lacks the band's ends."""
+    """Beyond some critical distances the kernel is a closed form, of which the sampled one lacks the band's ends."""
     pitch = (8e-6, 6e-6)
     field = random.normal(size=(12, 16)) + 1j * random.normal(size=(12, 16))
     exact = convolve2d(field, _response_of_the_band(field.shape, pitch, distance), mode="same")
@@ -316,7 +318,7 @@ def test_far_planes_are_sums_of_waves(distance, random):
         assert np.linalg.norm(np.asarray(found) - exact) < 1e-8 * np.linalg.norm(exact)
     sampled = odak.wave.propagate_beam(field, None, distance, pitch, WAVELENGTH, "Rayleigh-Sommerfeld")
     assert np.linalg.norm(sampled - exact) > 1e-2 * np.linalg.norm(exact)
-    assert odak.wave.sampling_report(field.shape, pitch, WAVELENGTH, distance).predicted_error < 1e-8
+    assert odak.wave.sampling_report(field.shape, pitch, WAVELENGTH, distance).predicted_error < 1e-7
 
 
 def test_far_planes_between_the_samples_and_their_gradient():
