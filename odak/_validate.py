@@ -529,23 +529,27 @@ def takes_units(*lengths: str, degrees: Sequence[str] = ()) -> Callable[[F], F]:
 _ROLES = (("wavelength", "wavelengths"), ("dx", "pixel_pitch", "pitch", "slm_pixel_pitch"), ("distance", "distances"))
 
 
-# Other words for the names of parameters; a function takes them where it has the name itself.
-SYNONYMS = {
-    "n_iteration": "iterations",
-    "n_iterations": "iterations",
-    "number_of_iterations": "iterations",
-    "pixel_pitch": "pitch",
-    "focal": "focal_length",
-    "centre": "center",
-    "colour": "color",
-}
+# Words for one thing: a function takes each of them for the one that it has itself.
+_WORDS = (
+    ("iterations", "n_iteration", "n_iterations", "number_of_iterations"),
+    ("pitch", "pixel_pitch", "slm_pixel_pitch", "dx"),
+    ("focal_length", "focal"),
+    ("center", "centre"),
+    ("color", "colour"),
+)
+
+
+def _known_name(word: str, own: list[str]) -> str:
+    """Return the parameter that a word stands for, or the word where that is not one."""
+    same = [name for words in _WORDS if word in words for name in words if name in own]
+    return word if word in own or len(same) != 1 else same[0]
 
 
 def _by_known_names(function, own: list[str], options) -> dict[str, Any]:
     """Return keyword arguments by the names of a function's parameters."""
     found = {}
     for word, value in options.items():
-        name = word if word in own else SYNONYMS.get(word, word)
+        name = _known_name(word, own)
         if name not in own:
             callee = function.__qualname__.removesuffix(".__init__")
             raise TypeError(f"{callee} has no argument {word!r}.{did_you_mean(word, own)}")

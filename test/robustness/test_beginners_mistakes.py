@@ -322,6 +322,10 @@ def test_other_words_for_a_parameter_are_taken():
     )
     with pytest.raises(TypeError, match="pitch and pixel_pitch are one argument"):
         wave.double_phase_hologram(target, 532e-9, 2e-3, pitch=8e-6, pixel_pitch=8e-6)
-    # Functions whose own name for it is the other word keep it.
-    with pytest.raises(TypeError, match="no argument 'iterations'"):
-        wave.stochastic_gradient_descent(target, 532e-9, 2e-3, 8e-6, iterations=2)
+    same = [
+        wave.stochastic_gradient_descent(target, 532e-9, 2e-3, seed=0, progress=False, **words)[0]
+        for words in ({"pixel_pitch": 8e-6, "n_iteration": 2}, {"pitch": "8um", "iterations": 2})
+    ]
+    torch.testing.assert_close(*same)
+    with pytest.raises(TypeError, match=r"no argument 'iteration'\. Did you mean 'n_iteration'"):
+        wave.stochastic_gradient_descent(target, 532e-9, 2e-3, 8e-6, iteration=2)
