@@ -450,12 +450,34 @@ class surface(torch.nn.Module):
             )
         return _vary(self, name)
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.extra_repr()})"
+
     def extra_repr(self) -> str:
         """Return the surface in a line."""
         medium = getattr(self.material, "name", self.material)
         medium = f"index {float(self.index.detach()):g}" if medium is None else medium
-        radius, thickness = (float(value.detach()) for value in (self.radius, self.thickness))
-        return f"radius={radius:g}, thickness={thickness:g}, material={medium}, stop={self.stop}"
+        shown = {"radius": self.radius, "conic": self.conic, "coefficients": self.coefficients}
+        if self.own_shape is not None:
+            shown = {"shape": self.own_shape.kind.__name__}
+        shown |= {
+            "thickness": self.thickness,
+            "material": medium,
+            "semi_diameter": self.semi_diameter and f"{self.semi_diameter:.6g}",
+        }
+        held = {"phase": self.own_phase, "gradient": self.own_gradient}
+        shown |= {name: part.kind.__name__ for name, part in held.items() if part is not None}
+        shown |= {"aperture": ", ".join(type(part).__name__ for part in self.apertures), "coating": self.coating}
+        shown |= {"shift": self.shift, "tilt": self.tilt, "stop": self.stop}
+        parts = []
+        for name, value in shown.items():
+            if isinstance(value, torch.Tensor):
+                numbers = [f"{number:.6g}" for number in value.detach().reshape(-1).tolist()]
+                empty = set(numbers) <= {"0", "-0"} and name not in ("radius", "thickness")
+                value = "" if empty else numbers[0] if value.ndim == 0 else f"[{', '.join(numbers)}]"
+            if value:
+                parts.append(f"{name}={value}")
+        return ", ".join(parts)
 
 
 class coordinate_break(surface):
@@ -812,6 +834,17 @@ class optical_system(torch.nn.Module):
             )
         self.surfaces, self.image = Row(surfaces, self.object_material), image
         self.settings = checked_settings(self.settings, len(surfaces))
+
+    def extra_repr(self) -> str:
+        """Return the conditions of use in lines."""
+        fields = ", ".join(f"({x:g}, {y:g})" if x else f"{y:g}" for x, y in self.fields)
+        lines = [
+            f"aperture={self.aperture:g} ({self.aperture_type})",
+            f"fields=[{fields}] {'degrees' if self.at_infinity else self.unit}",
+            f"wavelengths=[{', '.join(f'{value:.6g}' for value in self.wavelengths)}] {self.unit}",
+            "object at infinity" if self.at_infinity else f"object_distance={self.object_distance:g} {self.unit}",
+        ]
+        return "\n".join([repr(self.name), *lines] if self.name else lines)
 
     def _repr_html_(self) -> str:
         return _show.page(self, "odak.learn.raytracing.system.drawing:system_view")

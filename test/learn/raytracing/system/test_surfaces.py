@@ -423,3 +423,25 @@ def test_rays_that_meet_the_base_conic_far_from_the_asphere(curvature, coefficie
     rays = Rays(*(torch.tensor([[[value]]], dtype=F64) for value in (*start[0], *direction[0])))
     traced = trace(optical_system([front], 2.0), rays, until=0)
     assert traced.y.item() == pytest.approx(start[0, 1] + expected * y, abs=1e-12)
+
+
+def test_a_system_shows_its_surfaces_and_conditions():
+    surfaces = [
+        surface(50.0, conic=-1.5, coefficients=[0.0, 2e-6], thickness=4.0, material=1.5, semi_diameter=6.0, stop=True),
+        surface(shape=Toroid(0.1, 0.2), phase=IdealLens(80.0), thickness=40.0, tilt=(1.0, 0.0)),
+    ]
+    lens = optical_system(surfaces, 0.1, "NA", fields=[0.0, (1.0, 2.0)], object_distance=30.0, name="bench")
+    assert repr(lens).splitlines() == [
+        "optical_system(",
+        "  'bench'",
+        "  aperture=0.1 (NA)",
+        "  fields=[0, (1, 2)] mm",
+        "  wavelengths=[0.000587562] mm",
+        "  object_distance=30 mm",
+        "  (surfaces): Row(",
+        "    (0): surface(radius=50, conic=-1.5, coefficients=[0, 2e-06], thickness=4, material=index 1.5, "
+        "semi_diameter=6, stop=True)",
+        "    (1): surface(shape=Toroid, thickness=40, material=air, phase=IdealLens, tilt=[1, 0])",
+        "  )",
+        ")",
+    ]
