@@ -341,6 +341,7 @@ def half_wave_plate(
     return retarder(180.0, angle, xp=xp, device=device, dtype=dtype)
 
 
+@_validate.takes_units(degrees=("angle",))
 def rotator(angle: complex | Array, *, xp: ModuleType | None = None, device: Any = None, dtype: Any = None) -> Array:
     """Return the Jones matrix of a rotation of the polarisation, as an optically active crystal or a Faraday cell does.
 
@@ -701,8 +702,11 @@ def depolarizer(
     >>> [float(depolarizer(0.5)[i, i]) for i in range(4)]
     [1.0, 0.5, 0.5, 0.5]
     """
-    if not _array.is_array(kept) and not all(0 <= v <= 1 for v in _validate.numbers(_validate.real("kept", kept))):
-        raise ValueError(f"kept must be within 0 … 1, got {kept!r}")
+    _validate.real("kept", kept)
+    if not _array.is_array(kept) or _array.is_readable(kept):
+        for value in _validate.numbers(kept):
+            if not 0 <= value <= 1:
+                raise ValueError(f"kept must be within 0 … 1, got {value:.6g}")
     xp, device, real = _array.placement(kept, xp=xp, device=device)
     if dtype is None:
         dtype = xp.float64 if real == xp.float64 else xp.float32

@@ -1,5 +1,6 @@
 """Reflection and transmission of stacks of thin films, for any polarisation, angle and absorption."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -64,9 +65,9 @@ def thin_film_stack(
         absorbing media, n + iκ with κ ≥ 0; tables with the time dependence exp(+iωt) give the conjugate, n − iκ. The
         incident medium must not absorb: a reflected fraction of power is then not defined.
     thicknesses : sequence of float or array
-        Thickness of each film: two fewer than `indices`.
+        Thickness of each film, at least 0: two fewer than `indices`.
     angle : float or array
-        Angle of incidence in degrees, in the incident medium.
+        Angle of incidence in degrees, −90 … 90, in the incident medium.
     polarization : str
         "s" (electric field perpendicular to the plane of incidence), "p" (in it) or "unpolarized": the fractions of
         power are the means of both, and there are no amplitude coefficients.
@@ -101,6 +102,7 @@ def thin_film_stack(
     """
     polarization = _validate.one_of("polarization", polarization, ("s", "p", "unpolarized"))
     _validate.real("angle", angle)
+    _check_extremes("angle", angle, -90, 90)
     xp, (wavelength, angle, *rest) = check_stack(wavelength, angle, indices, thicknesses)
     angle = angle * (_TAU / 360)
     sine, cosine = xp.sin(angle), xp.cos(angle)
@@ -156,6 +158,19 @@ def _normal_index(xp, index, transverse):
     return xp.where(xp.imag(root) < 0, -root, root)
 
 
+def _check_extremes(name, value, least, most=math.inf) -> None:
+    """Refuse real numbers outside a range; of a GPU nothing is read."""
+    if is_array(value):
+        if not _array.is_readable(value) or 0 in value.shape:
+            return
+        xp = namespace(value)
+        value = [found(value) for found in (xp.min, xp.max)]
+    for number in _validate.numbers(value):
+        if not least <= number <= most:
+            wanted = f"at least {least}" if most == math.inf else f"from {least} to {most}"
+            raise ValueError(f"{name} must be {wanted}, got {number:.6g}")
+
+
 def _check_absorption(xp, name, index) -> None:
     """Refuse an index that amplifies, and an incident medium that absorbs; of a GPU nothing is read."""
     if not _array.is_readable(index) or 0 in index.shape:
@@ -181,7 +196,7 @@ def check_stack(wavelength, angle, indices, thicknesses):
         )
     _validate.real("wavelength", wavelength, positive=True)
     for k, value in enumerate(thicknesses):
-        _validate.real(f"thicknesses[{k}]", value)
+        _check_extremes(f"thicknesses[{k}]", _validate.real(f"thicknesses[{k}]", value), 0)
     values = [wavelength, angle, *indices, *thicknesses]
     names = ["wavelength", "angle", *(f"indices[{k}]" for k in range(len(indices)))]
     names += [f"thicknesses[{k}]" for k in range(len(thicknesses))]
@@ -194,7 +209,10 @@ def check_stack(wavelength, angle, indices, thicknesses):
         is_complex = isinstance(value, complex) or "complex" in str(getattr(value, "dtype", ""))
         dtype = xp.complex128 if is_complex else xp.float64
         wide.append(xp.astype(value, dtype) if is_array(value) else xp.asarray(value, dtype=dtype, device=device))
-        if is_complex and name.startswith("indices"):
-            _check_absorption(xp, name, wide[-1])
+        if name.startswith("indices"):
+            if _array.is_readable(wide[-1]) and bool(xp.any(wide[-1] == 0)):
+                raise ValueError(f"{name} must not be 0, got {value!r:.80}")
+            if is_complex:
+                _check_absorption(xp, name, wide[-1])
     _validate.fitting(**dict(zip(names, wide, strict=True)))
     return xp, wide

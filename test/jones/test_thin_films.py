@@ -113,9 +113,20 @@ def test_indices_that_amplify_or_absorb_before_stack_are_refused(absorbing):
         thin_film_transfer((4, 4), 1e-6, WAVELENGTH, [1.0, absorbing], [])
 
 
-def test_wrong_use_names_the_argument():
+def test_wrong_use_names_the_argument(as_array):
     with pytest.raises(ValueError, match="thicknesses must be two fewer than indices"):
         thin_film_stack(WAVELENGTH, [1, 1.38, 1.52], [])
+    # Numbers that would give power from nothing, or a division by zero.
+    for thin in (-1e-8, as_array(np.asarray([1e-7, -1e-8]))):
+        with pytest.raises(ValueError, match=r"thicknesses\[1\] must be at least 0, got -1e-08"):
+            thin_film_stack(WAVELENGTH, [1, 1.38, 1.38 + 0.1j, 1.52], [0.0, thin])
+    for steep in (-120.0, as_array(np.asarray([0.0, -120.0]))):
+        with pytest.raises(ValueError, match="angle must be from -90 to 90, got -120"):
+            thin_film_stack(WAVELENGTH, [1, 1.52], [], steep)
+    with pytest.raises(ValueError, match=r"indices\[1\] must not be 0"):
+        thin_film_stack(WAVELENGTH, [1, as_array(np.asarray([1.4, 0.0])), 1.52], [1e-7])
+    found = thin_film_stack(WAVELENGTH, [1, 1.38, 1.52], [0], as_array(np.asarray([-90.0, 90.0])))
+    assert all(abs(float(found.reflectance[k]) - 1) < 1e-12 for k in (0, 1))
 
 
 def test_unpolarised_light_is_the_mean_of_both_polarisations():

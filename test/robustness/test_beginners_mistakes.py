@@ -272,6 +272,8 @@ def test_degrees_that_look_like_radians_are_pointed_out():
     for package in (odak.jones, odak.learn.jones):
         with pytest.warns(odak.ArgumentWarning, match="angle is in degrees: 0.785398 is 45 degrees in radians"):
             package.polarizer(math.pi / 4)
+        with pytest.warns(odak.ArgumentWarning, match="angle is in degrees"):
+            package.rotator(math.pi / 4)
         package.polarizer(0.79)
     with pytest.warns(odak.ArgumentWarning, match="angles is in degrees"):
         odak.wave.reference_wave((8, 8), 8e-6, WAVELENGTH, (0.0, math.radians(1)))
