@@ -72,6 +72,9 @@ def gradient_descent_1d(
     ... ).round(5)
     array([1.04557, 1.41857])
     """
+    input_data, ground_truth_data, parameters = _validate.constants(
+        input_data=input_data, ground_truth_data=ground_truth_data, parameters=parameters
+    )
     x = np.asarray(_validate.array("input_data", input_data))
     y = np.asarray(_validate.array("ground_truth_data", ground_truth_data))
     if not x.shape or not len(x) or x.shape[:1] != y.shape[:1]:
@@ -85,7 +88,7 @@ def gradient_descent_1d(
         ("loss_function", loss_function),
     ):
         _validate.function(name, value)
-    parameters = np.array(_validate.array("parameters", parameters))
+    parameters = np.asarray(_validate.array("parameters", parameters))
     if not parameters.size:
         raise ValueError(f"parameters must contain at least one number, got {parameters.shape}")
     parameters = parameters.astype(np.result_type(parameters.dtype, np.float64))
@@ -194,6 +197,7 @@ def perceptron(
     >>> threshold_linear_model(np.asarray([[1.0, 1.0], [-3.0, 3.0]]), weights).tolist()
     [0, 1]
     """
+    x, y = _validate.constants(x=x, y=y)
     points, labels = (np.asarray(_validate.array(n, v), dtype=np.float64) for n, v in (("x", x), ("y", y)))
     _validate.real("x", points)
     _validate.real("learning_rate", learning_rate)
@@ -234,6 +238,7 @@ def threshold_linear_model(x: Array, w: Array, threshold: float = 0) -> int | np
     >>> threshold_linear_model([1.0, 2.0], [-1.0, 1.0])
     1
     """
+    x, w = _validate.constants(x=x, w=w)
     x, w = (np.asarray(_validate.real(n, _validate.array(n, v))) for n, v in (("x", x), ("w", w)))
     _validate.real("threshold", threshold)
     w = w.reshape(-1)

@@ -370,10 +370,12 @@ def polynomial_fit(line_x: Array, line_y: Array, fit_degree: int = 3) -> np.poly
     [2.0, 0.0, 1.0]
     """
     degree = _validate.integer("fit_degree", fit_degree)
-    x, y = (np.asarray(_validate.array(n, v)) for n, v in (("line_x", line_x), ("line_y", line_y)))
+    line_x, line_y = _validate.constants(line_x=line_x, line_y=line_y)
+    x, y = (_to_numpy(_validate.array(n, v)) for n, v in (("line_x", line_x), ("line_y", line_y)))
     x = np.asarray(_validate.real("line_x", x), dtype=np.float64)
     if x.ndim != 1 or x.shape != y.shape or len(x) <= degree:
         raise ValueError(f"line_x and line_y must be [n] with n > {degree}, got {x.shape} and {y.shape}")
+    _validate.check_values("line_y", y)
     return np.poly1d(np.polyfit(x, y.astype(np.result_type(y, np.float64)), degree))
 
 

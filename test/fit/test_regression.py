@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+import odak
 from odak import fit
 
 
@@ -118,3 +119,19 @@ def test_threshold_and_errors():
         fit.perceptron([[1.0]], [2])
     with pytest.raises(ValueError, match="one label each"):
         fit.perceptron([[1.0]], [1, 0])
+
+
+def test_tensors_with_gradients_are_taken_as_numbers(random):
+    points, labels = random.normal(size=(20, 2)), np.repeat([0, 1], 10)
+    points[:, 0] += 6 * labels
+    tensor = torch.from_numpy(points).requires_grad_()
+    with pytest.warns(odak.AccuracyWarning, match="x requires a gradient"):
+        weights = fit.perceptron(tensor, labels)
+    np.testing.assert_array_equal(weights, fit.perceptron(points, labels))
+    with pytest.warns(odak.AccuracyWarning, match="w requires a gradient"):
+        fit.threshold_linear_model([1.0, 0.0, 0.0], torch.from_numpy(weights).requires_grad_())
+    x = np.linspace(-1, 1, 5)
+    options = (quadratic, quadratic_gradient, squared, 0.5, 3)
+    with pytest.warns(odak.AccuracyWarning, match="parameters requires a gradient"):
+        found = fit.gradient_descent_1d(x, x, torch.zeros(3, dtype=torch.float64, requires_grad=True), *options)
+    np.testing.assert_array_equal(found, fit.gradient_descent_1d(x, x, np.zeros(3), *options))

@@ -1,8 +1,10 @@
 """Line spread, modulation transfer and regions against closed forms and the numbers of the specification."""
 
 import numpy as np
+import pytest
 import torch
 
+import odak
 from odak import measurement
 
 EDGE = np.asarray([0, 0, 0.2, 0.9, 1, 1, 1])
@@ -74,3 +76,12 @@ def test_polynomial_fit_returns_the_polynomial():
     fit = measurement.polynomial_fit(x, 2 * x**3 - x + 0.5)
     assert isinstance(fit, np.poly1d)
     np.testing.assert_allclose(fit.coeffs, [2, 0, -1, 0.5], atol=1e-12)
+
+
+def test_polynomial_fit_names_what_it_cannot_fit():
+    x = torch.linspace(-1, 1, 9, dtype=torch.float64)
+    with pytest.raises(ValueError, match="line_y must be finite"):
+        measurement.polynomial_fit(x, torch.where(x > 0.9, torch.nan, x))
+    with pytest.warns(odak.AccuracyWarning, match="line_y requires a gradient"):
+        fit = measurement.polynomial_fit(x, (2 * x**3 - x).requires_grad_())
+    np.testing.assert_allclose(fit.coefficients, [2, 0, -1, 0], atol=1e-12)
