@@ -531,7 +531,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # typer carries its own copy of click in some releases and not in others: errors of either have this method.
         if not hasattr(error, "format_message"):
             raise
-        return _fail(error.format_message() + _usage_of(error), BAD_INPUT)
+        usage, message = _usage_of(error), error.format_message()
+        return _fail((message.rstrip(".") + "." + usage) if usage else message, BAD_INPUT)
     if code == INTERRUPTED:
         # Releases of typer differ: some return this code where others raise Abort.
         return _fail("interrupted", INTERRUPTED)

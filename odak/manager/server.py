@@ -31,6 +31,7 @@ from odak import _validate
 from odak._python import python_command
 from odak._warnings import OdakWarning, warn
 from odak.manager.tasks import thread_variables
+from odak.tools.file import check_directory
 from odak.tools.paths import replacing
 
 __all__ = ["Server", "make_certificates", "start_server"]
@@ -406,7 +407,7 @@ def make_certificates(folder: str | os.PathLike[str], days: int = 365) -> Path:
     private = key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
-    folder.mkdir(parents=True, exist_ok=True)
+    check_directory(str(folder), validate=False)
     for name, content in zip(
         _CERTIFICATES, (*(part.public_bytes(serialization.Encoding.PEM) for part in (authority, certificate)), private),
         strict=True,

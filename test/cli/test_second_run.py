@@ -233,7 +233,7 @@ def test_an_interrupted_run_ends_with_one_line_and_its_own_code(tmp_path, monkey
     [
         (["hologram", "chart", "--resolution", "64"], "Give two values: --resolution ROWS COLUMNS"),
         (["hologram", "--resolution", "64"], "Give two values: --resolution ROWS COLUMNS"),
-        (["metamer", "--gaze", "0.5,0.5", "photo"], "Give two values: --gaze X Y"),
+        (["metamer", "--gaze", "0.5,0.5", "photo"], ". Give two values: --gaze X Y"),
         (["simulate", "nothing.toml"], "CONFIG not found: 'nothing.toml'"),
         (["trace", "cooke"], "Did you mean 'cooke_triplet'?"),
         (["calibrate"], "Missing argument 'STEP'. `odak calibrate --help` explains it."),

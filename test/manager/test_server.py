@@ -154,6 +154,9 @@ def test_certificates(tmp_path, pair):
     )
     with pytest.raises(ValueError, match=r"holds ca\.pem, cert\.pem, key.pem already"):
         make_certificates(folder)
+    (tmp_path / "file").touch()
+    with pytest.raises(ValueError, match="file' exists and is not a directory"):
+        make_certificates(tmp_path / "file")
     files = tls_options(folder)
     _, address, _ = pair(("--protocol", "tls", *files), files)
     assert address.startswith("tls://")
