@@ -61,7 +61,8 @@ from odak.learn.raytracing.system.waves import (
     field_modulation,
     field_quality,
     modulation_transfer_function,
-    point_spread_function,
+    more_samples,
+    pupil_image,
     relative_illumination,
     through_focus_modulation,
 )
@@ -492,7 +493,7 @@ def transfer_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> Fi
     system : optical_system
         The system.
     samples : int
-        Samples across the pupil.
+        Samples across the pupil; up to 256 where the wavefront needs more.
     aim : str
         "paraxial" or "real", how :func:`launch` aims.
 
@@ -522,13 +523,14 @@ def transfer_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> Fi
     if not cutoff:
         raise ValueError("system must have a focus, got an afocal one: there is no modulation transfer at an image")
     numbers = system.prescription().at(place)
+    options = {"prescription": numbers, "aim": aim}
     figure = _Figure(figsize=(10, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     with torch.no_grad():
         # More than a wave of aberration: geometric, for the samples would not resolve the diffraction.
         large = wavefront(system, "rings", 8, aim=aim).rms.nan_to_num().max() > 1
         if large:
-            spots = spot_diagram(system, "grid", 2 * samples, aim=aim, prescription=numbers)
+            spots = spot_diagram(system, "grid", 2 * samples, **options)
             radii, energy = encircled_energy(spots)
             size = max(float(spots.largest.nan_to_num().max()), 1e-12)
             frequency = torch.linspace(0, min(cutoff, 2 / size), 100, dtype=torch.float64, device=spots.x.device)
@@ -537,7 +539,7 @@ def transfer_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> Fi
                 for i in range(len(system.fields))
             ]
         else:
-            spread = point_spread_function(system, samples, 8 * samples, aim=aim, prescription=numbers)
+            spread = pupil_image(system, more_samples(samples), None, options, fineness=8)
             radii, energy = (value[0] for value in encircled_energy(spread))
             both = [modulation_transfer_function(spread, axis) for axis in ("y", "x")]
             curves = [[(f[0, i], m[0, i]) for f, m in both] for i in range(len(system.fields))]
@@ -750,7 +752,7 @@ def wavefront_figure(
     system : optical_system
         The system.
     samples : int
-        Samples across the pupil.
+        Samples across the pupil; of the images up to 256 where the wavefront needs more.
     aim : str
         "paraxial" or "real", how :func:`launch` aims.
     quality : FieldQuality, optional
@@ -794,8 +796,9 @@ def wavefront_figure(
     panels[0, 0].set_ylabel("pupil y", fontsize=9)
     if not small:
         return figure
-    spread = point_spread_function(system, samples, 8 * samples, prescription=numbers, aim=aim)
-    half = 2 * samples
+    options = {"prescription": numbers, "aim": aim}
+    spread = pupil_image(system, more_samples(samples), None, options, fineness=8)
+    half = spread.intensity.shape[-1] // 4
     for i, axes in enumerate(panels[1]):
         middle = spread.intensity[0, i, half:-half, half:-half]
         rows, columns = (float(v) * MICROMETRES[system.unit] * half for v in spread.pitch[0, i])
@@ -940,7 +943,7 @@ def performance_figure(system: Any, points: int = 11, frequencies: Any = None, a
     if focus:
         middle = panels[0, 1]
         frequencies = modulation_frequencies(system) if frequencies is None else frequencies
-        found = field_modulation(system, frequencies, fields, aim=aim, samples=32).cpu()
+        found = field_modulation(system, frequencies, fields, aim=aim).cpu()
         for i, frequency in enumerate(torch.as_tensor(frequencies).tolist()):
             label = f"{frequency * 1e3 / MICROMETRES[system.unit]:.3g} cycles/mm"
             middle.plot(heights, found[0, i], color=color_of(i), label=label)

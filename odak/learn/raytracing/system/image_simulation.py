@@ -17,7 +17,7 @@ from odak.learn.raytracing.system.prescriptions import Prescription, checked_pre
 from odak.learn.raytracing.system.pupils import field_points, launch, pupil_factors, trace_fields
 from odak.learn.raytracing.system.surfaces import checked_system, wavelength_shares
 from odak.learn.raytracing.system.tracing import trace
-from odak.learn.raytracing.system.waves import point_spread_function
+from odak.learn.raytracing.system.waves import more_samples, pupil_image
 
 KINDS = ("rays", "waves")
 PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
@@ -102,7 +102,8 @@ def point_spread_map(
     kind : str
         "rays": where the rays land. "waves": :func:`point_spread_function`, with diffraction.
     count : int
-        Rings of rays in the pupil; of "waves", the samples across the pupil are eight times as many.
+        Rings of rays in the pupil; of "waves", the samples across the pupil are eight times as many, and up to 256
+        where the wavefront needs more.
     response : array, optional
         Weights of the system's wavelengths in each channel, ``[C, W]``, of any scale. By default three channels, red,
         green and blue, for a system of three wavelengths, otherwise a single one of even weights.
@@ -276,7 +277,7 @@ def _ring_weights(count: int) -> torch.Tensor:
 
 def _diffraction_samples(system, count: int, options) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the samples of diffraction images: their positions and fractions of the power."""
-    spread = point_spread_function(system, 8 * count, 16 * count, **options)
+    spread = pupil_image(system, more_samples(8 * count), None, options, fineness=2)
     n = spread.intensity.shape[-1]
     line = torch.arange(n, dtype=torch.float64, device=spread.pitch.device) - n // 2
     y, x = torch.meshgrid(line, line, indexing="ij")

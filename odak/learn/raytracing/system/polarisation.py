@@ -14,7 +14,7 @@ from odak.learn.raytracing.system.pupils import launch
 from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
 from odak.learn.raytracing.system.surfaces import Coating, checked_system, layout_of
 from odak.learn.raytracing.system.tracing import Traced, checked_rays, finished, spread_rays
-from odak.learn.raytracing.system.waves import Spread, pupil_image
+from odak.learn.raytracing.system.waves import Spread, chosen_samples, pupil_image
 from odak.raytracing.geometry import safe_sqrt
 
 BARE = Coating()
@@ -458,8 +458,8 @@ def jones_vector(values) -> tuple[complex, complex]:
 def polarized_point_spread_function(
     system: Any,
     polarization: Any = None,
-    samples: int = 64,
-    size: int = 256,
+    samples: int | None = None,
+    size: int | None = None,
     *,
     fields: Any = None,
     aim: str = "paraxial",
@@ -474,10 +474,10 @@ def polarized_point_spread_function(
         The system.
     polarization : sequence of two numbers, optional
         Jones vector of the light along x and y in front of the system, complex perhaps; unpolarised by default.
-    samples : int, default: 64
-        Samples across the pupil.
-    size : int, default: 256
-        Pixels along each side of the image, at least `samples`.
+    samples : int, optional
+        Samples across the pupil; the first of 64, 128 and 256 that resolves the wavefront by default.
+    size : int, optional
+        Pixels along each side of the image, at least `samples` and four times as many by default.
     fields : sequence of pairs or torch.Tensor, optional
         Field points (x, y), or ``[F, 2]``, in place of the system's.
     aim : str, default: "paraxial"
@@ -522,4 +522,4 @@ def polarized_point_spread_function(
             parts += list(torch.where(found.traced.arrived[..., None], field, 0.0).unbind(-1))
         return parts
 
-    return pupil_image(system, samples, size, {**options, "vignetting": vignetting}, amplitudes)
+    return pupil_image(system, chosen_samples(samples), size, {**options, "vignetting": vignetting}, amplitudes)

@@ -54,6 +54,9 @@ LARGE = 2.0
 # Counts of rays among which Strehl ratios take the first that resolves the wavefront: with neighbours more than half a
 # wave from each other over at most this part of the pupil.
 COUNTS, COARSE = (16, 32, 64, 128), 0.1
+# Samples across the pupil among which images take the first that resolves the wavefront: with neighbours more than half
+# a wave from each other, whose light would come out at a wrong place, for at most this part of the light.
+SAMPLES, ASTRAY = (64, 128, 256), 0.01
 
 
 class PlaneRays(NamedTuple):
@@ -279,18 +282,19 @@ class Spread(NamedTuple):
         return _show.one_line(self)
 
 
-def point_spread_function(system: Any, samples: int = 64, size: int = 256, **options: Any) -> Spread:
+def point_spread_function(system: Any, samples: int | None = None, size: int | None = None, **options: Any) -> Spread:
     """Return the image of a point with diffraction, by a Fourier transform of the exit pupil.
 
     Parameters
     ----------
     system : optical_system
         The system.
-    samples : int
-        Samples across the pupil.
-    size : int
-        Pixels along each side of the image, at least `samples`; the more, the finer they are. The modulation transfer
-        needs twice `samples`, and a Strehl ratio to a hundredth eight times: the peak may lie between pixels.
+    samples : int, optional
+        Samples across the pupil; the first of 64, 128 and 256 that resolves the wavefront by default.
+    size : int, optional
+        Pixels along each side of the image, at least `samples` and four times as many by default; the more, the finer
+        they are. The modulation transfer needs twice `samples`, and a Strehl ratio to a hundredth eight times: the peak
+        may lie between pixels.
     **options
         Of :func:`wavefront` (`prescription`, `fields`, `aim`, `vignetting`).
 
@@ -305,7 +309,8 @@ def point_spread_function(system: Any, samples: int = 64, size: int = 256, **opt
     direction cosines of its rays are taken to be linear in the pupil coordinates (Abbe's sine condition), of the slopes
     that fit the traced rays best. Numerical apertures up to 0.5 or so. Fields off both axes mix the two coordinates:
     that is left out, with an AccuracyWarning where it is more than 2 %; :func:`propagated_point_spread_function` has
-    it. The number of samples must resolve the phase: less than half a wave from one to the next.
+    it. The number of samples must resolve the phase, less than half a wave from one to the next: other light comes out
+    at a wrong place. An AccuracyWarning gives the number that would do where it is more than 1 % of the light.
 
     Examples
     --------
@@ -317,34 +322,68 @@ def point_spread_function(system: Any, samples: int = 64, size: int = 256, **opt
     >>> round(float(point_spread_function(mirror, 32, 128).strehl.max()), 2)
     1.0
     """
-    return pupil_image(system, samples, size, options)
+    return pupil_image(system, chosen_samples(samples), size, options)
 
 
-def pupil_image(system, samples: int, size: int, options: dict, amplitudes: Callable | None = None) -> Spread:
+def chosen_samples(samples: int | None) -> tuple[int, ...]:
+    """Return the numbers of samples to choose from."""
+    return SAMPLES if samples is None else (_validate.integer("samples", samples, minimum=8),)
+
+
+def more_samples(samples: int) -> tuple[int, ...]:
+    """Return a number of samples and larger ones to choose from."""
+    return (samples, *(count for count in SAMPLES if count > samples))
+
+
+def pupil_image(
+    system,
+    counts: Sequence[int],
+    size: int | None,
+    options: dict,
+    amplitudes: Callable | None = None,
+    fineness: int = 4,
+) -> Spread:
     """Return the image of a point by Fourier transforms of the fields in the pupil.
 
     Parameters
     ----------
     system : optical_system
         The system.
-    samples, size, options
+    counts : sequence of int
+        Samples across the pupil, of which the first number that resolves the wavefront is taken.
+    size, options
         As of :func:`point_spread_function`.
     amplitudes : callable, optional
         Takes pupil points ``[P, 2]`` and returns the complex amplitudes ``[..., W, F, P]`` of one or several fields,
         whose intensities add up; 1 of a single one by default.
+    fineness : int
+        Pixels over samples, without a size.
     """
-    samples = _validate.integer("samples", samples, minimum=8)
-    size = _validate.integer("size", size, minimum=samples)
-    step = 2 / samples
-    line = (torch.arange(samples, dtype=torch.float64) - samples // 2) * step
-    y, x = torch.meshgrid(line, line, indexing="ij")
-    radius = (x * x + y * y).sqrt()
-    # Pixels on the edge are weighted by the fraction of their area inside.
-    share = ((1 - radius) / step + 0.5).clamp(0, 1)
-    inside = share > 0
-    points = torch.stack([x[inside], y[inside]], -1)
-    found = wavefront(system, points, **options)
-    weight = torch.where(found.status == 0, share[inside].to(found.path.device), 0.0)
+    if size is not None:
+        size = _validate.integer("size", size, minimum=counts[0])
+        counts = [count for count in counts if count <= size]
+    needed = 0
+    for samples in counts:
+        # A count that an earlier one has shown to be too small.
+        if samples < min(needed, counts[-1]):
+            continue
+        points, inside, share = _disc(samples)
+        found = wavefront(system, points, **options)
+        weight = torch.where(found.status == 0, share.to(found.path.device), 0.0)
+        step, part = _steps(found.path, inside.to(weight.device), weight)
+        if not is_readable(step) and not (step.is_cuda and len(counts) > 1):
+            break
+        largest = float(step.max())
+        if largest <= 0.5:
+            break
+        needed = 8 * math.ceil(largest * samples / 4)
+    else:
+        warn(
+            f"{samples} samples across the pupil do not resolve the wavefront: {100 * float(part.max()):.0f} % of the "
+            f"light falls beside the image and comes out at a wrong place in it; take {needed} samples",
+            AccuracyWarning,
+        )
+    size = fineness * samples if size is None else size
     phase = phasor_of_cycles(torch.where(found.status == 0, found.path, 0.0), torch.complex128) * weight
     intensity: Any = 0.0
     energy: Any = 0.0
@@ -359,8 +398,51 @@ def pupil_image(system, samples: int, size: int, options: dict, amplitudes: Call
     slopes = _derivatives(found, weight)
     given = options.get("prescription")
     numbers = system.prescription() if given is None else given
-    pitch = (wavelengths_of(system, numbers) / numbers.index[..., -1].abs())[..., None, None] / (size * step * slopes)
+    waves = (wavelengths_of(system, numbers) / numbers.index[..., -1].abs())[..., None, None]
+    pitch = waves / (size * (2 / samples) * slopes)
     return Spread(intensity, pitch, intensity.amax((-2, -1)), energy)
+
+
+def _disc(samples: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return points of a grid in the pupil ``[P, 2]``, which of the grid they are, and how much of each is inside."""
+    step = 2 / samples
+    line = (torch.arange(samples, dtype=torch.float64) - samples // 2) * step
+    y, x = torch.meshgrid(line, line, indexing="ij")
+    # Pixels on the edge are weighted by the fraction of their area inside.
+    share = ((1 - (x * x + y * y).sqrt()) / step + 0.5).clamp(0, 1)
+    inside = share > 0
+    return torch.stack([x[inside], y[inside]], -1), inside, share[inside]
+
+
+@torch.no_grad()
+def _steps(path: torch.Tensor, inside: torch.Tensor, weight: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return by how many waves neighbours on a grid in the pupil differ, ``[..., 1]`` and ``[...]``.
+
+    Parameters
+    ----------
+    path : torch.Tensor
+        In waves, ``[..., P]``, NaN where no ray arrives.
+    inside : torch.Tensor
+        Which of the grid they are, ``[n, n]``.
+    weight : torch.Tensor
+        Light of each, ``[..., P]``.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        The difference that all but the part ASTRAY of the light keep to, and the part that differs by more than half a
+        wave.
+    """
+    grid = torch.full((*path.shape[:-1], *inside.shape), torch.nan, dtype=path.dtype, device=path.device)
+    grid[..., inside] = path
+    along, down = (grid.diff(dim=axis).abs().nan_to_num() for axis in (-1, -2))
+    pad = torch.nn.functional.pad
+    steps = torch.maximum(pad(along, (0, 1)), pad(down, (0, 0, 0, 1)))[..., inside]
+    light = weight / weight.sum(-1, keepdim=True)
+    part = (light * (steps > 0.5)).sum(-1)
+    steps, order = steps.sort(-1, descending=True)
+    beyond = (light.gather(-1, order).cumsum(-1) <= ASTRAY).sum(-1, keepdim=True).clamp(max=steps.shape[-1] - 1)
+    return steps.gather(-1, beyond), part.nan_to_num()
 
 
 def _derivatives(found, weight):
@@ -1261,7 +1343,7 @@ def through_focus_modulation(
 @takes_constants("frequencies")
 @torch.no_grad()
 def field_modulation(
-    system: Any, frequencies: Any, fields: Any = None, *, aim: str = "paraxial", samples: int = 64
+    system: Any, frequencies: Any, fields: Any = None, *, aim: str = "paraxial", samples: int | None = None
 ) -> torch.Tensor:
     """Return the modulation transfer at some frequencies over the field, at the reference wavelength.
 
@@ -1275,8 +1357,8 @@ def field_modulation(
         Field points in place of the system's.
     aim : str
         "paraxial" or "real", how :func:`launch` aims.
-    samples : int
-        Samples across the pupil.
+    samples : int, optional
+        Samples across the pupil, as of :func:`point_spread_function`.
 
     Returns
     -------
@@ -1295,7 +1377,7 @@ def field_modulation(
     given = torch.as_tensor(_validate.real("frequencies", frequencies), dtype=torch.float64)
     if given.ndim != 1 or not len(given) or bool((given < 0).any()):
         raise ValueError(f"frequencies must be a sequence of numbers of at least 0, got {tuple(given.shape)}")
-    frequencies, samples = given.tolist(), _validate.integer("samples", samples, minimum=8)
+    frequencies, counts = given.tolist(), chosen_samples(samples)
     numbers = checked_system(system).prescription().at(system.reference)
     options: dict[str, Any] = {"fields": fields, "aim": aim, "prescription": numbers}
     points = pupil_quadrature(system, 16, fields=fields, aim=aim)
@@ -1304,16 +1386,17 @@ def field_modulation(
     kept = torch.isfinite(spots.x[0])
     weight = torch.where(kept, points.weights, 0.0)
     weight = weight / weight.sum(-1, keepdim=True)
-    spread = None if bool(large.all()) else point_spread_function(system, samples, 2 * samples, **options)
+    if not bool(large.all()):
+        options["fields"] = field_points(system, fields).to(large.device)[~large]
+        spread = pupil_image(system, counts, None, options, fineness=2)
     found = []
     for axis, value in (("y", spots.y[0]), ("x", spots.x[0])):
         place = torch.where(kept, value, 0.0)
         for frequency in frequencies:
             wave = phasor_of_cycles(frequency * place, torch.complex128)
-            rays = (weight * wave).sum(-1).abs()
-            found.append(
-                rays if spread is None else torch.where(large, rays, modulation_at(spread, frequency, axis)[0])
-            )
+            found.append((weight * wave).sum(-1).abs())
+            if not bool(large.all()):
+                found[-1][~large] = modulation_at(spread, frequency, axis)[0]
     return torch.stack(found).unflatten(0, (2, len(frequencies)))
 
 

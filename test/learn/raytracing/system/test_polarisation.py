@@ -281,9 +281,9 @@ def test_a_system_and_its_elements_agree():
 def test_polarised_images_of_points():
     """Unpolarised light is the mean of two states; without losses and at low aperture the scalar image remains."""
     lens = load_system("cooke_triplet")
-    one = polarized_point_spread_function(lens, (1.0, 0.0), 16, 32)
-    two = polarized_point_spread_function(lens, (0.0, 1.0j), 16, 32)
-    both = polarized_point_spread_function(lens, None, 16, 32)
+    one = polarized_point_spread_function(lens, (1.0, 0.0), 48, 48)
+    two = polarized_point_spread_function(lens, (0.0, 1.0j), 48, 48)
+    both = polarized_point_spread_function(lens, None, 48, 48)
     assert torch.allclose((one.intensity + two.intensity) / 2, both.intensity, rtol=1e-12, atol=1e-15)
     mirror = optical_system(
         [surface(-400.0, conic=-1.0, material="mirror", thickness=-200.0)], 4.0, wavelengths=WAVELENGTH
