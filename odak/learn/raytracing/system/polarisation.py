@@ -501,7 +501,7 @@ def polarized_point_spread_function(
     Examples
     --------
     >>> from odak.learn.raytracing.system import load_system, polarized_point_spread_function
-    >>> image = polarized_point_spread_function(load_system("singlet"), (1.0, 0.0), 32, 64)
+    >>> image = polarized_point_spread_function(load_system("cooke_triplet"), (1.0, 0.0), 48, 64)
     >>> tuple(image.intensity.shape)
     (3, 3, 64, 64)
     """
