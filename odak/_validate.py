@@ -370,7 +370,11 @@ def several(name: str, value, count: int | None = None, *, positive: bool = Fals
 
 
 def pair(name: str, value, *, positive: bool = False) -> tuple:
-    """Return one real number twice, or the two of a tuple or list (rows, columns) as a tuple."""
+    """Return one real number twice, or the two of a tuple, list or array (rows, columns) as a tuple."""
+    if is_array(value) and math.prod(value.shape) != 1:
+        if tuple(value.shape) != (2,):
+            raise ValueError(f"{name} must be one number or two, got an array of shape {tuple(value.shape)}")
+        value = value[0], value[1]
     return several(name, value if isinstance(value, (tuple, list)) else (value, value), 2, positive=positive)
 
 

@@ -672,7 +672,8 @@ def light_source(
     half = most if half_angle is None else _validate.constant("half_angle", half_angle, least=0)
     if half > most:
         raise ValueError(f"half_angle must be at most {most:g} of a {kind} source, got {half:g}")
-    sides = [_validate.constant("size", value, least=0) for value in (size if isinstance(size, Sequence) else [size])]
+    listed = isinstance(size, Sequence) or math.prod(getattr(size, "shape", ())) > 1
+    sides = [_validate.constant("size", value, least=0) for value in (size if listed else [size])]
     if len(sides) not in (1, 2) or (kind == "point" and any(sides)):
         raise ValueError(f"size must be a radius or two sides, and 0 of a point, got {size!r} of a {kind} source")
     engine = torch.quasirandom.SobolEngine(4, scramble=True, seed=_validate.integer("seed", seed))

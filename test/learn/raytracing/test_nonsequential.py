@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -550,3 +551,17 @@ def test_the_edge_of_a_cone_behind_a_lens_is_that_of_snells_law():
     assert float(found.point[0, 1]) == pytest.approx(y + (120 - z) * math.tan(way), rel=1e-13)
     assert float(found.point[0, 1]) == pytest.approx(6.02189, abs=5e-6)
     assert float(found.power[0]) == pytest.approx(power, rel=1e-12)
+
+
+@pytest.mark.parametrize("as_sides", [list, np.asarray, torch.tensor])
+def test_two_sides_may_be_an_array(as_sides):
+    screen = Element(Plane(), interface=Interface(0.0, 0.0), center=(0, 0, 5), detects=True, name="screen")
+    # Of two rays, which an array of two numbers would broadcast with.
+    light = light_source("collimated", 2, as_sides([2.0, 3.0]))
+    assert torch.equal(light.rays, light_source("collimated", 2, (2.0, 3.0)).rays)
+    received = Scene([screen]).trace(light, 550e-6).received["screen"]
+    found = received.irradiance(as_sides([2.0, 3.0]), (3, 2))
+    assert torch.equal(found, received.irradiance((2.0, 3.0), (3, 2)))
+    assert float(found.sum()) == pytest.approx(1.0)  # a power of 1 in pixels of an area of 1
+    with pytest.raises(ValueError, match=r"size must be one number or two, got an array of shape \(3,\)"):
+        received.irradiance(torch.ones(3))
