@@ -386,7 +386,7 @@ def distance_between_point_clouds(points0: Array, points1: Array) -> Array:
     Returns
     -------
     array
-        ``[m, n]``.
+        ``[m, n]``. Where two points coincide its gradient is 0.
 
     Examples
     --------
@@ -398,7 +398,7 @@ def distance_between_point_clouds(points0: Array, points1: Array) -> Array:
     _, second = _points(points1=points1)
     first, second = (xp.reshape(points, (-1, 3)) for points in (first["points0"], second["points1"]))
     # One coordinate after the other, so that no [m, n, 3] array of differences is stored.
-    return xp.sqrt(sum((first[:, None, i] - second[None, :, i]) ** 2 for i in range(3)))
+    return _length(sum((first[:, None, i] - second[None, :, i]) ** 2 for i in range(3)))
 
 
 def distance_between_two_points(point1: Array, point2: Array) -> Array:
@@ -470,7 +470,7 @@ def point_to_ray_distance(point: Array, ray_point_0: Array, ray_point_1: Array) 
     Returns
     -------
     array
-        |(p − p0) × (p − p1)|/|p1 − p0|, a scalar or ``[n]``; NaN where p0 = p1.
+        |(p − p0) × (p − p1)|/|p1 − p0|, a scalar or ``[n]``; NaN where p0 = p1. On the line its gradient is 0.
 
     Examples
     --------
@@ -483,7 +483,16 @@ def point_to_ray_distance(point: Array, ray_point_0: Array, ray_point_1: Array) 
     area = cross(point - p0, point - p1)
     along = dot(p1 - p0, p1 - p0)
     # Equal points have no line: NaN.
-    return xp.sqrt(dot(area, area) / xp.where(along > 0, along, xp.nan))
+    return _length(dot(area, area) / xp.where(along > 0, along, xp.nan))
+
+
+def _length(squared):
+    """Return the root of squared lengths; its gradient is 0 where the length is, not NaN."""
+    xp = namespace(squared)
+    if not _array.is_torch(squared):
+        return xp.sqrt(squared)
+    zero = squared == 0
+    return xp.where(zero, 0 * squared, xp.sqrt(xp.where(zero, 1.0, squared)))
 
 
 def _points(**values):

@@ -178,3 +178,12 @@ def test_numpy_origin_and_offset_of_each_point(random):
 
 def test_equal_points_have_no_line():
     assert np.isnan(transformation.point_to_ray_distance([0, 2, 0], [0, 0, 0], [0, 0, 0]))
+
+
+def test_distances_of_zero_have_gradients_of_zero():
+    cloud = torch.tensor([[0.0, 0.0, 0.0], [3.0, 4.0, 0.0]], dtype=torch.float64, requires_grad=True)
+    (found,) = torch.autograd.grad(odak.tools.distance_between_point_clouds(cloud, cloud.detach()).sum(), cloud)
+    torch.testing.assert_close(found, torch.tensor([[-0.6, -0.8, 0.0], [0.6, 0.8, 0.0]], dtype=torch.float64))
+    ends = torch.zeros(3, dtype=torch.float64), torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
+    (found,) = torch.autograd.grad(odak.tools.point_to_ray_distance(cloud, *ends).sum(), cloud)
+    torch.testing.assert_close(found, torch.tensor([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]], dtype=torch.float64))
