@@ -9,7 +9,7 @@ import numpy as np
 
 from odak import _show, _validate
 from odak.instruments.array_files import checked_array, checked_number, read_hdf5, write_hdf5
-from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
+from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera, checked_dark
 
 __all__ = ["Captures", "load_captures", "record_captures", "save_captures"]
 
@@ -178,6 +178,7 @@ def record_captures(
             stage.move(float(place))
         modulator.show(pattern)
         frames.append(camera.capture(_validate.integer("captures", captures, minimum=1)))
+    dark = checked_dark(dark, frames[0]) if np.ndim(dark) else dark
     kind = np.uint8 if modulator.bits <= 8 else np.uint16
     return Captures(
         levels.astype(kind),

@@ -10,7 +10,7 @@ from scipy.optimize import curve_fit, least_squares
 
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.instruments.protocols import Camera, CheckedCamera, Laser, Modulator, Rotator, checked_camera
+from odak.instruments.protocols import Camera, CheckedCamera, Laser, Modulator, Rotator, checked_camera, checked_dark
 
 __all__ = [
     "PolarisationResult",
@@ -296,7 +296,7 @@ def capture_hdr(
         for time in times:
             camera.exposure = float(time)
             taken = camera.capture(_validate.integer("captures", captures, minimum=1))
-            frames.append(taken.mean(0) - dark)
+            frames.append(taken.mean(0) - checked_dark(dark, taken))
             fine.append(taken.max(0) < SATURATED * top)
     finally:
         camera.exposure = before
@@ -589,7 +589,8 @@ def measure_polarisation(
     brightest, place = -1.0, (0, 0)
     for angle in (0.0, 60.0, 120.0):
         rotator.turn(angle)
-        frame = camera.capture(1)[0] - dark
+        frame = camera.capture(1)[0]
+        frame = frame - checked_dark(dark, frame)
         if frame.max() > brightest:
             brightest, place, best = float(frame.max()), np.unravel_index(frame.argmax(), frame.shape), angle
     rotator.turn(best)

@@ -265,6 +265,17 @@ def checked_camera(camera: Any) -> CheckedCamera:
     return camera if isinstance(camera, CheckedCamera) else CheckedCamera(camera)
 
 
+def checked_dark(dark: Any, frames: np.ndarray) -> np.ndarray:
+    """Return the counts without light, one number or an image of the size of the camera's frames."""
+    found = np.asarray(dark, float)
+    if found.ndim and found.shape != frames.shape[-2:]:
+        raise ValueError(
+            f"dark must be a number or an image {list(frames.shape[-2:])}, as the camera takes them, got the shape "
+            f"{list(found.shape)}"
+        )
+    return found
+
+
 def checked_frames(frames: Any, count: int, camera: Any) -> np.ndarray:
     """Return captures of a camera ``[at most count, rows, columns]`` of its region after a check.
 

@@ -314,3 +314,14 @@ def test_exposures_of_patterns_are_remembered():
         frame = exposures.exposed(camera, "even")
         assert counting.taken == before + captures
         assert 0.4 < frame.max() / camera.top < 0.75
+
+
+def test_dark_counts_of_another_size_are_named():
+    table = instruments.SimulatedTable(seed=1, shape=(24, 24), camera_shape=(32, 32))
+    exposure, levels = table.camera.exposure, np.zeros((1, 24, 24), int)
+    for dark in (np.zeros(32), np.zeros((16, 32)), np.zeros((1, 32, 32))):
+        with pytest.raises(ValueError, match=r"^dark must be a number or an image \[32, 32\], .* got the shape"):
+            instruments.capture_hdr(table.camera, [exposure / 4, exposure], dark=dark)
+        with pytest.raises(ValueError, match=r"^dark must be"):
+            instruments.record_captures(table.modulator, table.camera, levels, 532e-9, dark=dark)
+    assert instruments.capture_hdr(table.camera, [exposure / 4, exposure], dark=np.zeros((32, 32))).shape == (32, 32)
