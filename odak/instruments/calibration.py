@@ -63,8 +63,9 @@ LIMITS = {"phases": 0.015, "registration": 0.1, "wavefront": 2 * np.pi / 200}
 SMALLEST_ERROR = 2 * np.pi / 500
 # Width of a modulator in units of the square root of wavelength and distance below which diffraction spreads the light
 # of its lenslets too much to tell the distance; shares of the distance on either side among which the focus is searched
-# for there, at first and later; focal lengths of the last search, and patterns of the illumination.
-FEWEST, FAR, NEAR, FOCI, PATTERNS = 5.5, 0.15, 0.03, 7, 40
+# for there, at first and later; focal lengths of the last search, and patterns of the illumination, without a lens and
+# behind one, where more patterns reduce its error, on six simulated tables from 0.43 to 0.33 % (root mean square).
+FEWEST, FAR, NEAR, FOCI, PATTERNS, BEHIND_LENS = 5.5, 0.15, 0.03, 7, 16, 40
 # Captures of grids of spots for the first registration, those between, and the last.
 FIRST_GRIDS, GRIDS, LAST_GRIDS = 2, 4, 4
 # Rows and columns of regions where the response varies.
@@ -277,8 +278,8 @@ def calibrate_table(
         of it besides is measured anew.
     rounds : int
         Number of measurements of the registration and the wavefront; up to twice as many as long as the wavefront
-        changes by more than a twentieth of a wavelength. With two, a calibration without a lens takes about 180
-        captures, and 220 with cameras of fewer than 10 bits.
+        changes by more than a twentieth of a wavelength. With two, a calibration without a lens takes about 160
+        captures, and 175 with cameras of fewer than 10 bits.
     regions : sequence of int, optional
         Rows and columns of regions whose phase response is measured too, after the second registration, and used in
         the later steps; a response that varies over the modulator acts as an aberration and shifts the image. The
@@ -395,7 +396,7 @@ def calibrate_table(
     for text in _doubts(uncertainty):
         warn(text, AccuracyWarning)
     table = replace(table, registration=registration)
-    patterns = 150 if behind_lens else PATTERNS
+    patterns = BEHIND_LENS if behind_lens else PATTERNS
     amplitude, uncertainty["amplitude"] = illumination_with_uncertainty(table, patterns=patterns)
     found = (wavelength, modulator.pitch, table.distance, phases, amplitude, wavefront)
     return Calibration(*found, registration, regional, uncertainty)

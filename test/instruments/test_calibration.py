@@ -260,7 +260,7 @@ def test_calibration_through_a_lens(tmp_path):
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_a_full_panel_behind_a_lens():
-    """1080 x 1920 pixels, a focal length of 150 mm and 12 bits: three minutes on one core."""
+    """1080 x 1920 pixels, a focal length of 150 mm and 12 bits: two minutes on one core."""
     table = full_panel(12, 0.15)
     found = instruments.calibrate_table(*instruments_of(table), table.wavelength, instruments.Lens(0.15))
     wrong = spots.without(found.wavefront - table.wavefront, spots.aberration_modes(table.modulator, 1))
