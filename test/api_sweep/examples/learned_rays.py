@@ -152,7 +152,7 @@ BY_NAME = {
         "size": 32,
         "seed": 3,
         "entry": Build(lambda _: system_to_dict(_lens())),
-        "spread": Build(lambda _: point_spread_function(_lens(), 8, 16)),
+        "spread": Build(lambda _: point_spread_function(_lens(), 32, 64)),
         "axis": "y",
         "rays": Build(lambda _: launch(_lens(), count=1)),
         "surfaces": Build(lambda _: list(_lens().surfaces)),
