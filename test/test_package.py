@@ -41,7 +41,7 @@ PARTS = {
     "odak.raytracing": {"odak.tools"},
     "odak.catalog": {"odak.raytracing", "odak.tools", "odak.visualize"},
     "odak.manager": {"odak.tools"},
-    "odak.instruments": {"odak.tools", "odak.wave"},
+    "odak.instruments": {"odak.manager", "odak.tools", "odak.wave"},
     "odak.learn": {
         f"odak.{part}" for part in ["catalog", "instruments", "jones", "log", "raytracing", "tools", "wave"]
     },

@@ -38,6 +38,7 @@ from .protocols import Rotator as Rotator
 from .protocols import Stage as Stage
 from .protocols import open_instrument as open_instrument
 from .registration import register_camera as register_camera
+from .remote import open_remote as open_remote
 from .simulated import SimulatedTable as SimulatedTable
 from .tables import OpticalTable as OpticalTable
 from .wavefronts import measure_wavefront as measure_wavefront

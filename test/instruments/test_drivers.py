@@ -2,17 +2,15 @@
 
 import contextlib
 import sys
-import threading
-import time
 import types
 from pathlib import Path
 
 import numpy as np
 import pytest
+from shared_folder import served
 
 import odak
 from odak import instruments
-from odak.instruments import drivers
 
 
 def test_a_pattern_fills_the_screen(monkeypatch):
@@ -66,30 +64,9 @@ def test_frames_of_a_video_are_captured(tmp_path):
         instruments.VideoCamera(str(tmp_path / "none.avi"), pitch=3e-6)
 
 
-def serve(folder, table, stop):
-    """Show the patterns of a folder on a simulated table and answer its requests, as another computer does."""
-    shown, taken = "0", "0"
-    while not stop.is_set():
-        asked = drivers._text_in(folder / "pattern.txt") or "0"
-        if asked != shown:
-            table.modulator.show(np.load(folder / f"pattern_{asked}.npy"))
-            shown = asked
-            (folder / "partial.txt").write_text(asked)
-            (folder / "partial.txt").replace(folder / "shown.txt")
-        request = (drivers._text_in(folder / "request.txt") or "0 1 1").split()
-        if request[0] != taken:
-            taken, table.camera.exposure = request[0], float(request[2])
-            np.save(folder / "partial.npy", table.camera.capture(int(request[1])))
-            (folder / "partial.npy").replace(folder / f"capture_{taken}.npy")
-        time.sleep(0.002)
-
-
 def test_a_table_behind_a_folder(tmp_path):
     table, twin = (instruments.SimulatedTable(3, shape=(24, 24), camera_shape=(32, 40)) for _ in range(2))
-    stop = threading.Event()
-    server = threading.Thread(target=serve, args=(tmp_path, table, stop))
-    server.start()
-    try:
+    with served(tmp_path, table):
         modulator = instruments.FileModulator(tmp_path, (24, 24), 8e-6, settling_time=0)
         camera = instruments.FileCamera(tmp_path, (32, 40), 4e-6, exposure=0.02)
         assert isinstance(modulator, instruments.Modulator) and isinstance(camera, instruments.Camera)
@@ -101,9 +78,6 @@ def test_a_table_behind_a_folder(tmp_path):
             assert np.array_equal(camera.capture(2), twin.camera.capture(2))
         camera.region = (1, 2, 3, 4)
         assert camera.capture().shape == (1, 3, 4)
-    finally:
-        stop.set()
-        server.join()
     # Patterns that were shown are removed, and captures that were read.
     assert sorted(path.name for path in tmp_path.glob("*.npy")) == ["pattern_2.npy"]
 
