@@ -27,6 +27,7 @@ from .illumination import measure_illumination as measure_illumination
 from .makers import HoloeyeModulator as HoloeyeModulator
 from .makers import MeadowlarkModulator as MeadowlarkModulator
 from .makers import RaspberryPiCamera as RaspberryPiCamera
+from .makers import ThorlabsCamera as ThorlabsCamera
 from .mapping import Lens as Lens
 from .mapping import Registration as Registration
 from .phase_response import measure_phase_response as measure_phase_response

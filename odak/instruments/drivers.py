@@ -639,13 +639,13 @@ def checked_levels(levels: Any, shape: Sequence[int], bits: int) -> np.ndarray:
     return found.astype(np.uint8 if bits <= 8 else np.uint16)
 
 
-def _imported(module: str, package: str) -> Any:
+def _imported(module: str, package: str, how: str = ": pip install {}") -> Any:
     import importlib
 
     try:
         return importlib.import_module(module)
     except ImportError:
-        raise ImportError(f"this driver needs {package}: pip install {package}") from None
+        raise ImportError(f"this driver needs {package}{how.format(package)}") from None
 
 
 def _producers(producer) -> list[str]:

@@ -1,4 +1,4 @@
-"""Drivers by the libraries of makers, which are installed apart: Raspberry Pi, Holoeye, Meadowlark.
+"""Drivers by the libraries of makers, which are installed apart: Raspberry Pi, Holoeye, Meadowlark, Thorlabs.
 
 None was run on hardware: each was tested with a stand-in for the documented calls that it uses.
 """
@@ -15,7 +15,7 @@ from odak import _show, _validate
 from odak.instruments.drivers import _imported, checked_levels
 from odak.tools.paths import validate_path
 
-__all__ = ["HoloeyeModulator", "MeadowlarkModulator", "RaspberryPiCamera"]
+__all__ = ["HoloeyeModulator", "MeadowlarkModulator", "RaspberryPiCamera", "ThorlabsCamera"]
 
 
 class RaspberryPiCamera:
@@ -160,7 +160,7 @@ class HoloeyeModulator:
         if not isinstance(preselect, str):
             raise TypeError(f"preselect must be a string, got {type(preselect).__name__}")
         self.settling_time = float(_validate.number("settling_time", settling_time, least=0))
-        self._sdk = _imported("HEDS", "Holoeye's SLM Display SDK (with its folder of Python modules on the path)")
+        self._sdk = _imported("HEDS", "Holoeye's SLM Display SDK (with its folder of Python modules on the path)", "")
         self._check(self._sdk.SDK.Init(4, 0))
         self._device = self._sdk.SLM.Init(preselect, False)
         self._check(self._device.errorCode())
@@ -304,6 +304,99 @@ class MeadowlarkModulator:
     def close(self) -> None:
         """End the SDK, which releases the modulator."""
         self._library.Delete_SDK()
+
+
+class ThorlabsCamera:
+    """Scientific camera of Thorlabs (Zelux, Kiralux, Quantalux and others), driven by its own Python package.
+
+    Each frame is triggered by software, so that none is older than the pattern. The gain is the smallest, and the black
+    level stays as the camera has it.
+
+    Parameters
+    ----------
+    device : int or str
+        Number of the camera, or its serial number.
+    pitch : float, optional
+        Distance between pixels in metres; as the camera states it by default.
+    timeout : float
+        Seconds to wait for a frame beyond the exposure.
+
+    Notes
+    -----
+    Needs the package ``thorlabs_tsi_sdk`` and the libraries beside it, both of the Scientific Camera SDK of ThorCam; on
+    Windows, the folder of the libraries must be on the path, as its file ``Python_README.txt`` says. The
+    modulators of Thorlabs (EXULUS) are screens: use the driver `screen`. Not run on hardware: tested with a stand-in
+    for the classes ``TLCameraSDK`` and ``TLCamera`` of that package.
+
+    Examples
+    --------
+    >>> from odak.instruments import ThorlabsCamera
+    >>> camera = ThorlabsCamera("12345")  # doctest: +SKIP
+    """
+
+    __repr__ = _show.one_line
+
+    @_validate.takes_units("pitch")
+    def __init__(self, device: int | str = 0, pitch: float | None = None, timeout: float = 5.0):
+        if pitch is not None:
+            pitch = float(_validate.number("pitch", pitch, positive=True))
+        self._timeout = float(_validate.number("timeout", timeout, positive=True))
+        place = device if isinstance(device, str) else _validate.integer("device", device)
+        package = _imported("thorlabs_tsi_sdk.tl_camera", "Thorlabs' Scientific Camera SDK (its Python package)", "")
+        self._sdk = package.TLCameraSDK()
+        self._camera: Any = None
+        try:
+            known = list(self._sdk.discover_available_cameras())
+            if isinstance(place, str) and place not in known:
+                raise ValueError(f"device must be one of the serial numbers {known}, got {place!r}")
+            if not isinstance(place, str) and place >= len(known):
+                raise ValueError(f"device must be below {len(known)}, the number of cameras, got {place}")
+            camera = self._camera = self._sdk.open_camera(place if isinstance(place, str) else known[place])
+            if camera.gain_range.max > 0:
+                camera.gain = camera.gain_range.min
+            # Software triggers are operation mode 0, of one frame each.
+            camera.operation_mode, camera.frames_per_trigger_zero_for_unlimited = 0, 1
+            self.bits = int(camera.bit_depth)
+            self.shape = (int(camera.image_height_pixels), int(camera.image_width_pixels))
+            self.pitch = 1e-6 * float(camera.sensor_pixel_width_um) if pitch is None else pitch
+            self.region: tuple[int, int, int, int] | None = None
+            limits = camera.exposure_time_range_us
+            self.exposure_limits = (1e-6 * limits.min, 1e-6 * limits.max)
+            camera.arm(2)
+        except Exception:
+            self.close()
+            raise
+
+    @property
+    def exposure(self) -> float:
+        """Exposure time in seconds."""
+        return 1e-6 * self._camera.exposure_time_us
+
+    @exposure.setter
+    def exposure(self, value: float) -> None:
+        self._camera.exposure_time_us = round(1e6 * float(_validate.number("exposure", value, positive=True)))
+
+    def capture(self, count: int = 1) -> np.ndarray:
+        """Return captures, uint16 ``[count, rows, columns]`` of the region."""
+        row, column, rows, columns = self.region or (0, 0, *self.shape)
+        self._camera.image_poll_timeout_ms = round(1e3 * (self._timeout + self.exposure))
+        frames = []
+        for _ in range(_validate.integer("count", count, minimum=1)):
+            self._camera.issue_software_trigger()
+            frame = self._camera.get_pending_frame_or_null()
+            if frame is None:
+                raise OSError(f"the camera sent no frame within {self._timeout:g} s after the exposure")
+            # The buffer is the camera's own, and is used again.
+            image = np.array(frame.image_buffer).reshape(self.shape)
+            frames.append(image[row : row + rows, column : column + columns])
+        return np.stack(frames)
+
+    def close(self) -> None:
+        """Stop the camera and release it."""
+        if self._camera is not None:
+            self._camera.disarm()
+            self._camera.dispose()
+        self._sdk.dispose()
 
 
 def _existing(name: str, path: str | os.PathLike[str]) -> str:

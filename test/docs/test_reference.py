@@ -106,6 +106,7 @@ WITHOUT_OUTPUT = {
     "odak.instruments.MicroManagerCamera": "needs a camera",
     "odak.instruments.MicroManagerModulator": "needs a modulator",
     "odak.instruments.RaspberryPiCamera": "needs a camera",
+    "odak.instruments.ThorlabsCamera": "needs a camera",
     "odak.instruments.VideoCamera": "needs a camera",
     "odak.visualize.plotly.close_browser": "returns nothing",
 }

@@ -234,3 +234,80 @@ def test_a_camera_of_a_raspberry_pi_without_raw_frames(monkeypatch):
         instruments.RaspberryPiCamera(1)
     with pytest.raises(ValueError, match="channel must be"):
         instruments.RaspberryPiCamera(1, "infrared")
+
+
+class ThorlabsStandIn:
+    """Stand-in for a TLCamera: properties and calls by the names of thorlabs_tsi_sdk, and no others."""
+
+    Range = types.SimpleNamespace
+    bit_depth, image_height_pixels, image_width_pixels, sensor_pixel_width_um = 10, 6, 8, 3.45
+    gain_range, exposure_time_range_us = Range(min=0, max=480), Range(min=40, max=26_000_000)
+
+    def __init__(self):
+        self.gain, self.exposure_time_us, self.operation_mode, self.image_poll_timeout_ms = 100, 1000, 1, 0
+        self.frames_per_trigger_zero_for_unlimited, self.armed, self.waiting, self.taken = 0, 0, 0, 0
+        # One buffer for all frames, as the SDK has it.
+        self.buffer, self.dead, self.disposed = np.zeros((6, 8), np.uint16), False, False
+
+    def arm(self, frames_to_buffer):
+        assert self.operation_mode == 0 and self.frames_per_trigger_zero_for_unlimited == 1
+        self.armed = frames_to_buffer
+
+    def disarm(self):
+        self.armed = 0
+
+    def dispose(self):
+        assert not self.armed
+        self.disposed = True
+
+    def issue_software_trigger(self):
+        assert self.armed
+        self.waiting += 1
+
+    def get_pending_frame_or_null(self):
+        if self.dead or not self.waiting:
+            return None
+        self.waiting, self.taken = self.waiting - 1, self.taken + 1
+        self.buffer[:] = np.arange(48).reshape(6, 8) + 100 * self.taken
+        return types.SimpleNamespace(image_buffer=self.buffer, frame_count=self.taken)
+
+
+def test_thorlabs_triggers_each_frame(monkeypatch):
+    camera, disposed = ThorlabsStandIn(), []
+
+    class SDK:
+        def discover_available_cameras(self):
+            return ["04711", "04712"]
+
+        def open_camera(self, serial):
+            assert serial == "04712"
+            return camera
+
+        def dispose(self):
+            disposed.append(True)
+
+    module = types.ModuleType("thorlabs_tsi_sdk.tl_camera")
+    module.TLCameraSDK = SDK
+    monkeypatch.setitem(sys.modules, "thorlabs_tsi_sdk", types.ModuleType("thorlabs_tsi_sdk"))
+    monkeypatch.setitem(sys.modules, "thorlabs_tsi_sdk.tl_camera", module)
+    for device, text in (("04713", "device must be one of the serial numbers"), (2, "device must be below 2")):
+        with pytest.raises(ValueError, match=text):
+            instruments.ThorlabsCamera(device)
+    assert len(disposed) == 2
+    found = instruments.ThorlabsCamera(1)
+    assert isinstance(found, instruments.Camera) and camera.gain == 0
+    assert (found.shape, found.bits) == ((6, 8), 10)
+    assert (*found.exposure_limits, found.pitch) == pytest.approx((40e-6, 26.0, 3.45e-6))
+    found.exposure = 2.5e-3
+    assert camera.exposure_time_us == 2500 and found.exposure == pytest.approx(2.5e-3)
+    frames = found.capture(2)
+    assert (frames == np.arange(48).reshape(6, 8) + np.array([100, 200])[:, None, None]).all()
+    assert camera.image_poll_timeout_ms == 5002
+    found.region = (1, 2, 3, 4)
+    assert (found.capture() == np.arange(48).reshape(6, 8)[1:4, 2:6] + 300).all()
+    camera.dead = True
+    with pytest.raises(OSError, match="sent no frame within 5 s"):
+        found.capture()
+    found.close()
+    assert camera.disposed and len(disposed) == 3
+    assert instruments.ThorlabsCamera("04712").pitch == found.pitch
