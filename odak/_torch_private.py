@@ -219,9 +219,9 @@ def is_recording() -> bool:
     return torch._C._get_dispatch_mode(torch._C._TorchDispatchModeKey.FAKE) is not None
 
 
-def count_of_writes(tensor: torch.Tensor) -> int:
-    """Return the number of times that operations in place have written to a tensor."""
-    return tensor._version
+def count_of_writes(tensor: torch.Tensor) -> int | None:
+    """Return the number of times that operations in place have written to a tensor; None if torch does not count."""
+    return None if tensor.is_inference() else tensor._version
 
 
 def has_hooks(tensor: torch.Tensor) -> bool:

@@ -5,12 +5,13 @@ import functools
 import inspect
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import ParamSpec, TypeVar, overload
+from typing import Any, ParamSpec, TypeVar, overload
 
 import numpy as np
 import torch
 
 from odak import _array, _validate
+from odak._torch_private import count_of_writes
 from odak._warnings import DeviceWarning, warn
 
 # Values should lie in 0 … 1; optimizers and speckle may exceed it slightly, 8-bit values are an error.
@@ -405,3 +406,31 @@ def takes_constants(*names: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         return run
 
     return decorated
+
+
+class ValuesRead:
+    """What follows from the values of a tensor, read again only where it is another tensor or was written to.
+
+    Parameters
+    ----------
+    read : callable
+        ``read(tensor)``, which waits for the device.
+    """
+
+    def __init__(self, read: Callable[[torch.Tensor], Any]):
+        self.read, self.result = read, None
+        self.version: int | None = None
+        self.tensor: torch.Tensor | None = None
+
+    def __call__(self, tensor: torch.Tensor) -> Any:
+        """Return what follows from a tensor; in a graph being compiled, what was read last."""
+        if torch.compiler.is_compiling():
+            return self.result
+        version = count_of_writes(tensor)
+        if tensor is not self.tensor or version is None or version != self.version:
+            self.tensor, self.version, self.result = tensor, version, self.read(tensor)
+        return self.result
+
+    def moved(self, tensor: torch.Tensor) -> None:
+        """Take the same tensor on another device for read."""
+        self.tensor, self.version = tensor, count_of_writes(tensor)

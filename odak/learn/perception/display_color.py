@@ -19,6 +19,7 @@ from scipy.optimize import least_squares
 from torch import nn
 
 from odak import _array, _validate
+from odak._attributes import Prepared
 from odak._torch_private import in_own_precision
 from odak.learn._tensors import as_pictures, checked_device, floating, in_float32, kind_of
 from odak.learn.perception.color import ciede2000, mix, xyz_to_lab
@@ -368,7 +369,7 @@ FIRST, LAST = 400, 700
 OPPONENT = ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 1.0))
 
 
-class display_color_hvs(nn.Module):
+class display_color_hvs(Prepared, nn.Module):
     """Cone responses of a viewer to the primaries of a display, and differences of its pictures in opponent colours.
 
     Parameters
@@ -419,6 +420,7 @@ class display_color_hvs(nn.Module):
     ((1, 3, 2, 2), 0.0)
     """
 
+    _follow = dict.fromkeys(("cones", "primaries_spectrum"), "_prepare")
     primaries_spectrum: torch.Tensor
     l_normalized: torch.Tensor
     m_normalized: torch.Tensor
@@ -444,6 +446,9 @@ class display_color_hvs(nn.Module):
         self.read_spectrum = read_spectrum
         self.cones = _validate.one_of("cones", cones, ("Gaussian", "CIE 170"))
         self._keep("primaries_spectrum", _checked_spectra(primaries_spectrum).to(checked_device("device", device)))
+        self._prepare()
+
+    def _prepare(self):
         for cone, values in zip("lms", self.initialize_cones_normalized(), strict=True):
             self._keep(f"{cone}_normalized", values)
         responses = (self.l_normalized, self.m_normalized, self.s_normalized)

@@ -6,6 +6,7 @@ from typing import Any
 import torch
 
 from odak import _show, _validate
+from odak._attributes import Prepared
 from odak.learn._tensors import kind_of, tensor
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.slm import checked_fill, iris_cutoff, on_samples, panel_map
@@ -54,7 +55,7 @@ def with_model_gradient(image: torch.Tensor, captured: torch.Tensor) -> torch.Te
 _FULL = 1e4
 
 
-class simulated_camera(torch.nn.Module):
+class simulated_camera(Prepared, torch.nn.Module):
     """Simulated display with deviations from its model, and the camera that captures its intensity.
 
     The light of the modulator, times illumination and aberration, is propagated; each pixel of the sensor collects
@@ -126,6 +127,7 @@ class simulated_camera(torch.nn.Module):
     (torch.Size([16, 16]), True, True)
     """
 
+    _fixed = ("wavelength", "slm")
     aberration: torch.Tensor
     illumination: torch.Tensor
 

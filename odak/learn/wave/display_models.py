@@ -15,6 +15,7 @@ from scipy.ndimage import map_coordinates
 
 from odak import _array, _show, _validate
 from odak._array import Array
+from odak._attributes import Prepared
 from odak._torch_private import in_own_precision
 from odak._warnings import ConvergenceWarning, warn
 from odak.instruments import Calibration, Camera, Captures, Modulator, Registration, load_calibration
@@ -67,7 +68,7 @@ MARGIN, REACH = 16, 16
 ORDERS = 3
 
 
-class display_model(torch.nn.Module):
+class display_model(Prepared, torch.nn.Module):
     r"""Differentiable model of a display and a camera: source, modulator, light path and sensor.
 
     The phase of a level is read from a look-up table and multiplied by a factor that varies over the panel. Fringing
@@ -141,6 +142,10 @@ class display_model(torch.nn.Module):
     torch.Size([3, 20, 24])
     """
 
+    _fixed = (
+        *("shape", "pitch", "camera_shape", "camera_pitch", "wavelength", "lens", "nominal_distance"),
+        *("physical", "modes"),
+    )
     brightness: torch.nn.Parameter
     lut: torch.nn.Parameter
     response: torch.nn.Parameter

@@ -19,11 +19,12 @@ import torch
 from scipy.fft import next_fast_len
 
 from odak import _array, _show, _torch_private, _validate
+from odak._attributes import Prepared
 from odak._bars import tqdm
 from odak._torch_private import differentiates, in_own_precision
 from odak._warnings import AccuracyWarning, ArgumentWarning, warn
 from odak.instruments import Calibration, Lens, load_calibration
-from odak.learn._tensors import floating
+from odak.learn._tensors import ValuesRead, floating
 from odak.learn.tools.iterations import Run, minimise
 from odak.learn.wave.devices import DISTRIBUTED, Ranks, on_devices, shares_of, used_devices
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
@@ -209,7 +210,7 @@ class Modulator:
         return even_levels(phases, 256 if self.bits is None else 2**self.bits).to(torch.int32)
 
 
-class Display(torch.nn.Module):
+class Display(Prepared, torch.nn.Module):
     """A holographic display: a modulator, its light sources, and the planes that images are on.
 
     Use it where you want to know what an eye or a camera sees of phase patterns: :meth:`forward` returns the means of
@@ -264,6 +265,7 @@ class Display(torch.nn.Module):
     Display: 32 × 48 pixels of 8 µm (fill 0.9, 8 bits), 639, 515, 473 nm, 3 frames, planes at 2, 3 mm, one order
     """
 
+    _fixed = ("modulator", "wavelengths", "distances", "lens", "medium", "iris", "frames", "samples")
     powers: torch.Tensor
     profile: torch.Tensor | None
 
@@ -310,7 +312,8 @@ class Display(torch.nn.Module):
                 "frames; give more frames, or powers"
             )
         self.register_buffer("powers", powers)
-        self._lit_frames = self._frames_lit()
+        self._powers_read = ValuesRead(_frames_lit)
+        self._powers_read(powers)
         if profile is not None:
             profile = _validate.image("profile", floating("profile", profile)).detach()
             if profile.shape[-2:] != torch.Size(modulator.resolution) or profile.ndim > 3:
@@ -440,15 +443,18 @@ class Display(torch.nn.Module):
 
     def _apply(self, function, recurse: bool = True):
         self._kept = {}
-        return super()._apply(function, recurse)
+        super()._apply(function, recurse)
+        self._powers_read.moved(self.powers)
+        return self
 
     def _load_from_state_dict(self, *arguments) -> None:
         super()._load_from_state_dict(*arguments)
-        self._lit_frames = self._frames_lit()
+        self._powers_read(self.powers)
 
-    def _frames_lit(self) -> tuple[tuple[int, ...], ...]:
-        """Return for each colour the frames in which its source is on."""
-        return tuple(tuple(f for f, power in enumerate(row) if power) for row in self.powers.T.tolist())
+    @property
+    def _lit_frames(self) -> tuple[tuple[int, ...], ...]:
+        """For each colour, the frames in which its source is on."""
+        return self._powers_read(self.powers)
 
     def _in_words(self) -> str:
         """Return what the transfer functions depend on; see :func:`_of_geometry`."""
@@ -942,6 +948,11 @@ def _of_geometry(geometry: str, device: str, make: str, *given) -> tuple[torch.T
         distances = distances if lens is None else Lens(*lens)
         display = Display(modulator, wavelengths, distances, iris=stop(iris), medium=medium)
         return (getattr(display.to(device), make)(*given),)
+
+
+def _frames_lit(powers: torch.Tensor) -> tuple[tuple[int, ...], ...]:
+    """Return for each colour the frames in which its source is on."""
+    return tuple(tuple(f for f, power in enumerate(row) if power) for row in powers.T.tolist())
 
 
 @dataclass(frozen=True)

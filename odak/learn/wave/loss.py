@@ -8,6 +8,7 @@ import torch
 from torch import nn
 
 from odak import _show, _validate
+from odak._attributes import Prepared
 from odak._torch_private import in_own_precision
 from odak._warnings import AccuracyWarning, MissingPackageWarning, warn
 from odak.learn import perception
@@ -143,12 +144,14 @@ def _sines(wavelength: float, pixel_pitch: Sequence[float], numerical_aperture: 
     return [wavelength / (2 * pitch) if numerical_aperture is None else numerical_aperture for pitch in pixel_pitch]
 
 
-class FocalTargets(nn.Module):
+class FocalTargets(Prepared, nn.Module):
     """Targets and masks of the planes of a picture with depth; base of the losses of several planes.
 
     It takes the same arguments as :class:`odak.learn.wave.loss.multiplane_loss`.
     """
 
+    _fixed = ("number_of_planes",)
+    _follow = dict.fromkeys(("multiplier", "scheme", "blur_ratio", "target_blur_size"), "_fill_targets")
     target_image: torch.Tensor
     target_depth: torch.Tensor
     masks: torch.Tensor
@@ -188,8 +191,11 @@ class FocalTargets(nn.Module):
         self.register_buffer("target_depth", plane_indices(depth, self.number_of_planes).to(device), False)
         for name in ("masks", "targets"):
             self.register_buffer(name, None, False)
+        self._fill_targets()
+
+    def _fill_targets(self):
         self.set_targets()
-        if self.scheme == "defocus":
+        if _validate.one_of("scheme", self.scheme, SCHEMES) == "defocus":
             self.add_defocus_blur()
 
     @property

@@ -7,7 +7,8 @@ from typing import Any
 import torch
 
 from odak import _array, _show, _validate
-from odak.learn._tensors import checked_device, floating, kind_of, tensor
+from odak._torch_private import is_wrapped
+from odak.learn._tensors import ValuesRead, checked_device, floating, kind_of, tensor
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.slm import pixel_fill_of
 from odak.learn.wave.volume import PROPAGATOR_TYPES, checked_slice, display_volume, plane_distances
@@ -209,6 +210,7 @@ class propagator(display_volume):
     torch.Size([3, 2, 3, 16, 24])
     """
 
+    _fixed = (*display_volume._fixed, "propagator_type", "zero_mode_distance", "number_of_frames", "slm")
     phase_scale: torch.Tensor
     channel_power: torch.Tensor
 
@@ -256,7 +258,6 @@ class propagator(display_volume):
         pixel_fill: float | None = None,
     ):
         kind = _validate.one_of("propagator_type", propagator_type, PROPAGATOR_TYPES)
-        layers = _validate.integer("number_of_depth_layers", number_of_depth_layers, minimum=1)
         for name, length in (
             *(("back_and_forth_distance", back_and_forth_distance), ("volume_depth", volume_depth)),
             ("image_location_offset", image_location_offset),
@@ -280,7 +281,7 @@ class propagator(display_volume):
             resolution,
             wavelengths,
             pixel_pitch,
-            plane_distances(distances, volume_depth, layers, image_location_offset),
+            plane_distances(distances, volume_depth, number_of_depth_layers, image_location_offset),
             propagation_type,
             relay=back_and_forth_distance if kind == "back and forth" else None,
             offset=image_location_offset,
@@ -303,14 +304,6 @@ class propagator(display_volume):
         if device is not None:
             self.to(device)
 
-    def init_distances(self, distances: torch.Tensor | Sequence[float] | None = None) -> None:
-        """Set the distances of the planes: those given, or an even division of the volume."""
-        self._distances = plane_distances(
-            distances, self.volume_depth, self.number_of_depth_layers, self.image_location_offset
-        )
-        self.number_of_depth_layers = len(self._distances)
-        self.init_kernels()
-
     def init_phase_scale(self) -> None:
         """Set the phase scale of every colour to one."""
         self.register_buffer("phase_scale", torch.ones(self.number_of_channels, device=self.device))
@@ -329,6 +322,7 @@ class propagator(display_volume):
         if power is None:
             power = torch.eye(self.number_of_frames, self.number_of_channels)
         self.register_buffer("channel_power", None)
+        self._powers_read = ValuesRead(is_diagonal)
         self._set_powers(power, name)
 
     def get_laser_powers(self) -> torch.Tensor:
@@ -357,7 +351,23 @@ class propagator(display_volume):
         amplitudes = not self._learns_powers()
         power = checked_powers(name, power, (self.number_of_frames, self.number_of_channels), amplitudes)
         self.channel_power = power.to(self.device)
-        self._one_source_per_frame = amplitudes and not power.requires_grad and is_diagonal(power)
+        if not power.requires_grad:
+            self._powers_read(self.channel_power)
+
+    def _apply(self, function, recurse: bool = True):
+        super()._apply(function, recurse)
+        self._powers_read.moved(self.channel_power)
+        return self
+
+    def _load_from_state_dict(self, *arguments) -> None:
+        super()._load_from_state_dict(*arguments)
+        self._powers_read(self.channel_power)
+
+    @property
+    def _one_source_per_frame(self) -> bool:
+        if self._learns_powers() or self.channel_power.requires_grad:
+            return False
+        return not is_wrapped(self.channel_power) and self._powers_read(self.channel_power)
 
     def holograms(self, hologram_phases: torch.Tensor, amplitude: torch.Tensor | None = None) -> torch.Tensor:
         """Return the fields that leave the modulator, of unit source power.

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import torch
 
 from odak import _array, _show, _validate
+from odak._attributes import Prepared
 from odak._torch_private import in_own_precision
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import floating
@@ -108,7 +109,7 @@ def _along_columns(image, kernel):
     return torch.nn.functional.conv1d(image, kernel.flip(0).expand(rows, 1, -1), groups=rows)
 
 
-class spatial_light_modulator(torch.nn.Module):
+class spatial_light_modulator(Prepared, torch.nn.Module):
     """Model of a phase-only modulator, which returns the field that it makes of a phase.
 
     The phase is wrapped, shown by the nearest level, smoothed by crosstalk, multiplied by `scale`, and mixed with the
@@ -163,6 +164,7 @@ class spatial_light_modulator(torch.nn.Module):
     torch.complex64
     """
 
+    _fixed = ("bits", "phase_range", "samples_per_pixel", "crosstalk")
     amplitude: torch.Tensor | None
     bits: int | None
 
@@ -318,19 +320,29 @@ class spatial_light_modulator(torch.nn.Module):
         else:
             setattr(self, name, value)
 
+    def __setattr__(self, name, value):
+        if name == "lut" and "_even" in vars(self):
+            # Phases in place of even ones.
+            self._check_lut(value)
+            self._even = False
+        super().__setattr__(name, value)
+
+    def _check_lut(self, lut):
+        _validate.real("lut", lut)
+        if self.bits is None or self.phase_range is not None:
+            raise ValueError("lut needs bits and takes the place of phase_range, got bits None or a phase_range")
+        if not isinstance(lut, torch.Tensor) or tuple(lut.shape) != (2**self.bits,):
+            raise ValueError(f"lut must be a tensor of {2**self.bits} phases for {self.bits} bits, got {lut!r:.80}")
+
     def _hold_lut(self, lut):
-        self._even = lut is None and self.bits is not None and self.phase_range is None
-        if lut is None and self.bits is not None:
+        even = lut is None and self.bits is not None
+        if even:
             span = TURN if self.phase_range is None else self.phase_range
-            self._hold("lut", torch.arange(2**self.bits, dtype=torch.float64) * (span / 2**self.bits), False)
-            return
-        if lut is not None:
-            _validate.real("lut", lut)
-            if self.bits is None or self.phase_range is not None:
-                raise ValueError("lut needs bits and takes the place of phase_range, got bits None or a phase_range")
-            if not isinstance(lut, torch.Tensor) or tuple(lut.shape) != (2**self.bits,):
-                raise ValueError(f"lut must be a tensor of {2**self.bits} phases for {self.bits} bits, got {lut!r:.80}")
-        self._hold("lut", lut)
+            lut = torch.arange(2**self.bits, dtype=torch.float64) * (span / 2**self.bits)
+        elif lut is not None:
+            self._check_lut(lut)
+        self._hold("lut", lut, not even)
+        self._even = even and self.phase_range is None
 
     def _hold_crosstalk(self, crosstalk):
         if isinstance(crosstalk, torch.Tensor):
@@ -392,6 +404,11 @@ class temporal_modulator(torch.nn.Module):
 
     extra_repr = _show.numbers_of
 
+    @property
+    def samples_per_pixel(self) -> int:
+        """Samples per pixel along each axis, those of `slm`."""
+        return self.slm.samples_per_pixel
+
     def __init__(
         self,
         frame_time: float,
@@ -415,7 +432,6 @@ class temporal_modulator(torch.nn.Module):
             raise ValueError(f"lit must be the start and the end of the illumination, 0 ≤ start < end ≤ 1; got {lit!r}")
         self.lit = (start, end)
         self.time_samples = _validate.integer("time_samples", time_samples, minimum=1)
-        self.samples_per_pixel = self.slm.samples_per_pixel
 
     def forward(self, phase: torch.Tensor, scale: float | torch.Tensor = 1.0) -> torch.Tensor:
         """Return the fields behind the modulator at the instants at which it is lit.

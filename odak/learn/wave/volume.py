@@ -9,6 +9,7 @@ from typing import Any
 import torch
 
 from odak import _array, _show, _torch_private, _validate
+from odak._attributes import Prepared
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import checked_device, floating, kind_of, tensor
 from odak.learn.wave.fields import intensity, unit_phasor
@@ -133,6 +134,7 @@ def plane_distances(distances, volume_depth: float, count: int, offset: float) -
     torch.Tensor
         float64 ``[planes]``.
     """
+    count = _validate.integer("number_of_depth_layers", count, minimum=1)
     if distances is not None:
         given = tensor("distances", distances, torch.float64).reshape(-1)
         _validate.real("distances", given)
@@ -145,7 +147,7 @@ def plane_distances(distances, volume_depth: float, count: int, offset: float) -
     return torch.linspace(-half, half, count, dtype=torch.float64) + offset
 
 
-class display_volume(torch.nn.Module):
+class display_volume(Prepared, torch.nn.Module):
     """Propagation of a field on a modulator to the planes of a volume in several colours; base of all displays.
 
     Parameters
@@ -190,6 +192,12 @@ class display_volume(torch.nn.Module):
         Bytes above which transfer functions are built anew for each use instead of kept.
     """
 
+    _fixed: tuple[str, ...] = (
+        *("resolution", "wavelengths", "number_of_channels", "pixel_pitch", "propagation_type", "resolution_factor"),
+        *("aperture_samples", "field_shape", "padded_shape"),
+    )
+    _follow = dict.fromkeys(("volume_depth", "number_of_depth_layers", "image_location_offset"), "init_distances")
+    volume_depth: float
     aperture: torch.Tensor
     _transfer: "_Kept | None"
     _kernels: torch.Tensor | None
@@ -260,7 +268,18 @@ class display_volume(torch.nn.Module):
         """Drop the transfer functions; they are built again when they are needed."""
         self._transfer = self._kernels = None
 
+    def init_distances(self, distances: torch.Tensor | Sequence[float] | None = None) -> None:
+        """Set the distances of the planes: those given, or an even division of the volume."""
+        self._distances = plane_distances(
+            distances, self.volume_depth, self.number_of_depth_layers, self.image_location_offset
+        )
+        vars(self)["number_of_depth_layers"] = len(self._distances)
+        self.init_kernels()
+
     def __setattr__(self, name, value):
+        if name == "distances":
+            self.init_distances(value)
+            return
         super().__setattr__(name, value)
         if name == "aperture":
             # A mask in place of the stop that was set.
@@ -683,6 +702,9 @@ class holographic_display(display_volume):
     torch.Size([1, 2, 1, 16, 24])
     """
 
+    _fixed = (*display_volume._fixed, "pad")
+    _follow = display_volume._follow | {"pinhole_size": "init_aperture"}
+
     extra_repr = _show.numbers_of
 
     @_validate.takes_units("wavelengths", "pixel_pitch", "volume_depth", "image_location_offset")
@@ -700,18 +722,15 @@ class holographic_display(display_volume):
         propagation_type: str = "Bandlimited Angular Spectrum",
         device: torch.device | None = None,
     ):
-        layers = _validate.integer("number_of_depth_layers", number_of_depth_layers, minimum=1)
         if isinstance(pad, str) or not isinstance(pad, Iterable) or len(pad := list(pad)) != 2:
             raise ValueError(f"pad must be two booleans, got {pad!r}")
         pad, device = [_validate.flag("pad", flag) for flag in pad], checked_device("device", device)
         _validate.real("pinhole_size", pinhole_size, positive=True)
-        _validate.real("volume_depth", volume_depth)
-        _validate.real("image_location_offset", image_location_offset)
         super().__init__(
             resolution,
             wavelengths,
             pixel_pitch,
-            plane_distances(None, volume_depth, layers, image_location_offset),
+            plane_distances(None, volume_depth, number_of_depth_layers, image_location_offset),
             propagation_type,
             offset=image_location_offset,
             padding=2 if pad[0] else 1,
@@ -742,13 +761,6 @@ class holographic_display(display_volume):
         if tuple(illumination.shape) != tuple(self.resolution):
             raise ValueError(f"illumination must be {self.resolution}, got {tuple(illumination.shape)}")
         self.register_buffer("amplitude", illumination.to(self.device), persistent=False)
-
-    def init_distances(self) -> None:
-        """Set the distances of the planes: an even division of the volume."""
-        self._distances = plane_distances(
-            None, self.volume_depth, self.number_of_depth_layers, self.image_location_offset
-        )
-        self.init_kernels()
 
     def generate_kernels(self) -> None:
         """Compute the transfer functions of all planes and colours now rather than on first use."""

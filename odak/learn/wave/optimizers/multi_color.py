@@ -9,6 +9,7 @@ from typing import Any
 import torch
 
 from odak import _show, _validate
+from odak._attributes import Prepared
 from odak._torch_private import differentiates
 from odak.learn._tensors import checked_device, checked_generator, floating
 from odak.learn.tools.iterations import Run, minimise
@@ -38,7 +39,7 @@ from odak.learn.wave.training import REGISTER, check_brightness, cosine, fingerp
 from odak.wave.torch_convolution import Workspace, release_memory
 
 
-class multi_color_hologram_optimizer:
+class multi_color_hologram_optimizer(Prepared):
     """Optimizer of F phase patterns and of the powers at which C colours light each, for images on D planes.
 
     Parameters
@@ -126,6 +127,12 @@ class multi_color_hologram_optimizer:
     # An offset for each frame, of phases that keep their mean; scales of the roughness.
     _offset_of_frames, _levels = True, 6
     _workspace: Workspace | None = None
+    _fixed = (
+        *("propagator", "wavelengths", "resolution", "number_of_frames", "number_of_depth_layers", "scale_factor"),
+        *("method", "device"),
+    )
+    peak_amplitude: torch.Tensor
+    _follow = {"peak_amplitude": "_take_peak"}  # noqa: RUF012
 
     __repr__ = _show.one_line
 
@@ -186,7 +193,6 @@ class multi_color_hologram_optimizer:
         )
         self._generator = generator_from(seed)
         self.init_loss_function(loss_function, reduction)
-        self.init_phase_scale()
         self.init_channel_power()
         self.init_amplitude()
         self.init_peak_amplitude_scale()
@@ -213,9 +219,13 @@ class multi_color_hologram_optimizer:
             if ours != theirs:
                 raise ValueError(f"{name} must be the propagator's {theirs}, got {ours}")
 
+    @property
+    def phase_scale(self) -> torch.Tensor:
+        """Scale of the phase at each colour, that of the propagator."""
+        return self.propagator.phase_scale
+
     def init_phase_scale(self) -> None:
-        """Take over the propagator's scale of the phase at each colour."""
-        self.phase_scale = self.propagator.phase_scale
+        """Keep the propagator's scale of the phase at each colour; for older calls."""
 
     def init_amplitude(self) -> None:
         """Set the amplitude of the light on the modulator to one, ``[C, ms, ns]``, learned if the method says so."""
@@ -269,6 +279,7 @@ class multi_color_hologram_optimizer:
         self.parameters = {name: tensor for name, tensor in learned.items() if tensor.requires_grad}
         # Not learned, but part of the state that a checkpoint holds.
         self.parameters["peak_amplitude"] = self.peak_amplitude
+        self.propagator.set_laser_powers(self.channel_power)
         self.learning_rates = cosine(self.learning_rate, self.min_learning_rate, number_of_iterations)
 
     @differentiates
@@ -405,7 +416,11 @@ class multi_color_hologram_optimizer:
     def init_peak_amplitude_scale(self) -> None:
         """Set the initial scale of the targets."""
         peak = _validate.real("peak_amplitude", self._peak, positive=True)
-        self.peak_amplitude = torch.tensor(float(peak), dtype=self.targets.dtype, device=self.device)
+        vars(self)["peak_amplitude"] = torch.tensor(float(peak), dtype=self.targets.dtype, device=self.device)
+
+    def _take_peak(self):
+        self._peak = float(self.peak_amplitude)
+        self.init_peak_amplitude_scale()
 
     def evaluate(
         self,
@@ -706,11 +721,16 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
             **others,
         )
 
+    @property
+    def offset(self) -> torch.Tensor:
+        """Same as ``phase_offset``."""
+        return self.phase_offset
+
     def init_phase(self) -> None:
         """Start from phases of zero and offsets of 0 … 1 rad, ``[F, m, n]`` each."""
         shape = (self.number_of_frames, *self.resolution)
         self.phase = self._leaf(torch.zeros(shape, dtype=self.targets.dtype))
-        self.phase_offset = self.offset = self._leaf(self._drawn(torch.rand, shape))
+        self.phase_offset = self._leaf(self._drawn(torch.rand, shape))
 
     def init_optimizer(self, number_of_iterations: int = 100) -> None:
         """Collect the learned parameters, and compute the learning rate of each iteration.

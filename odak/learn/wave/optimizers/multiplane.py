@@ -8,6 +8,7 @@ from typing import Any
 import torch
 
 from odak import _show, _validate
+from odak._attributes import Prepared
 from odak._torch_private import differentiates
 from odak._warnings import ArgumentWarning, warn
 from odak.learn.tools.iterations import Run, minimise
@@ -18,7 +19,7 @@ from odak.learn.wave.training import check_brightness, fingerprint, generator_fr
 from odak.wave.transfer_functions import checked_pitch
 
 
-class multiplane_hologram_optimizer:
+class multiplane_hologram_optimizer(Prepared):
     """Optimizer of a double-phase pattern for images on P planes at one wavelength.
 
     Parameters
@@ -94,6 +95,11 @@ class multiplane_hologram_optimizer:
     >>> images.shape
     torch.Size([2, 32, 32])
     """
+
+    _fixed = (
+        *("number_of_planes", "number_of_iterations", "propagator", "slm_resolution", "number_of_frames", "device"),
+    )
+    _follow = {"mask_limits": "init_mask"}  # noqa: RUF012
 
     __repr__ = _show.one_line
 
