@@ -342,7 +342,8 @@ def _field_figure(
         title = f"{title}, means over {step} × {step} samples"
     chosen: dict[str, Any] = {} if quantities is None else {"quantities": quantities}
     chosen |= {"labels": labels, "layout": "slider"} if labels else {}
-    return field_show(values, pitch, wavelength, title=title, show=False, **chosen).fig, title
+    figure = field_show(values, pitch, wavelength, title=title, show=False, **chosen)
+    return figure.fig, "; ".join([title, *figure._notes])
 
 
 def _block_means(values: np.ndarray, step: int) -> np.ndarray:

@@ -111,22 +111,24 @@ def retrieve(
     seed,
     *,
     fill=None,
+    cutoff=None,
     checked=False,
     **options,
 ):
     """Return hologram and reconstruction after one iteration for each item of `turns`, for NumPy and PyTorch.
 
     `options` are `callback`, `accelerated` and `illumination`: `callback(turn, phase)` is called after each iteration,
-    and ends them by returning True; the illumination is the amplitude of the light on the hologram, one by default. A
-    field that is `checked` is not looked at again.
+    and ends them by returning True; the illumination is the amplitude of the light on the hologram, one by default.
+    `cutoff` is the radius of a round stop in cycles per metre, which `fill` goes with. A field that is `checked` is not
+    looked at again.
     """
     field = _validate.planes("field", field)
     if not checked:
         _validate.check_values("field", field, _AMPLITUDES)
-    options |= {"initial_phase": initial_phase, "seed": seed, "fill": fill}
+    options |= {"initial_phase": initial_phase, "seed": seed, "fill": fill, "cutoff": cutoff}
     hologram = _alternate([(field, distance)], turns, dx, wavelength, slm_range, propagation_type, **options)
     # On the padded grid of the iterations light may wrap around; the image that is returned is free of it.
-    return hologram, propagate_within_window(hologram, distance, dx, wavelength, propagation_type, pixel_fill=fill)
+    return hologram, propagate_within_window(hologram, distance, dx, wavelength, propagation_type, cutoff, fill)
 
 
 def _alternate(
@@ -141,14 +143,16 @@ def _alternate(
     update=None,
     callback=None,
     fill=None,
+    cutoff=None,
     accelerated=False,
     illumination=1.0,
 ):
     """Return the hologram of pairs of a field and its distance.
 
     The corrections of all planes are propagated back to the one hologram and averaged. `update(target, amplitude)`
-    gives the next image amplitude, the target by default. `fill` is the share of a pixel's area that emits.
-    `accelerated` extrapolates with the weights of Nesterov's method, k/(k + 3).
+    gives the next image amplitude, the target by default. `fill` is the share of a pixel's area that emits, `cutoff`
+    the radius of a round stop that goes with it, in cycles per metre. `accelerated` extrapolates with the weights of
+    Nesterov's method, k/(k + 3).
     """
     check_has_kernel(propagation_type)
     limit = min(_validate.constant("slm_range", slm_range, positive=True), 2 * math.pi)
@@ -160,8 +164,10 @@ def _alternate(
     back = light
     if fill is not None:
         pixels = pixel_aperture(planes[0][0], checked_pixel_fill(fill))
+        stop = None if cutoff is None else _round_stop(pixels, dx, cutoff)
         # The way back ends at the modulator's field without its pixels' transfer function, which has zeros.
-        light, back = functools.partial(light, aperture=pixels), functools.partial(light, aperture=1 / pixels)
+        back = functools.partial(light, aperture=1 / pixels if cutoff is None else stop / pixels)
+        light = functools.partial(light, aperture=pixels if cutoff is None else stop * pixels)
     before = found = generate_complex_field(illumination, phase)
     for count, turn in enumerate(turns):
         hologram = found
@@ -179,6 +185,16 @@ def _alternate(
         if callback is not None and callback(turn, phase) is True:
             break
     return found
+
+
+def _round_stop(spectrum, dx, cutoff):
+    """Return ones up to a cut-off in cycles per metre, zeros beyond, centred, of the shape of a spectrum."""
+    xp = _array.namespace(spectrum)
+    down, across = (
+        (xp.arange(n, dtype=spectrum.dtype, device=_array.device_of(spectrum)) - n // 2) / (n * step)
+        for n, step in zip(spectrum.shape, pitches(dx), strict=True)
+    )
+    return xp.astype(down[:, None] ** 2 + across**2 <= cutoff**2, spectrum.dtype)
 
 
 def _correction(image, target, update):

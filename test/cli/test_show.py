@@ -314,3 +314,9 @@ def test_shells_complete_commands_options_and_names(shell):
     assert "--wavelength" in complete(["odak", "hologram", "--wave"])
     assert "holoeye-leto-3" in complete(["odak", "hologram", "--preset", "holoeye-l"])
     assert "double-phase" in complete(["odak", "hologram", "--method", "dou"])
+
+
+def test_a_field_without_values_says_so(tmp_path, capsys):
+    np.save(tmp_path / "field.npy", np.full((8, 12), np.nan))
+    assert "96 of 96 samples are not finite" in page_of(tmp_path / "field.npy", tmp_path)
+    assert "no sample of the image is finite" in capsys.readouterr().err

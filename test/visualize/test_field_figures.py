@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import odak
-from odak.visualize.plotly import detectorshow, field_show, plot2dshow
+from odak.visualize.plotly import detectorshow, field_show, plot2dshow, plotshow
 from odak.visualize.plotly.field_figures import averaged, picked, reduction, spectrum
 
 
@@ -319,3 +319,15 @@ def test_a_detector_shows_its_field(opened):
     detector = odak.catalog.plane_detector(resolution=[4, 6], shape=[8, 12])
     detector.plot_field()
     assert len(detector.fig.fig.data) == 2
+
+
+def test_samples_without_a_value_are_counted():
+    values = np.ones((4, 6))
+    values[1, 2], values[2, 3] = np.nan, np.inf
+    for figure in (field_show(values, show=False), plotshow()):
+        if isinstance(figure, plotshow):
+            figure.add_2d_plot(values)
+        figure.update_layout()
+        assert "2 of 24 samples are not finite and left blank" in str(figure.fig.layout.annotations)
+    with pytest.warns(odak.ArgumentWarning, match="no sample of the image is finite, all 24"):
+        field_show(np.full((4, 6), np.nan + 0j), show=False)

@@ -500,6 +500,10 @@ class Display(Prepared, torch.nn.Module):
         widest = max(iris.cutoff(w) for w in self.wavelengths) * max(_pitch_pair(self.modulator.pitch))
         return min(_ORDERS, max(1, math.ceil(2 * widest - 1e-9)))
 
+    def _cutoff(self, colour: int) -> float | None:
+        """Return the highest frequency that a round iris passes, in cycles per metre; None without one."""
+        return self.iris.cutoff(self.wavelengths[colour]) if isinstance(self.iris, Iris) else None
+
     def _kernels(self, colour: int, dtype: torch.dtype, planes: Sequence[int] | None = None) -> torch.Tensor:
         """Return the transfer functions to all points of a pixel on some planes, ``[planes·samples², 2m, 2n]``."""
         return self._once("_of_planes", colour, dtype, tuple(range(self.shape[0]) if planes is None else planes))
@@ -517,7 +521,7 @@ class Display(Prepared, torch.nn.Module):
 
     def _of_plane(self, colour, plane, dtype):
         wavelength, panel, orders = self.wavelengths[colour] / self.medium, self.modulator, self._orders()
-        cutoff = self.iris.cutoff(self.wavelengths[colour]) if isinstance(self.iris, Iris) else None
+        cutoff = self._cutoff(colour)
         # Light that has passed two panels has the spectrum of their pixels already.
         fill, xp = panel.fill if self._first is None else None, _array.namespace(torch.empty(0))
 
@@ -1293,7 +1297,7 @@ class AlternatingProjections:
     """Gerchberg–Saxton, accelerated: an image on one plane in few iterations, without a gradient.
 
     Use it where a hologram has to be there within seconds; :class:`Descent` comes closer to the target. Uneven light on
-    the panel and its aberration are made up for.
+    the panel and its aberration are made up for, and the image is one of the frequencies that an :class:`Iris` passes.
 
     Examples
     --------
@@ -1319,6 +1323,7 @@ class AlternatingProjections:
                 phases[frame] + aberration,
                 problem.run.seed,
                 fill=display.modulator.fill,
+                cutoff=display._cutoff(colour),
                 accelerated=True,
                 illumination=illumination.to(phases),
             )[0]

@@ -227,6 +227,7 @@ class _Images(Figure):
         origin = _validate.one_of("origin", options.pop("origin", "upper"), ORIGINS)
         unlabelled = options.pop("unlabelled", ("", ""))
         bar = options.pop("bar", None) or quantity.bar
+        self._say_what_is_blank(field)
         panel = quantity.panel(field, limit=self.settings["maximum side"], **options)
         if panel.factor > 1:
             size = " × ".join(map(str, field.shape))
@@ -1015,6 +1016,7 @@ def add_image(figure: Figure, values, row: int, col: int, showscale: bool, origi
     """Add an image of real values, reduced to the largest size of the settings, and return the trace."""
     values = real_array("image", image("image", values))
     origin = _validate.one_of("origin", origin, ORIGINS)
+    figure._say_what_is_blank(values)
     factor = reduction(values.shape, figure.settings["maximum side"])
     if factor > 1:
         figure._say(f"means of {factor} × {factor} of the {' × '.join(map(str, values.shape))} samples")

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from odak import _validate
+from odak._warnings import ArgumentWarning, warn
 from odak.log import logger
 from odak.tools.paths import extension_of, replacing, validate_path
 
@@ -698,6 +699,15 @@ class Figure:
         """Add a note at the foot of the figure."""
         if text not in self._notes:
             self._notes.append(text)
+
+    def _say_what_is_blank(self, values: np.ndarray) -> None:
+        """Add a note of how many samples of an image are not finite, and warn where no other is left."""
+        blank = values.size - int(np.count_nonzero(np.isfinite(values)))
+        note = f"{blank} of {values.size} samples are not finite and left blank"
+        if values.size == blank and note not in self._notes:
+            warn(f"no sample of the image is finite, all {blank} of them are left blank", ArgumentWarning)
+        if blank:
+            self._say(note)
 
 
 def write_html(figure, filename: str | os.PathLike, plotlyjs=True) -> str:
