@@ -34,13 +34,13 @@ def parameters_of(function: Callable) -> list[inspect.Parameter]:
     return [p for p in parameters if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL) and p.name != "self"]
 
 
-def arguments(path: str, function: Callable, folder: Callable[[], Path]) -> dict[str, Any]:
-    """Return valid arguments for the call `path`, made anew, files in what `folder` returns.
+def arguments(path: str, function: Callable, folder: Callable[[], Path], without: str | None = None) -> dict[str, Any]:
+    """Return valid arguments for the call `path`, all or all but one, made anew, files in what `folder` returns.
 
     LookupError where one is not known.
     """
     folder = functools.cache(folder)
-    return {name: _made(value, folder) for name, value in _values(path, function).items()}
+    return {name: _made(value, folder) for name, value in _values(path, function).items() if name != without}
 
 
 @functools.cache

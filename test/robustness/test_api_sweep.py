@@ -37,55 +37,59 @@ class Call:
         self.declared = CALLABLES[path]
         self.owner_path = path.rpartition(".")[0]
         self.owner = CALLABLES.get(self.owner_path)
-        self.object = None
+        self.object, self.others = None, (None, {})
 
-    def function(self):
-        if not inspect.isclass(self.owner):
-            return self.declared
-        return self.method
-
-    def method(self, **arguments):
-        """Call the method of a new object, or of one that has refused all arguments, which leaves it as it was."""
+    def function(self, **arguments):
+        """Call it; what refuses its arguments leaves them, and the object of a method, as they were, to serve again."""
         made, self.object = self.object, None
-        if made is None:
+        others, self.others = self.others, (None, {})
+        if inspect.isclass(self.owner) and made is None:
             made = contract.call(self.owner, samples.arguments(self.owner_path, self.owner, self.folder))
         try:
-            return getattr(made, self.declared.__name__)(**arguments)
+            return (self.declared if made is None else getattr(made, self.declared.__name__))(**arguments)
         except (ValueError, TypeError):
-            self.object = made
+            self.object, self.others = made, others
             raise
 
-    def arguments(self):
-        return samples.arguments(self.path, self.declared, self.folder)
+    def but(self, name):
+        """Return valid arguments without one, made anew unless the last call has refused them."""
+        if self.others[0] != name:
+            self.others = name, self.arguments(name)
+        return self.others[1]
+
+    def arguments(self, without=None):
+        return samples.arguments(self.path, self.declared, self.folder, without)
 
     def folder(self):
         return contract.fresh_folder(self.root)
 
     def result(self):
         """Return what the valid arguments give, or None where that differs from call to call."""
-        first = contract.call(self.function(), self.arguments())
+        first = contract.call(self.function, self.arguments())
         if not contract.flat(first):  # such as a figure, which takes long and has no numbers to compare
             return first
-        again = contract.call(self.function(), self.arguments())
+        again = contract.call(self.function, self.arguments())
         return first if contract.same(first, again, 1e-6) else None
 
     def complaints(self):
         expected = self.result()
-        for name, valid in self.arguments().items():
+        known = self.arguments()
+        for name, valid in known.items():
             strict = {
                 "positive": samples.is_positive(self.path, name),
                 "side": samples.is_side(self.path, name),
                 "free_text": samples.is_free_text(self.path, name),
             }
             for what, wrong, verdict in hostile.wrong_values(valid, **strict):
-                yield name, what, contract.judge(self.function(), self.arguments, name, wrong, verdict)
+                yield name, what, contract.judge(self.function, self.but(name) | {name: wrong}, name, verdict)
             for what, form, tolerance in hostile.other_forms(valid):
-                yield name, what, contract.compare(self.function(), self.arguments, name, form, expected, tolerance)
-        tensors = {name: valid for name, valid in self.arguments().items() if isinstance(valid, torch.Tensor)}
+                changed = self.arguments(name) | {name: form}
+                yield name, what, contract.compare(self.function, changed, name, expected, tolerance)
+        tensors = {name: valid for name, valid in known.items() if isinstance(valid, torch.Tensor)}
         for name in [name for name, valid in tensors.items() if valid.is_floating_point() or valid.is_complex()]:
-            yield name, "followed back", contract.slopes(self.function(), self.arguments, name)
+            yield name, "followed back", contract.slopes(self.function, self.arguments, name)
         for name in tensors if len(tensors) > 1 else []:
-            yield name, "on another device", contract.judge_elsewhere(self.function(), self.arguments, name)
+            yield name, "on another device", contract.judge_elsewhere(self.function, self.arguments, name)
 
 
 @pytest.mark.parametrize(

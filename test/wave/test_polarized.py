@@ -230,7 +230,7 @@ def test_focal_spot_of_high_numerical_apertures(aperture, index, expected):
     step = 0.01
     parts = np.abs(focus_polarized(pupil, shape=(151, 151), target_dx=step, **geometry)) ** 2
     plane, e_z = parts.sum(axis=0), parts[2]
-    depths = (np.arange(161) - 80) * 0.025
+    depths = (np.arange(65) - 32) * 0.025
     axis = focus_polarized(pupil, shape=(1, 1), target_dx=step, distance=depths, **geometry)
     along = (np.abs(axis[:, :, 0, 0]) ** 2).sum(axis=1)
     found = (full_width(plane[75], step), full_width(plane[:, 75], step), full_width(along, 0.025))
@@ -294,4 +294,4 @@ def test_response_of_films_is_differentiable_in_the_pitch():
 
     # In micrometres: the steps of gradcheck are absolute.
     micrometres = torch.tensor(0.6, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda pitch: response(pitch * 1e-6), micrometres)
+    assert torch.autograd.gradcheck(lambda pitch: response(pitch * 1e-6), micrometres, fast_mode=True)

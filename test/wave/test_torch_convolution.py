@@ -74,7 +74,9 @@ def test_adjoint_is_the_transpose(path, shape, kernel, request):
     field.requires_grad_()
     small = field.detach()[..., :2, :3].requires_grad_()
     assert torch.autograd.gradcheck(lambda u: convolution.convolve(u, factor[..., :5, :6]), (small,))
-    assert torch.autograd.gradgradcheck(lambda u: convolution.convolve(u, factor[..., :5, :6]), (small,))
+    assert torch.autograd.gradgradcheck(
+        lambda u: convolution.convolve(u, factor[..., :5, :6]), (small,), fast_mode=True
+    )
     result = convolution.convolve(field, factor)
     other = torch.randn_like(result)
     (back,) = torch.autograd.grad(result, field, other)
