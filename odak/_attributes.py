@@ -15,7 +15,7 @@ class Prepared:
         known = any(name in (vars(self).get(place) or ()) for place in ("_modules", "_buffers")) or name in vars(self)
         if known and name in self._fixed:
             kind = type(self).__name__
-            raise AttributeError(f"{name} of a {kind} cannot be set, since all was prepared for it; make a new {kind}")
+            raise AttributeError(f"{name} cannot be set: the whole {kind} was prepared for it; make a new {kind}")
         super().__setattr__(name, value)
         if known and name in self._follow:
             getattr(self, self._follow[name])()

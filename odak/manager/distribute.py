@@ -14,6 +14,7 @@ from types import ModuleType
 from typing import Any
 
 from odak import _validate
+from odak._attributes import Prepared
 from odak._bars import tqdm
 from odak.manager.backends import Backend, Group, Job, Lost, choose
 from odak.manager.server import LOOPBACK
@@ -30,7 +31,7 @@ _REFILL, _LOOK = 0.75, 5.0
 _PER_SLOT, _AT_LEAST = 4, 128
 
 
-class agent:
+class agent(Prepared):
     """Calls a function with many arguments, spread over the workers of a Dask cluster.
 
     Parameters
@@ -106,6 +107,8 @@ class agent:
     1
     [(3, 1), (2, 1)]
     """
+
+    _fixed = ("cluster", "depends", "server")
 
     def __init__(
         self,

@@ -191,3 +191,9 @@ def test_nothing_of_dask_is_loaded_before_it_is_needed():
 def test_descriptions_are_short():
     assert describe(np.zeros((2, 3), np.float32)) == "ndarray[2, 3] of float32"
     assert len(describe("x" * 1000)) < 50 and len(describe(list(range(1000)))) < 50
+
+
+def test_a_cluster_set_later_is_refused():
+    work = agent(cluster=False)
+    with pytest.raises(AttributeError, match="cluster cannot be set: the whole agent"):
+        work.cluster = "local"

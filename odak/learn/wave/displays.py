@@ -159,10 +159,11 @@ class Modulator:
         Bits of a pixel, 2^bits levels spread evenly over 2π; None for a phase without levels.
     fill : float
         Share of the area of a pixel that emits.
-    response : callable, optional
+    response : callable or sequence of callable, optional
         ``response(phase)`` returns the field of a phase pattern, such as
         :class:`odak.learn.wave.spatial_light_modulator`; an ideal one by default. Its own fill factor must be 1. The
-        levels are its own where it has a table of their phases, `lut`.
+        levels are its own where it has a table of their phases, `lut`. A sequence of modules holds one for each frame,
+        such as a table for each colour of a panel that shows colours in sequence.
     lit_through : AmplitudePanel, optional
         Panel that the light passes first, for two panels in series.
 
@@ -177,7 +178,7 @@ class Modulator:
     pitch: float | Sequence[float]
     bits: int | None = 8
     fill: float = 0.9
-    response: Callable[..., Any] | None = None
+    response: Callable[..., Any] | Sequence[torch.nn.Module] | None = None
     lit_through: AmplitudePanel | None = None
 
     def __post_init__(self):
@@ -187,24 +188,46 @@ class Modulator:
         if not (self.lit_through is None or isinstance(self.lit_through, AmplitudePanel)):
             raise TypeError(f"lit_through must be an AmplitudePanel or None, got {type(self.lit_through).__name__}")
         checked_pixel_fill(self.fill)
-        _validate.function_or_none("response", self.response)
-        if float(getattr(self.response, "fill_factor", 1.0)) != 1 or getattr(self.response, "samples_per_pixel", 1) > 1:
-            raise ValueError("response must have a fill factor of 1 and one sample per pixel; give fill here instead")
+        if isinstance(self.response, (list, tuple)) and all(isinstance(one, torch.nn.Module) for one in self.response):
+            object.__setattr__(self, "response", torch.nn.ModuleList(self.response))
+        for one in self._responses() or [_validate.function_or_none("response", self.response)]:
+            if float(getattr(one, "fill_factor", 1.0)) != 1 or getattr(one, "samples_per_pixel", 1) > 1:
+                raise ValueError(
+                    "response must have a fill factor of 1 and one sample per pixel; give fill here instead"
+                )
+
+    def _responses(self) -> list[torch.nn.Module]:
+        """Return the responses of the frames where each has its own."""
+        return list(self.response) if isinstance(self.response, torch.nn.ModuleList) else []
+
+    def _of_frames(self, method: str, phases: torch.Tensor) -> torch.Tensor:
+        """Return what a method gives for phases ``[..., frames, rows, columns]``, each frame by its own response."""
+        alone = [replace(self, response=one) for one in self._responses()]
+        if phases.ndim < 3 or phases.shape[-3] != len(alone):
+            raise ValueError(f"phases must be of {len(alone)} frames, one for each response, got {list(phases.shape)}")
+        parts = zip(alone, phases.unbind(-3), strict=True)
+        return torch.stack([getattr(one, method)(part) for one, part in parts], -3)
 
     def light(self, phases: torch.Tensor) -> torch.Tensor:
         """Return the field of phases ``[..., rows, columns]`` in radians, at the pixels."""
-        return unit_phasor(phases) if self.response is None else self.response(phases)
+        if self._responses():
+            return self._of_frames("light", phases)
+        return unit_phasor(phases) if self.response is None else self.response(phases)  # type: ignore[operator]
 
     def shown(self, phases: torch.Tensor) -> torch.Tensor:
         """Return the nearest phases that the levels of the panel can show, 0 … 2π."""
         if self.bits is None:
             return torch.remainder(phases, TURN)
+        if self._responses():
+            return self._of_frames("shown", phases)
         if getattr(self.response, "lut", None) is not None:
             return self.response.lut.to(phases)[self.levels(phases).long()]  # type: ignore[union-attr]
         return even_levels(phases, 2**self.bits) * (TURN / 2**self.bits)
 
     def levels(self, phases: torch.Tensor) -> torch.Tensor:
         """Return the levels whose phases are nearest, int32 of the shape of the phases; 256 where there are none."""
+        if self._responses():
+            return self._of_frames("levels", phases)
         if self.bits is not None and getattr(self.response, "lut", None) is not None:
             return self.response.levels(phases)  # type: ignore[union-attr]
         return even_levels(phases, 256 if self.bits is None else 2**self.bits).to(torch.int32)
@@ -301,6 +324,10 @@ class Display(Prepared, torch.nn.Module):
             )
         colours = len(self.wavelengths)
         self.frames = colours if frames is None else _validate.integer("frames", frames, minimum=1)
+        if (responses := len(modulator._responses())) not in (0, self.frames):
+            raise ValueError(
+                f"modulator must have a response, or one for each of {self.frames} frames, got {responses}"
+            )
         if powers is None:
             powers = torch.eye(colours).repeat(-(-self.frames // colours), 1)[: self.frames]
         powers = self._fitting(powers).detach()
@@ -731,7 +758,8 @@ class Display(Prepared, torch.nn.Module):
         """Return what the light of a flat pattern has: amplitude, of mean square one, and phase, such as aberration."""
         if self.profile is None and self.modulator.response is None:
             return self.powers.new_ones(()), self.powers.new_zeros(())
-        light = self._lit(self._light(self.powers.new_zeros(self.frames, *self.modulator.resolution)), colour)[0]
+        flat = self._light(self.powers.new_zeros(self.frames, *self.modulator.resolution))
+        light = self._lit(flat, colour)[self._lit_frames[colour][0]]
         return light.abs() / intensity(light).mean().sqrt(), light.angle()
 
     def _image(self, light, part: "_Part", powers, amplitudes=None):

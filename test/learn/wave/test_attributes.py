@@ -61,7 +61,7 @@ def slm(**options):
 def test_attributes_that_all_depends_on_are_refused(make, name, value):
     display = make()
     before = getattr(display, name)
-    with pytest.raises(AttributeError, match=f"{name} of a {type(display).__name__} cannot be set"):
+    with pytest.raises(AttributeError, match=f"{name} cannot be set: the whole {type(display).__name__}"):
         setattr(display, name, value)
     assert getattr(display, name) is before
     # A copy and a pickle set the attributes of a new object.

@@ -720,3 +720,27 @@ def test_alternating_projections_know_the_iris():
         scale = (image * target).sum() / image.square().sum()
         errors.append(float((scale * image - target).square().mean()))
     assert errors[0] < 0.7 * errors[1]
+
+
+def test_each_colour_in_sequence_has_its_own_table():
+    """Each frame is what a display of its colour and table alone shows, and its levels are those of its table."""
+    colours, shape = [639e-9, 515e-9, 473e-9], (16, 24)
+    tables = [span * torch.linspace(0, 1, 16) ** power for span, power in ((5.0, 1.0), (6.0, 1.3), (7.0, 0.8))]
+    panels = [spatial_light_modulator(bits=4, lut=table) for table in tables]
+    phases = 7 * torch.rand(3, *shape, generator=torch.Generator().manual_seed(0))
+    display = Display(Modulator(shape, PITCH, 4, response=panels), colours, [2e-3])
+    for f, (colour, panel) in enumerate(zip(colours, panels, strict=True)):
+        alone = Display(Modulator(shape, PITCH, 4, response=panel), colour, [2e-3])
+        torch.testing.assert_close(display(phases)[:, f], alone(phases[f])[:, 0])
+        assert torch.equal(display.modulator.levels(phases)[f], panel.levels(phases[f]))
+        torch.testing.assert_close(display.modulator.shown(phases)[f], tables[f][panel.levels(phases[f]).long()])
+    found = optimise(display, torch.rand(1, 3, *shape), run=replace(QUIET, seed=1, iterations=3))
+    assert found.levels().shape == (3, *shape) and int(found.levels().max()) <= 15
+    assert (
+        display._fingerprint()
+        != Display(Modulator(shape, PITCH, 4, response=panels[::-1]), colours, 2e-3)._fingerprint()
+    )
+    with pytest.raises(ValueError, match="one for each of 3 frames, got 2"):
+        Display(Modulator(shape, PITCH, 4, response=panels[:2]), colours, [2e-3])
+    with pytest.raises(TypeError, match="response"):
+        Modulator(shape, PITCH, response=[1, 2])
