@@ -272,10 +272,15 @@ class _Training:
         """Train for an epoch and return the loss by which its weights are judged."""
         self.loop.torn, number = True, self.loop.done + 1
         judged = training = self._mean_over(self.batches, "batches", self._step, self.loop.bar)
-        if not math.isfinite(training):
-            raise FloatingPointError(f"the training loss of epoch {number} is {training}: lower the learning rate")
-        if self.validation is not None:
+        if math.isfinite(training) and self.validation is not None:
             judged = self._mean_over(self.validation, "validation", self._validation_loss)
+        for kind, value in (("training", training), ("validation", judged)):
+            if not math.isfinite(value):
+                raise FloatingPointError(
+                    f"the {kind} loss of epoch {number} is {value}: lower the learning rate, or look for values of the "
+                    "data that are not finite"
+                )
+        if self.validation is not None:
             self.history.validation.append(judged)
         self.history.training.append(training)
         if judged < self.history.best_loss:

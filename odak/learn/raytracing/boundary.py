@@ -7,6 +7,7 @@ import torch
 
 from odak import _show, _validate
 from odak._array import is_readable
+from odak._attributes import Prepared
 from odak.learn._face import torch_face
 from odak.learn._tensors import checked_device, reals_of
 from odak.learn.raytracing.primitives import batched, define_plane
@@ -398,7 +399,7 @@ def intersect_w_surface_batch(ray: Any, triangle: Any) -> tuple[torch.Tensor, to
     return core.plane_hits(ray, _in_front(triangle, ray))
 
 
-class detector:
+class detector(Prepared):
     """A rectangle of pixels in space.
 
     Parameters
@@ -447,6 +448,8 @@ class detector:
     >>> image.nonzero().flatten(), distances.argmin(dim=1)
     (tensor([7]), tensor([7]))
     """
+
+    _fixed = ("colors", "resolution", "size", "pixel_size", "plane", "device")
 
     __repr__ = _show.one_line
 

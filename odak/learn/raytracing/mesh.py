@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _show, _validate
+from odak._attributes import Prepared
 from odak._threads import each
 from odak.learn._tensors import checked_device, reals_of, tensor, trainable
 from odak.learn.raytracing.boundary import reflect
@@ -789,7 +790,7 @@ def _per_ray(name: str, value, rays: torch.Tensor) -> torch.Tensor | None:
         raise ValueError(f"{name} must be a number or {tuple(rays.shape[:-2])}, one for each of the rays") from error
 
 
-class planar_mesh:
+class planar_mesh(Prepared):
     """A rectangle of triangles whose vertices can be lifted, to be learned.
 
     Parameters
@@ -833,6 +834,8 @@ class planar_mesh:
     tensor([[[0.2000, 0.7500, 0.0000],
              [0.0000, 0.6000, 0.8000]]])
     """
+
+    _fixed = ("size", "number_of_meshes", "device")
 
     __repr__ = _show.one_line
 

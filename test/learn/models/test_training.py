@@ -308,6 +308,12 @@ def test_a_loss_that_is_not_finite_leaves_the_best_weights():
     assert same(model.state_dict(), good.state_dict())
 
 
+def test_validation_that_is_not_finite_ends_the_training_at_once():
+    model, batch = torch.nn.Linear(3, 1), (torch.ones(2, 3), torch.ones(2, 1))
+    with pytest.raises(FloatingPointError, match="the validation loss of epoch 1 is nan: lower .* or look for values"):
+        train(model, squared_error, [batch], 5, validation=[(batch[0], math.nan * batch[1])], progress=False)
+
+
 def test_mixed_precision_changes_nothing_on_a_cpu():
     assert same(run(mixed_precision=True)[0].state_dict(), run()[0].state_dict())
 

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from odak.learn.perception import display_color_hvs
+from odak.learn.raytracing import detector, planar_mesh
 from odak.learn.wave import (
     Display,
     Modulator,
@@ -56,6 +57,8 @@ def slm(**options):
         (shown, "modulator", Modulator(SHAPE, 4e-6)),
         (lambda: simulated_camera(515e-9, 1e-3, 8e-6), "wavelength", 600e-9),
         (slm, "bits", 8),
+        (detector, "resolution", (10, 10)),
+        (planar_mesh, "size", (2.0, 2.0)),
     ],
 )
 def test_attributes_that_all_depends_on_are_refused(make, name, value):
