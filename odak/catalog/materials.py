@@ -637,6 +637,7 @@ def air_index(
     26824.4
     """
     scale = MICROMETRES[_validate.one_of("unit", unit, MICROMETRES)]
+    wavelength = _length("wavelength", wavelength, scale)
     carbon_dioxide = _validate.constant("carbon_dioxide", carbon_dioxide, least=0)
     check_weather(temperature, pressure, humidity)
     if isinstance(wavelength, (list, tuple)):
@@ -676,6 +677,15 @@ def check_weather(temperature=None, pressure=None, humidity=None, where: str = "
             units = [(unit, size * most) for unit, size in (("hPa", 100), ("kPa", 1000), ("bar", 1e5))]
             remedy = "".join(f"; were {unit} meant ({p:g} Pa)?" for unit, p in units if 5e4 < p < 1.1e5)
             warn(f"pressure{where} is in pascal, 101325 at sea level, got {most:g}{remedy}", ArgumentWarning)
+
+
+def _length(name: str, value, scale: float):
+    """Return a length in the unit of which one is `scale` micrometres; texts and quantities have units of their own."""
+    found = _validate.in_metres(name, value)
+    if found is value:
+        return value
+    scale = MICROMETRES["m"] / scale
+    return [scale * one for one in found] if isinstance(found, (list, tuple)) else scale * found
 
 
 def _ends(value) -> tuple[float, float]:
@@ -769,6 +779,7 @@ def refractive_index(
     """
     found = name if isinstance(name, Material) else material(name)
     scale = MICROMETRES[_validate.one_of("unit", unit, MICROMETRES)]
+    wavelength = _length("wavelength", wavelength, scale)
     medium = None if medium is None else _validate.one_of("medium", medium, MEDIA)
     extrapolate = _validate.flag("extrapolate", extrapolate)
     if isinstance(wavelength, (list, tuple)):
@@ -860,6 +871,8 @@ def internal_transmittance(
     found = name if isinstance(name, Material) else material(name)
     if extinction_of(found) is None:
         raise ValueError(f"name {found.name!r} is a material whose absorption is not known")
+    scale = MICROMETRES[_validate.one_of("unit", unit, MICROMETRES)]
+    wavelength, thickness = _length("wavelength", wavelength, scale), _length("thickness", thickness, scale)
     if isinstance(wavelength, (list, tuple)):
         wavelength = _validate.array("wavelength", wavelength)
     _validate.real("thickness", thickness)

@@ -20,6 +20,7 @@ MICROMETRE, NANOMETRE = 1e-6, 1e-9
 LARGEST_COMPRESSION = 1032
 
 
+@_validate.takes_units("pitch", "wavelength", "distance")
 def to_xarray(
     field: Any,
     pitch: float | Sequence[float],
@@ -92,6 +93,7 @@ def to_xarray(
     return xarray.DataArray(values.copy(), coordinates, [*frames, *dims], name)
 
 
+@_validate.takes_units("pitch", "wavelength")
 def save_ome_tiff(
     filename: str | os.PathLike[str],
     field: Any,

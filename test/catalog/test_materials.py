@@ -11,7 +11,7 @@ import torch
 
 import odak
 from odak import ArgumentWarning, catalog
-from odak.catalog import air_index, materials, refractive_index
+from odak.catalog import air_index, internal_transmittance, materials, refractive_index
 from odak.catalog.materials import LINE_C, LINE_D, LINE_F
 
 # Published n_d and V_d: Schott data sheets; Malitson 1965 and 1963; Dodge 1984; Malitson 1964.
@@ -456,3 +456,14 @@ def test_percent_of_humidity_and_impossible_weather_are_refused():
         warnings.simplefilter("error")
         assert air_index(550e-9, -40.0, 0.0) == 1
         air_index(550e-9, torch.tensor([-40.0, 100.0]), 80e3, 1.0)
+
+
+def test_wavelengths_may_have_units():
+    expected = refractive_index("N-BK7", 500e-9)
+    assert refractive_index("N-BK7", "500nm") == pytest.approx(expected, rel=1e-15)
+    assert refractive_index("N-BK7", "500nm", unit="um") == pytest.approx(expected, rel=1e-15)
+    assert refractive_index("N-BK7", ["500nm", "600nm"])[0] == pytest.approx(expected, rel=1e-15)
+    assert air_index("633nm") == pytest.approx(air_index(633e-9), rel=1e-15)
+    assert internal_transmittance("N-BK7", "400nm", "25mm", unit="mm") == pytest.approx(
+        internal_transmittance("N-BK7", 400e-9, 0.025), rel=1e-12
+    )

@@ -331,3 +331,8 @@ def test_samples_without_a_value_are_counted():
         assert "2 of 24 samples are not finite and left blank" in str(figure.fig.layout.annotations)
     with pytest.warns(odak.ArgumentWarning, match="no sample of the image is finite, all 24"):
         field_show(np.full((4, 6), np.nan + 0j), show=False)
+
+
+def test_lengths_may_have_units(field):
+    one, other = (field_show(field, dx=dx, wavelength=w, show=False) for dx, w in (("8um", "532nm"), (8e-6, 532e-9)))
+    assert one.settings["title"] == other.settings["title"] and one.fig.to_json() == other.fig.to_json()

@@ -56,6 +56,7 @@ _MARGIN = 32
 _DIMMEST = 0.1
 
 
+@_validate.takes_units("radius", "focal_length")
 @dataclass(frozen=True)
 class Iris:
     """A round stop in the focal plane of a lens, which limits the frequencies that reach an image.

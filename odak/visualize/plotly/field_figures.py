@@ -607,6 +607,7 @@ MOST_ROWS = 4
 SLIDER_SPACE = 90
 
 
+@_validate.takes_units("dx", "wavelength")
 def field_show(
     field: Array,
     dx: float | Sequence[float] | None = None,

@@ -310,7 +310,7 @@ def test_a_loss_that_is_not_finite_leaves_the_best_weights():
 
 def test_validation_that_is_not_finite_ends_the_training_at_once():
     model, batch = torch.nn.Linear(3, 1), (torch.ones(2, 3), torch.ones(2, 1))
-    with pytest.raises(FloatingPointError, match="the validation loss of epoch 1 is nan: lower .* or look for values"):
+    with pytest.raises(FloatingPointError, match=r"the validation loss of epoch 1 is nan: lower .* or look for values"):
         train(model, squared_error, [batch], 5, validation=[(batch[0], math.nan * batch[1])], progress=False)
 
 

@@ -744,3 +744,7 @@ def test_each_colour_in_sequence_has_its_own_table():
         Display(Modulator(shape, PITCH, 4, response=panels[:2]), colours, [2e-3])
     with pytest.raises(TypeError, match="response"):
         Modulator(shape, PITCH, response=[1, 2])
+
+
+def test_an_iris_takes_lengths_with_units():
+    assert Iris("2mm", "20cm") == Iris(2e-3, 0.2)
