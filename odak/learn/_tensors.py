@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from odak import _array, _validate
-from odak._torch_private import count_of_writes
+from odak._torch_private import count_of_writes, is_wrapped
 from odak._warnings import DeviceWarning, warn
 
 # Values should lie in 0 … 1; optimizers and speckle may exceed it slightly, 8-bit values are an error.
@@ -423,8 +423,8 @@ class ValuesRead:
         self.tensor: torch.Tensor | None = None
 
     def __call__(self, tensor: torch.Tensor) -> Any:
-        """Return what follows from a tensor; in a graph being compiled, what was read last."""
-        if torch.compiler.is_compiling():
+        """Return what follows from a tensor; where it has no values to read, what was read last."""
+        if torch.compiler.is_compiling() or is_wrapped(tensor):
             return self.result
         version = count_of_writes(tensor)
         if tensor is not self.tensor or version is None or version != self.version:

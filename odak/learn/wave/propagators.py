@@ -7,7 +7,6 @@ from typing import Any
 import torch
 
 from odak import _array, _show, _validate
-from odak._torch_private import is_wrapped
 from odak.learn._tensors import ValuesRead, checked_device, floating, kind_of, tensor
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.slm import pixel_fill_of
@@ -367,7 +366,7 @@ class propagator(display_volume):
     def _one_source_per_frame(self) -> bool:
         if self._learns_powers() or self.channel_power.requires_grad:
             return False
-        return not is_wrapped(self.channel_power) and self._powers_read(self.channel_power)
+        return self._powers_read(self.channel_power)
 
     def holograms(self, hologram_phases: torch.Tensor, amplitude: torch.Tensor | None = None) -> torch.Tensor:
         """Return the fields that leave the modulator, of unit source power.
