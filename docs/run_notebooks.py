@@ -13,7 +13,6 @@ import tempfile
 from pathlib import Path
 
 import nbformat
-from nbclient import NotebookClient
 from nbformat import NotebookNode
 
 COURSE = Path(__file__).resolve().parent / "course"
@@ -29,6 +28,8 @@ def notebooks() -> list[Path]:
 
 def executed(path: Path, folder: Path) -> NotebookNode:
     """Return a notebook with the outputs of a run in `folder`; a cell that fails raises an error."""
+    from nbclient import NotebookClient  # takes long, and most tests of notebooks only read them
+
     notebook = nbformat.read(path, as_version=4)
     os.environ.setdefault("PYDEVD_DISABLE_FILE_VALIDATION", "1")
     client = NotebookClient(

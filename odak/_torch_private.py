@@ -5,9 +5,10 @@ import warnings
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from functools import cache, wraps
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import torch
+from torch.overrides import TorchFunctionMode
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -114,12 +115,67 @@ def takes_operators(*tensors: torch.Tensor) -> bool:
     return kinds.count(transforms.Jvp) <= 1 and set(kinds) <= {transforms.Jvp, transforms.Vmap}
 
 
+def forward_derivative(function: Callable, at: torch.Tensor, direction: torch.Tensor, *, has_aux: bool = False) -> Any:
+    """Return what ``torch.func.jvp(function, (at,), (direction,))`` does, several times faster.
+
+    Where a number or tensor that is constant meets one that is not, torch takes a tensor without memory for its
+    derivative, and looks up the shape of each sum and product with that in Python, which takes 0.2 ms. Here constants
+    have zeros for it.
+    """
+    _load_forward_rules()
+    if torch.compiler.is_compiling():
+        return torch.func.jvp(function, (at,), (direction,), has_aux=has_aux)
+
+    def with_zeros(value):
+        with _Zeros():
+            return function(value)
+
+    return torch.func.jvp(with_zeros, (at,), (direction,), has_aux=has_aux)
+
+
 @cache
-def load_forward_rules() -> None:
+def _load_forward_rules() -> None:
     """Load the forward derivatives that torch writes in Python, without the warning of torch's own that this raises."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         import torch._decomp.decompositions_for_jvp  # noqa: F401
+
+
+class _Zeros(TorchFunctionMode):
+    """Gives constants in sums and products with differentiated tensors a derivative, zeros."""
+
+    FUNCTIONS: ClassVar = {
+        getattr(owner, name) for owner in (torch, torch.Tensor) for name in ("add", "sub", "mul", "div")
+    } | {torch.Tensor.__rdiv__}
+    DTYPES = (torch.float32, torch.float64, torch.complex64, torch.complex128)
+    SIZE = 2**15  # to add the zeros of larger tensors takes longer
+
+    def __torch_function__(self, function, types, args=(), kwargs=None):
+        if function in self.FUNCTIONS and len(args) == 2 and not kwargs:
+            one, other = args
+            differs = self.differs(one), self.differs(other)
+            if differs == (True, False):
+                args = one, self.constant(other, one)
+            elif differs == (False, True):
+                args = self.constant(one, other), other
+        return function(*args, **(kwargs or {}))
+
+    def differs(self, value):
+        """Return whether a value has a derivative."""
+        if not isinstance(value, torch.Tensor) or not torch._C._functorch.is_gradtrackingtensor(value):
+            return False
+        return torch.autograd.forward_ad.unpack_dual(value).tangent is not None
+
+    def constant(self, value, like):
+        """Return a constant, with a derivative where a tensor like the other needs one."""
+        if like.dtype not in self.DTYPES or like.numel() > self.SIZE:
+            return value
+        if type(value) in (int, float):
+            value = torch.full((), value, dtype=like.dtype, device=like.device)
+        elif not isinstance(value, torch.Tensor) or value.dtype not in self.DTYPES or value.numel() > self.SIZE:
+            return value
+        value = value.contiguous()  # of an expanded tensor each sample needs a place for its derivative
+        return torch.autograd.forward_ad.make_dual(value, torch.zeros_like(value))
 
 
 def keeping() -> AbstractContextManager:

@@ -3,7 +3,6 @@
 import itertools
 import math
 import os
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,7 +15,7 @@ from scipy.ndimage import map_coordinates
 from odak import _array, _show, _validate
 from odak._array import Array
 from odak._attributes import Prepared
-from odak._torch_private import in_own_precision
+from odak._torch_private import forward_derivative, in_own_precision
 from odak._warnings import ConvergenceWarning, warn
 from odak.instruments import Calibration, Camera, Captures, Modulator, Registration, load_calibration
 from odak.instruments.mapping import Lens, plane_points, ray_matrix
@@ -1200,9 +1199,7 @@ class _PhysicalFit:
         """Return the Gauss-Newton matrix of active parameters that some captures have, times a scale."""
         parts = self.vector.to(self.model._dtype).split(self.sizes)
         matrix = torch.zeros(len(self.vector), len(self.vector), dtype=torch.float64)
-        with torch.no_grad(), warnings.catch_warnings():
-            # Torch's own, in forward mode.
-            warnings.filterwarnings("ignore", ".*torch.jit.script", DeprecationWarning)
+        with torch.no_grad():
             for k in of:
                 slopes = torch.cat([self._columns(parts, k, which, active) for which in range(len(parts))])
                 matrix += (slopes @ slopes.mT).double()
@@ -1215,7 +1212,7 @@ class _PhysicalFit:
             return self.residuals([*parts[:which], part, *parts[which + 1 :]], k)
 
         def along(direction):
-            return torch.func.jvp(seen, (parts[which],), (direction,))[1]
+            return forward_derivative(seen, parts[which], direction)[1]
 
         directions = torch.eye(self.sizes[which], dtype=self.model._dtype)
         if self.names[which] not in active:

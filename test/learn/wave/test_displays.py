@@ -30,7 +30,7 @@ from odak.learn.wave.displays import SOLVERS
 from odak.learn.wave.holograms import STARTS
 
 PITCH, WAVELENGTH = 8e-6, 532e-9
-QUIET = Run(iterations=25, progress=False)
+QUIET, BRIEF = Run(iterations=25, progress=False), Run(iterations=12, progress=False)
 
 
 @pytest.fixture
@@ -225,7 +225,7 @@ def test_what_is_optimised_is_what_is_stated(disc):
 def test_colours_planes_and_frames(disc):
     display = Display(Modulator(disc.shape, PITCH), [639e-9, 515e-9], [2e-3, 3e-3], frames=4)
     target = torch.stack([torch.stack([disc, disc.flip(1)]), torch.stack([disc.roll(5, 0), disc.roll(-6, 1)])])
-    found = optimise(display, target, start="quadratic", run=QUIET)
+    found = optimise(display, target, start="quadratic", run=BRIEF)
     assert found.images.shape == (2, 2, 40, 48) and found.levels().max() <= 255
     assert [row["wavelength"] for row in found.table()] == [639e-9, 515e-9] * 2
     worse = optimise(display, target, start="quadratic", run=Run(iterations=1, progress=False))
@@ -498,11 +498,11 @@ def test_a_picture_with_depth_is_sharp_on_its_own_plane(disc):
     depth = (torch.arange(48) > 24).float().expand(40, -1)
     display = Display(Modulator(disc.shape, PITCH), WAVELENGTH, [2e-3, 4e-3])
     loss = multiplane_loss(disc, depth, blur_ratio=2.0, number_of_planes=2)
-    near, far = optimise(display, loss, run=QUIET), optimise(display, loss.targets, loss=loss, run=QUIET)
+    near, far = optimise(display, loss, run=BRIEF), optimise(display, loss.targets, loss=loss, run=BRIEF)
     assert torch.equal(near.phases, far.phases) and far.psnr_in_focus is None
     sharp = torch.where(depth[None] == 0, near.images[0], near.images[1])
     torch.testing.assert_close(near.psnr_in_focus, -10 * (sharp - disc).square().mean((1, 2)).log10())
-    by_geometry = optimise(display, (disc, depth), run=QUIET)
+    by_geometry = optimise(display, (disc, depth), run=BRIEF)
     assert torch.equal(by_geometry.target[0, 0, :, :25], disc[:, :25])
     assert by_geometry.target[0, 0, :, 25:].std() < disc[:, 25:].std() and by_geometry.psnr_in_focus > 15
 
@@ -675,7 +675,7 @@ def test_a_picture_on_two_panels(disc):
     found = []
     for first in (None, AmplitudePanel(1e-3)):
         display = Display(Modulator(tuple(disc.shape), PITCH, lit_through=first), WAVELENGTH, 3e-3)
-        found.append(optimise(display, disc, start="flat", run=QUIET))
+        found.append(optimise(display, disc, start="flat", run=BRIEF))
     alone, both = found
     assert float(both.psnr) > float(alone.psnr) + 3 and alone.amplitudes is None
     levels = both.display.modulator.lit_through.levels(both.amplitudes)

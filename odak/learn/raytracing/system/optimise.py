@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _show, _validate
-from odak._torch_private import differentiates, load_forward_rules
+from odak._torch_private import differentiates, forward_derivative
 from odak._warnings import AccuracyWarning, warn
 from odak.catalog.materials import MICROMETRES, Material
 from odak.learn._tensors import takes_constants
@@ -372,11 +372,10 @@ def linearised_forward(residuals: Callable, values: torch.Tensor) -> tuple[torch
     values : torch.Tensor
         Where; the directions of all variables are carried along together.
     """
-    load_forward_rules()
     values = values.detach()
 
     def along(direction):
-        return torch.func.jvp(residuals, (values,), (direction.expand_as(values),))
+        return forward_derivative(residuals, values, direction.expand_as(values))
 
     directions = torch.eye(values.shape[-1], dtype=values.dtype, device=values.device)
     out_dims: Any = (None, -1)  # None: the value, the same along all directions; the annotation of vmap lacks it

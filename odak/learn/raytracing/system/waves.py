@@ -8,7 +8,7 @@ import torch
 
 from odak import _show, _validate
 from odak._array import is_readable, phasor_of_cycles
-from odak._torch_private import load_forward_rules
+from odak._torch_private import forward_derivative
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import floating, takes_constants
 from odak.learn.raytracing.system.analysis import path_at_start, spot_diagram, wavefront
@@ -1441,8 +1441,6 @@ def relative_illumination(
     points, weight = pupil_quadrature(system, count, vignetting=False)
     own = {name: options.pop(name) for name in ("fields", "aim") if name in options}
 
-    load_forward_rules()
-
     def covered(fields):
         def directions(place):
             rays = launch(system, place, prescription=prescription, aim=own.get("aim", "paraxial"), fields=fields)
@@ -1453,7 +1451,7 @@ def relative_illumination(
         for axis in (0, 1):
             way = torch.zeros_like(points)
             way[:, axis] = 1.0
-            _, change, kept = torch.func.jvp(directions, (points,), (way,), has_aux=True)
+            _, change, kept = forward_derivative(directions, points, way, has_aux=True)
             changes.append(change)
         (ux, vx), (uy, vy) = changes
         area = torch.where(kept, ux * vy - uy * vx, 0.0).abs()
@@ -1471,7 +1469,7 @@ def relative_illumination(
         for axis in (0, 1):
             way = torch.zeros_like(places)
             way[:, axis] = 1.0
-            _, change, kept = torch.func.jvp(landed, (places,), (way,), has_aux=True)
+            _, change, kept = forward_derivative(landed, places, way, has_aux=True)
             changes.append(change)
         first, second = changes
         sky, image = ((first[i] * second[i + 1] - first[i + 1] * second[i]).abs() for i in (0, 2))

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from odak import AccuracyWarning
+from odak._torch_private import forward_derivative
 from odak.learn.raytracing.system import (
     Perturbation,
     coordinate_break,
@@ -311,3 +312,39 @@ def test_elements_beyond_the_table_are_told():
     front = surface(3000.0, thickness=60.0, material="N-BK7", semi_diameter=200.0)
     with pytest.warns(AccuracyWarning, match="ends at a diameter of 300 mm; its last column is taken for 400 mm"):
         iso_10110_tolerances(optical_system([front, surface(-3000.0, thickness=2900.0)], 300.0))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.complex128])
+def test_forward_derivatives_are_those_of_torch(dtype, monkeypatch):
+    """Whatever meets the variable: numbers, tensors of other kinds and shapes, another derivative within, 0 and -0."""
+    at, way = torch.rand(5).to(dtype) + 0.5, torch.rand(3, 5).to(dtype)
+    constants = [
+        torch.rand(5),
+        torch.rand(2, 1).double(),
+        torch.rand(1).expand(5),
+        torch.arange(1, 6),
+        torch.tensor(0.3),
+        2,
+        0.7,
+        -0.0,
+    ]
+
+    def function(value):
+        parts = [value * torch.arange(5).eq(2), torch.add(value, 1.0, alpha=3)]
+        for one in constants:
+            parts += [value * one, one * value, value + one, one + value, value - one, one - value, one / value]
+            parts += [value / (one + 1), torch.mul(value, one), torch.sub(one, value) if is_tensor(one) else value]
+        slope = torch.func.jvp(lambda other: other * value * 2.0, (value.detach(),), (value,))[1]
+        return torch.cat(
+            [part.expand(2, 5).reshape(-1) for part in [*parts, slope, torch.where(value.real > 1, value, 0)]]
+        )
+
+    is_tensor = torch.is_tensor
+    made, make = [], torch.autograd.forward_ad.make_dual
+    with monkeypatch.context() as patch:
+        patch.setattr(torch.autograd.forward_ad, "make_dual", lambda *a, **o: made.append(a) or make(*a, **o))
+        found = torch.func.vmap(lambda d: forward_derivative(function, at, d), out_dims=(None, -1))(way)
+    expected = torch.func.vmap(lambda d: torch.func.jvp(function, (at,), (d,)), out_dims=(None, -1))(way)
+    assert torch.equal(found[0], expected[0]) and torch.equal(found[1], expected[1])
+    assert torch.equal(found[0].signbit(), expected[0].signbit()) if dtype.is_floating_point else True
+    assert len(made) > 50
