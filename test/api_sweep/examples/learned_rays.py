@@ -274,9 +274,9 @@ BY_CALL = {
         f"{HERE}.system.zoom_design.{name}": {"values": torch.tensor([0.02], dtype=torch.float64)}
         for name in ("apply", "prescription", "residuals", "linearised", "view", "clear_heights")
     },
-    f"{HERE}.system.huygens_point_spread_function": {"samples": 8, "size": 16},
+    f"{HERE}.system.huygens_point_spread_function": {"samples": 24, "size": 16},
     f"{HERE}.system.modulation_at": {
-        "spread": Build(lambda _: huygens_point_spread_function(_lens(), 8, 16)),
+        "spread": Build(lambda _: huygens_point_spread_function(_lens(), 24, 16)),
         "frequency": 5.0,
     },
     f"{HERE}.system.field_modulation": {"frequencies": [5.0], "samples": 16},
@@ -313,7 +313,7 @@ BY_CALL = {
         "wavelength": 550e-6,
     },
     f"{HERE}.system.through_focus": {"shifts": [-0.1, 0.0]},
-    f"{HERE}.system.through_focus_modulation": {"shifts": [-0.1, 0.0], "frequency": 5.0, "samples": 8},
+    f"{HERE}.system.through_focus_modulation": {"shifts": [-0.1, 0.0], "frequency": 5.0, "samples": 32},
     f"{HERE}.system.through_focus_figure": {"shifts": [-0.1, 0.0, 0.1], "frequency": 5.0},
     f"{HERE}.system.axial_color": {"wavelengths": [550e-6, 600e-6]},
     f"{HERE}.system.distortion_grid": {"points": 3},

@@ -57,14 +57,15 @@ from odak.learn.raytracing.system.system_files import system_to_dict
 from odak.learn.raytracing.system.tracing import curved_paths, ray_paths
 from odak.learn.raytracing.system.waves import (
     LARGE,
+    RAYS,
     FieldQuality,
     field_modulation,
     field_quality,
+    modulation_in_planes,
     modulation_transfer_function,
     more_samples,
     pupil_image,
     relative_illumination,
-    through_focus_modulation,
 )
 from odak.tools.paths import _text, replacing
 
@@ -731,10 +732,9 @@ def through_focus_figure(
         if frequency is None
         else float(_validate.number("frequency", frequency, positive=True))
     )
-    for axis, style in (("y", "-"), ("x", "--")):
-        transfer = (
-            through_focus_modulation(system, shifts, frequency, axis, 24, aim=aim)[system.reference].cpu().numpy()
-        )
+    options = {"aim": aim, "prescription": system.prescription().at(system.reference)}
+    both = modulation_in_planes(system, shifts, frequency, (24, 32, 48, *RAYS), ("y", "x"), **options)[:, 0]
+    for transfer, style in zip(both.cpu().numpy(), ("-", "--"), strict=True):
         for i in range(fields):
             lower.plot(place, transfer[i], style, color=color_of(i), lw=1.2)
     lower.set(ylim=(0, 1), xlabel=f"focus ({unit})", ylabel=f"modulation\nat {frequency * 1e3 / scale:.3g} cycles/mm")

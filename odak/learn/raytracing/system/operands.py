@@ -25,7 +25,7 @@ from odak.learn.raytracing.system.prescriptions import Prescription
 from odak.learn.raytracing.system.pupils import launch, pupil_of
 from odak.learn.raytracing.system.surfaces import field_shares, is_break, layout_of, reference_of, wavelength_shares
 from odak.learn.raytracing.system.tracing import Rays, Traced, in_surface_frame, trace
-from odak.learn.raytracing.system.waves import huygens_point_spread_function, modulation_at
+from odak.learn.raytracing.system.waves import RAYS, chosen_samples, modulation_in_planes
 from odak.raytracing.surfaces import EvenAsphere, Sag
 
 # Distance in 0.01 of n_d and 1 of V_d below which two glasses count as the same one of two makers.
@@ -48,7 +48,8 @@ class Operand(NamedTuple):
     lower, upper : float, optional
         Bounds; the residual is 0 within them, and the distance from the nearer bound outside.
     options : mapping
-        Keyword arguments of the kind, as `surfaces` of a thickness or `frequency` of the modulation transfer.
+        Keyword arguments of the kind, as `surfaces` of a thickness or `frequency` of the modulation transfer, whose
+        `samples` across the pupil are as many as resolve the wavefront by default.
 
     Examples
     --------
@@ -300,10 +301,13 @@ def _wavefront(view: View, fields: Any = None) -> torch.Tensor:
     return _weighted(around, fields, -2).flatten(-3)
 
 
-def _modulation(view: View, frequency: float, axis: str = "y", samples: int = 24) -> torch.Tensor:
+def _modulation(view: View, frequency: float, axis: str = "y", samples: int | None = None) -> torch.Tensor:
     """Modulation transfer at a frequency in cycles per unit of length, at all wavelengths and fields."""
-    spread = huygens_point_spread_function(view.system, samples, 2 * samples, vignetting=False, **view.options)
-    return modulation_at(spread, frequency, axis).flatten(-2)
+    axis = _validate.one_of("axis", axis, ("x", "y"))
+    counts = chosen_samples(samples, (24, 32, 48, *RAYS))
+    here = torch.zeros(1, dtype=torch.float64)
+    options = {"vignetting": False, **view.options}
+    return modulation_in_planes(view.system, here, frequency, counts, (axis,), **options)[0, ..., 0].flatten(-2)
 
 
 def _distortion(view: View) -> torch.Tensor:

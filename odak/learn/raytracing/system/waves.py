@@ -2,8 +2,10 @@
 
 import math
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 
 from odak import _show, _validate
@@ -57,6 +59,10 @@ COUNTS, COARSE = (16, 32, 64, 128), 0.1
 # Samples across the pupil among which images take the first that resolves the wavefront: with neighbours more than half
 # a wave from each other, whose light would come out at a wrong place, for at most this part of the light.
 SAMPLES, ASTRAY = (64, 128, 256), 0.01
+# The same of sums over rays, which cost more the more there are.
+RAYS = (64, 96, 128, 192, 256, 384, 512)
+# Cells of a grid over which a ray is spread along each axis, the exponent of the kernel, and the rays at a time.
+WIDTH, BELL, SPREAD_AT_A_TIME = 14, 2.3 * 14, 1 << 14
 
 
 class PlaneRays(NamedTuple):
@@ -325,9 +331,9 @@ def point_spread_function(system: Any, samples: int | None = None, size: int | N
     return pupil_image(system, chosen_samples(samples), size, options)
 
 
-def chosen_samples(samples: int | None) -> tuple[int, ...]:
+def chosen_samples(samples: int | None, usual: tuple[int, ...] = SAMPLES) -> tuple[int, ...]:
     """Return the numbers of samples to choose from."""
-    return SAMPLES if samples is None else (_validate.integer("samples", samples, minimum=8),)
+    return usual if samples is None else (_validate.integer("samples", samples, minimum=8),)
 
 
 def more_samples(samples: int) -> tuple[int, ...]:
@@ -362,27 +368,15 @@ def pupil_image(
     if size is not None:
         size = _validate.integer("size", size, minimum=counts[0])
         counts = [count for count in counts if count <= size]
-    needed = 0
-    for samples in counts:
-        # A count that an earlier one has shown to be too small.
-        if samples < min(needed, counts[-1]):
-            continue
+
+    def sampled(samples: int):
         points, inside, share = _disc(samples)
         found = wavefront(system, points, **options)
         weight = torch.where(found.status == 0, share.to(found.path.device), 0.0)
-        step, part = _steps(found.path, inside.to(weight.device), weight)
-        if not is_readable(step) and not (step.is_cuda and len(counts) > 1):
-            break
-        largest = float(step.max())
-        if largest <= 0.5:
-            break
-        needed = 8 * math.ceil(largest * samples / 4)
-    else:
-        warn(
-            f"{samples} samples across the pupil do not resolve the wavefront: {100 * float(part.max()):.0f} % of the "
-            f"light falls beside the image and comes out at a wrong place in it; take {needed} samples",
-            AccuracyWarning,
-        )
+        # An image of the transform is as wide as the distance at which it repeats itself.
+        return (samples, points, inside, found, weight), _Sampling(found.path, inside, weight, 0.5)
+
+    samples, points, inside, found, weight = resolved(counts, sampled)
     size = fineness * samples if size is None else size
     phase = phasor_of_cycles(torch.where(found.status == 0, found.path, 0.0), torch.complex128) * weight
     intensity: Any = 0.0
@@ -403,10 +397,66 @@ def pupil_image(
     return Spread(intensity, pitch, intensity.amax((-2, -1)), energy)
 
 
-def _disc(samples: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+class _Sampling(NamedTuple):
+    """A wavefront on a grid in the pupil.
+
+    Attributes
+    ----------
+    path : torch.Tensor
+        In waves, ``[..., P]``, NaN or without weight where no ray arrives.
+    inside : torch.Tensor
+        Which of the grid they are, ``[n, n]``.
+    weight : torch.Tensor
+        Light of each, ``[..., P]``.
+    width : float or torch.Tensor
+        Half the width of the image over the distance at which it repeats itself, ``[..., 1]``.
+    fixed : bool
+        The width of the image does not depend on the number of samples.
+    """
+
+    path: torch.Tensor
+    inside: torch.Tensor
+    weight: torch.Tensor
+    width: Any
+    fixed: bool = False
+
+
+def resolved(counts: Sequence[int], sampled: Callable[[int], tuple[Any, _Sampling]]) -> Any:
+    """Return what a function gives for the first number of samples that resolves the wavefront.
+
+    Parameters
+    ----------
+    counts : sequence of int
+        Samples across the pupil. Where none of them resolves the wavefront, the last one is taken with a warning.
+    sampled : callable
+        Takes a number of samples and returns what is wanted and the wavefront it is made of.
+    """
+    needed = 0
+    for samples in counts:
+        # A count that an earlier one has shown to be too small.
+        if samples < min(needed, counts[-1]):
+            continue
+        found, sampling = sampled(samples)
+        step, part = _steps(sampling)
+        if not is_readable(step) and not (step.is_cuda and len(counts) > 1):
+            return found
+        more = step + sampling.width if sampling.fixed else step / (1 - sampling.width)
+        largest = float(more.max())
+        if largest <= 1:
+            return found
+        needed = 8 * math.ceil(largest * samples / 8)
+    warn(
+        f"{samples} samples across the pupil do not resolve the wavefront: {100 * float(part.max()):.0f} % of the "
+        f"light falls beside the image and comes out at a wrong place in it; take {needed} samples",
+        AccuracyWarning,
+    )
+    return found
+
+
+def _disc(samples: int, centre: float | None = None) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return points of a grid in the pupil ``[P, 2]``, which of the grid they are, and how much of each is inside."""
     step = 2 / samples
-    line = (torch.arange(samples, dtype=torch.float64) - samples // 2) * step
+    line = (torch.arange(samples, dtype=torch.float64) - (samples // 2 if centre is None else centre)) * step
     y, x = torch.meshgrid(line, line, indexing="ij")
     # Pixels on the edge are weighted by the fraction of their area inside.
     share = ((1 - (x * x + y * y).sqrt()) / step + 0.5).clamp(0, 1)
@@ -415,31 +465,30 @@ def _disc(samples: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
 
 
 @torch.no_grad()
-def _steps(path: torch.Tensor, inside: torch.Tensor, weight: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def _steps(sampling: _Sampling) -> tuple[torch.Tensor, torch.Tensor]:
     """Return by how many waves neighbours on a grid in the pupil differ, ``[..., 1]`` and ``[...]``.
-
-    Parameters
-    ----------
-    path : torch.Tensor
-        In waves, ``[..., P]``, NaN where no ray arrives.
-    inside : torch.Tensor
-        Which of the grid they are, ``[n, n]``.
-    weight : torch.Tensor
-        Light of each, ``[..., P]``.
 
     Returns
     -------
     tuple of torch.Tensor
-        The difference that all but the part ASTRAY of the light keep to, and the part that differs by more than half a
-        wave.
+        The difference that all but the part ASTRAY of the light keep to, and the part that differs by so much that it
+        comes out in the image at a wrong place.
+
+    Notes
+    -----
+    Light whose path changes by s waves from a sample to the next belongs at s times the distance at which the image
+    repeats itself, and comes out again at s − 1, s − 2 and so on: within the image if s > 1 − w, w half the width of
+    the image over that distance.
     """
+    path, inside, weight, width, _ = sampling
+    inside = inside.to(path.device)
     grid = torch.full((*path.shape[:-1], *inside.shape), torch.nan, dtype=path.dtype, device=path.device)
-    grid[..., inside] = path
+    grid[..., inside] = torch.where(weight > 0, path, torch.nan)
     along, down = (grid.diff(dim=axis).abs().nan_to_num() for axis in (-1, -2))
     pad = torch.nn.functional.pad
     steps = torch.maximum(pad(along, (0, 1)), pad(down, (0, 0, 0, 1)))[..., inside]
     light = weight / weight.sum(-1, keepdim=True)
-    part = (light * (steps > 0.5)).sum(-1)
+    part = (light * (steps > 1 - width)).sum(-1)
     steps, order = steps.sort(-1, descending=True)
     beyond = (light.gather(-1, order).cumsum(-1) <= ASTRAY).sum(-1, keepdim=True).clamp(max=steps.shape[-1] - 1)
     return steps.gather(-1, beyond), part.nan_to_num()
@@ -1148,8 +1197,8 @@ def _tube_area(rays: RayMap, places: torch.Tensor, target: torch.Tensor, aim: st
 
 def huygens_point_spread_function(
     system: Any,
-    samples: int = 64,
-    size: int = 128,
+    samples: int | None = None,
+    size: int | None = None,
     pitch: float | None = None,
     *,
     prescription: Prescription | None = None,
@@ -1163,10 +1212,10 @@ def huygens_point_spread_function(
     ----------
     system : optical_system
         The system.
-    samples : int
-        Rays across the pupil.
-    size : int
-        Pixels along each side of the image.
+    samples : int, optional
+        Rays across the pupil; as many as resolve the wavefront by default, 64 to 512.
+    size : int, optional
+        Pixels along each side of the image; by default twice as many as rays across the pupil, or 128 of a given pitch.
     pitch : float, optional
         Pitch of the pixels in the system's unit; by default the wavelength over four times the paraxial numerical
         aperture, which no detail of the image is finer than.
@@ -1186,9 +1235,14 @@ def huygens_point_spread_function(
 
     Notes
     -----
-    Every ray is a plane wave of its direction, phase and equal amplitude, scalar; no reference sphere, no transform and
-    no sine condition enter. The rays are a regular grid in the pupil: the sum repeats itself at a distance of
-    `samples` times the wavelength over the image's full angle, within which the image must fit.
+    Every ray is a plane wave of its direction, phase and equal amplitude, scalar; no reference sphere and no sine
+    condition enter. The rays are a regular grid in the pupil: the sum repeats itself at a distance of `samples` times
+    the wavelength over the image's full angle. An AccuracyWarning gives the number of samples that would do where more
+    than 1 % of the light comes out at a wrong place in the image for that reason.
+
+    The sum over the rays, whose directions are not on a grid, is a transform after spreading them over a grid of twice
+    the width (Barnett et al., SIAM J. Sci. Comput. 41, C479 (2019)); it differs from the sum by about 1e-13 of the
+    peak without aberrations.
 
     Examples
     --------
@@ -1202,22 +1256,79 @@ def huygens_point_spread_function(
             "system is afocal: the sum of plane waves holds for pupils far from the image in Fresnel zones; use "
             "point_spread_function"
         )
-    samples = _validate.integer("samples", samples, minimum=8)
-    size = _validate.integer("size", size, minimum=2)
-    step = 2 / samples
-    line = (torch.arange(samples, dtype=torch.float64) - (samples - 1) / 2) * step
-    y, x = torch.meshgrid(line, line, indexing="ij")
-    # Cells on the edge are weighted by the fraction of their area inside.
-    share = ((1 - (x * x + y * y).sqrt()) / step + 0.5).clamp(0, 1)
-    inside = share > 0
-    points = torch.cat([torch.zeros(1, 2, dtype=torch.float64), torch.stack([x[inside], y[inside]], -1)])
-    rays = launch(system, points, prescription=prescription, fields=fields, aim=aim)
+    counts = chosen_samples(samples, RAYS)
+    size = 128 if size is None and pitch is not None else size
+    options = {"prescription": prescription, "fields": fields, "aim": aim, "vignetting": vignetting}
+
+    def sampled(count: int):
+        waves = _plane_waves(system, count, size, pitch, options)
+        return waves, waves.sampling(size is not None)
+
+    return resolved(counts, sampled).image()
+
+
+class _PlaneWaves(NamedTuple):
+    """Plane waves of the rays of a grid in the pupil, ``[..., P]``.
+
+    `path`, in waves, is their phase at the chief ray's point in the image plane, `ways` are their direction cosines
+    over the wavelength, `spacing` is the pitch of the image ``[..., 1]`` and `chief` the slopes of the chief ray.
+    """
+
+    path: torch.Tensor
+    ways: tuple[torch.Tensor, ...]
+    weight: torch.Tensor
+    points: torch.Tensor
+    inside: torch.Tensor
+    spacing: torch.Tensor
+    size: int
+    chief: tuple[torch.Tensor, ...]
+
+    def moved(self, shift: torch.Tensor) -> "_PlaneWaves":
+        """Return the same waves about the chief ray's point in another plane."""
+        along = [shift * slope for slope in self.chief[:3]]
+        path = sum(way * gap for way, gap in zip(self.ways, along, strict=True)) - shift * self.chief[3]
+        return self._replace(path=self.path + torch.where(self.weight > 0, path, 0.0))
+
+    def _moments(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return matrices whose quotient are the slopes of `ways` over the pupil that fit the rays best."""
+        pupil, share = self.points.to(self.path), self.weight[..., None]
+        moved = share * (pupil - (share * pupil).sum(-2, keepdim=True) / share.sum(-2, keepdim=True))
+        return moved.mT @ pupil, moved.mT @ torch.stack(self.ways[:2], -1)
+
+    @torch.no_grad()
+    def sampling(self, fixed: bool) -> _Sampling:
+        """Return the wavefront on the grid."""
+        slopes, _ = torch.linalg.solve_ex(*self._moments())
+        steps = slopes.abs().sum(-2).amax(-1, keepdim=True) * (2 / self.inside.shape[-1])
+        width = (self.size * self.spacing / 2 * steps).nan_to_num()
+        return _Sampling(self.path, self.inside, self.weight, width, fixed)
+
+    def image(self) -> Spread:
+        """Return the intensity of the sum of the waves."""
+        amplitude = phasor_of_cycles(self.path, torch.complex128) * self.weight
+        field = _nonuniform_transform(amplitude, *(way * self.spacing for way in self.ways[:2]), self.size)
+        total = self.weight.sum(-1)
+        intensity = (field.real.square() + field.imag.square()) / total.square()[..., None, None]
+        # The area of direction cosines per area of the pupil: the determinant of the slopes that fit the rays best.
+        squares, slopes = (torch.linalg.det(value) for value in self._moments())
+        spacing = self.spacing[..., 0]
+        energy = (self.inside.shape[-1] / 2 / spacing).square() * squares / (slopes.abs() * total)
+        return Spread(intensity, torch.stack([spacing, spacing], -1), intensity.amax((-2, -1)), energy)
+
+
+def _plane_waves(system, samples: int, size: int | None, pitch: float | None, options: dict) -> _PlaneWaves:
+    prescription, vignetting = options["prescription"], options["vignetting"]
+    size = 2 * samples if size is None else _validate.integer("size", size, minimum=2)
+    points, inside, share = _disc(samples, (samples - 1) / 2)
+    origin = torch.zeros(1, 2, dtype=torch.float64)
+    own = {name: options[name] for name in ("prescription", "fields", "aim")}
+    rays = launch(system, torch.cat([origin, points]), **own)
     found = trace(system, rays, prescription=prescription, vignetting=vignetting)
     centre = trace(system, rays, prescription=prescription, vignetting=False) if vignetting else found
     numbers = system.prescription() if prescription is None else prescription
     check_image_space(system, numbers)
     kept = found.arrived[..., 1:]
-    weight = torch.where(kept, share[inside].to(found.x), 0.0)
+    weight = torch.where(kept, share.to(found.x), 0.0)
     index = numbers.index[..., -1][..., None, None].abs()
     waves = wavelengths_of(system, numbers)[:, None, None]
     start = path_at_start(system, rays, numbers)
@@ -1228,23 +1339,63 @@ def huygens_point_spread_function(
     path = path + sum(way * torch.where(kept, gap, 0.0) for way, gap in zip(ways, away, strict=True))
     if pitch is None:
         aperture = first_order(system, prescription=prescription).numerical_aperture
-        spacing = waves[..., 0] / (4 * aperture[..., None, None])
+        spacing = waves / (4 * aperture[..., None, None, None])
     else:
-        spacing = torch.full_like(waves[..., 0], _validate.constant("pitch", pitch, positive=True))
-    spacing = spacing.expand(*path.shape[:-1])
-    place = (torch.arange(size, dtype=torch.float64, device=path.device) - size // 2) * spacing[..., None]
-    cycles = (ways[0] / waves)[..., None] * place[..., None, :], (ways[1] / waves)[..., None] * place[..., None, :]
-    along_x, along_y = (phasor_of_cycles(value, torch.complex128) for value in cycles)
-    amplitude = phasor_of_cycles(torch.where(kept, path, 0.0) / waves, torch.complex128) * weight
-    field = (along_y * amplitude[..., None]).mT @ along_x
-    total = weight.sum(-1)
-    intensity = (field.real.square() + field.imag.square()) / total.square()[..., None, None]
-    # The area of direction cosines per area of the pupil: the determinant of the slopes that fit the rays best.
-    pupil, share = points[1:].to(path), weight[..., None]
-    moved = share * (pupil - (share * pupil).sum(-2, keepdim=True) / total[..., None, None])
-    squares, slopes = (torch.linalg.det(moved.mT @ value) for value in (pupil, torch.stack(ways[:2], -1)))
-    energy = (waves[..., 0] / (step * spacing)).square() * squares / (slopes.abs() * total)
-    return Spread(intensity, torch.stack([spacing, spacing], -1), intensity.amax((-2, -1)), energy)
+        spacing = torch.full_like(waves, _validate.constant("pitch", pitch, positive=True))
+    spacing = spacing.expand(*path.shape[:-1], 1)
+    u, v, w = (value[..., :1] for value in centre[3:6])
+    slopes = (u / w, v / w, torch.ones_like(w), index / (w * waves))
+    path = torch.where(kept, path, 0.0) / waves
+    return _PlaneWaves(path, tuple(way / waves for way in ways), weight, points, inside, spacing, size, slopes)
+
+
+def _nonuniform_transform(values: torch.Tensor, x: torch.Tensor, y: torch.Tensor, size: int) -> torch.Tensor:
+    """Return the sums of values·exp(2πi(k·x + l·y)) over the last axis for ``size`` whole k and l about 0.
+
+    Parameters
+    ----------
+    values, x, y : torch.Tensor
+        Complex values and cycles per pixel along both axes, ``[..., P]``.
+    size : int
+        Pixels along each side.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., l, k]``; 0 is at size // 2 of both axes.
+    """
+    fine = 2 * size
+    lead = torch.broadcast_shapes(values.shape[:-1], x.shape[:-1], y.shape[:-1])
+    parts = [value.expand(*lead, value.shape[-1]).reshape(-1, value.shape[-1]) for value in (values, x, y)]
+    # Only the middle half is wanted, where the transform of the kernel is far from zero.
+    number = torch.arange(size, device=values.device) - size // 2
+    wanted = number % fine
+    images = []
+    for image in zip(*parts, strict=True):
+        grid = torch.zeros(fine * fine, dtype=values.dtype, device=values.device)
+        for value, *place in zip(*(part.split(SPREAD_AT_A_TIME) for part in image), strict=True):
+            (column, along), (row, down) = (_kernel(cycles * fine) for cycles in place)
+            cells = (row % fine * fine)[:, :, None] + (column % fine)[:, None, :]
+            spread = (value[:, None] * down)[:, :, None] * along[:, None, :]
+            grid = grid.index_add(0, cells.reshape(-1), spread.reshape(-1))
+        columns = torch.fft.ifft(grid.reshape(fine, fine), dim=-2, norm="forward")[wanted]
+        images.append(torch.fft.ifft(columns, norm="forward")[:, wanted])
+    nodes, weights = (torch.from_numpy(part).to(x) for part in np.polynomial.legendre.leggauss(4 * WIDTH))
+    waves = (number[:, None] * (math.pi * WIDTH / fine * nodes)).cos()
+    level = (waves * weights * _bell(nodes)).sum(-1) * (WIDTH / 2)
+    return (torch.stack(images) / (level[:, None] * level)).reshape(*lead, size, size)
+
+
+def _kernel(place: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the numbers of the cells near to places ``[P]`` and the share of each, ``[P, WIDTH]``."""
+    first = (place.detach() - WIDTH / 2).ceil()
+    cells = first[:, None] + torch.arange(WIDTH, dtype=place.dtype, device=place.device)
+    return cells.long(), _bell((cells - place[:, None]) * (2 / WIDTH))
+
+
+def _bell(place: torch.Tensor) -> torch.Tensor:
+    # The bound keeps the slope finite at the ends, where the value is 1e-14 of the largest.
+    return (BELL * ((1 - place * place).clamp_min(1e-12).sqrt() - 1)).exp()
 
 
 def modulation_at(spread: Spread, frequency: float, axis: str = "y") -> torch.Tensor:
@@ -1290,7 +1441,7 @@ def modulation_at(spread: Spread, frequency: float, axis: str = "y") -> torch.Te
 
 
 def through_focus_modulation(
-    system: Any, shifts: Any, frequency: float, axis: str = "y", samples: int = 32, **options: Any
+    system: Any, shifts: Any, frequency: float, axis: str = "y", samples: int | None = None, **options: Any
 ) -> torch.Tensor:
     """Return the modulation transfer at one frequency in planes before and behind the image plane.
 
@@ -1304,8 +1455,8 @@ def through_focus_modulation(
         Cycles per unit of length.
     axis : str
         "y": of gratings whose lines are along x. "x": the other.
-    samples : int
-        Rays across the pupil.
+    samples : int, optional
+        Rays across the pupil; for each plane as many as resolve the wavefront by default, 32 to 512.
     **options : Any
         Of :func:`huygens_point_spread_function` (`fields`, `aim`, `vignetting`).
 
@@ -1327,17 +1478,35 @@ def through_focus_modulation(
     shifts = torch.as_tensor(_validate.real("shifts", shifts), dtype=torch.float64)
     if shifts.ndim != 1 or not len(shifts):
         raise ValueError(f"shifts must be a sequence of distances, got {tuple(shifts.shape)}")
-    samples = _validate.integer("samples", samples, minimum=8)
+    axis = _validate.one_of("axis", axis, ("x", "y"))
+    counts = chosen_samples(samples, (32, 48, *RAYS))
     if "prescription" in options:
         raise ValueError("prescription must be left out: the planes are a batch of prescriptions of the system")
-    numbers = system.prescription()
-    moved = torch.zeros(len(shifts), numbers.thickness.shape[-1], dtype=torch.float64, device=numbers.thickness.device)
-    moved[:, -1] = shifts.to(moved)
-    # The image is sampled as finely as the frequency and the limit of diffraction require, and holds the blur.
-    spread = huygens_point_spread_function(
-        system, samples, 2 * samples, prescription=numbers._replace(thickness=numbers.thickness + moved), **options
-    )
-    return modulation_at(spread, frequency, axis).movedim(0, -1)
+    return modulation_in_planes(system, shifts, frequency, counts, (axis,), **options)[0]
+
+
+def modulation_in_planes(
+    system: Any, shifts: torch.Tensor, frequency: float, counts: Sequence[int], axes: Sequence[str], **options: Any
+) -> torch.Tensor:
+    """Return the modulation transfer along some axes at one frequency in some planes, ``[axes, ..., W, F, n]``."""
+    options = {"prescription": None, "fields": None, "aim": "paraxial", "vignetting": True} | options
+
+    @cache
+    def waves(count: int) -> _PlaneWaves:
+        return _plane_waves(system, count, None, None, options)
+
+    def image(shift: torch.Tensor) -> Spread:
+        def sampled(count: int):
+            there = waves(count).moved(shift)
+            return there, there.sampling(False)
+
+        return resolved(counts, sampled).image()
+
+    found = []
+    for shift in shifts.to(system.surfaces[0].thickness.device):
+        spread = image(shift)
+        found.append(torch.stack([modulation_at(spread, frequency, axis) for axis in axes]))
+    return torch.stack(found, -1)
 
 
 @takes_constants("frequencies")

@@ -27,7 +27,7 @@ F64 = torch.float64
     "operand",
     [
         *(Operand(kind) for kind in sorted(set(OPERANDS) - {"glass", "modulation", "edge_thickness"})),
-        Operand("modulation", 1.0, options={"frequency": 20.0, "samples": 8}),
+        Operand("modulation", 1.0, options={"frequency": 20.0, "samples": 16}),
         Operand("edge_thickness", lower=20.0, options={"heights": 9.0}),
         Operand("glass", options={"surfaces": [2]}),
         Operand("f_number", 3.0),
