@@ -153,18 +153,16 @@ def point_spread_map(
     options = {"prescription": prescription, "fields": _fields_of(system, ideal.reshape(-1, 2), prescription)}
     real = _chief(system, options)[system.reference]
     undistort = _inverse_map(system, prescription, half, pitch)
-    points, shares = (_ray_samples if kind == "rays" else _diffraction_samples)(system, count, options)
     power = _power(system, count, options, losses) * _area(undistort, real)[:, None, :]
     axis = {**options, "fields": torch.zeros(1, 2, dtype=torch.float64)}
     middle = _power(system, count, axis, losses) * _area(undistort, torch.zeros_like(real[:1]))[:, None, :]
     # Each channel is normalised to white, independently of the losses of its wavelengths on the axis.
     lit = torch.einsum("cw,wf->cf", weights, power[0]) / torch.einsum("cw,wf->cf", weights, middle[0])
-    offsets = points - real[:, None, :]
-    total = shares.sum(-1, keepdim=True)
+    collect = _ray_images if kind == "rays" else _diffraction_images
+    images, total = collect(system, count, options, real, pitch, kernel)
     if is_readable(total) and bool((total == 0).any()):
         raise ValueError("shape and pitch must give a sensor within the image of the lens, got points without any ray")
-    shares = shares / total
-    images = _splat(offsets / pitch, shares, kernel)
+    images = images / total[..., None, None]
     spread = weights[:, :, None] * power[0] / torch.einsum("cw,wf->cf", weights, middle[0])[:, None, :]
     kernels = torch.einsum("cwf,wfij->cfij", spread, images)
     parts = (kernels.reshape(-1, *grid, kernel, kernel), lit.reshape(-1, *grid), ideal, real.reshape(*grid, 2))
@@ -258,13 +256,13 @@ def ideal_points(undistort: torch.Tensor, real: torch.Tensor) -> torch.Tensor:
     return _terms(real) @ undistort.mT.to(real)
 
 
-def _ray_samples(system, count: int, options) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return intersections of rays with the sensor ``[W, F, P, 2]``, and their fractions of the power ``[W, F, P]``."""
+def _ray_images(system, count: int, options, origin, pitch: float, kernel: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return what the pixels about points ``[F, 2]`` receive ``[W, F, K, K]``, and the power in all ``[W, F]``."""
     rays = launch(system, "rings", count, **options)
     found = trace(system, rays, prescription=options["prescription"])
     place = torch.stack([torch.where(found.arrived, value, 0.0) for value in (found.x, found.y)], -1)
     share = torch.where(found.arrived, (rays.w**4).expand_as(found.x), 0.0) * _ring_weights(count).to(found.x)
-    return place, share
+    return _splat((place - origin[:, None, :]) / pitch, share, kernel), share.sum(-1)
 
 
 def _ring_weights(count: int) -> torch.Tensor:
@@ -275,14 +273,23 @@ def _ring_weights(count: int) -> torch.Tensor:
     return weights
 
 
-def _diffraction_samples(system, count: int, options) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the samples of diffraction images: their positions and fractions of the power."""
+def _diffraction_images(
+    system, count: int, options, origin, pitch: float, kernel: int
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the same of diffraction images."""
     spread = pupil_image(system, more_samples(8 * count), None, options, fineness=2)
     n = spread.intensity.shape[-1]
     line = torch.arange(n, dtype=torch.float64, device=spread.pitch.device) - n // 2
-    y, x = torch.meshgrid(line, line, indexing="ij")
-    place = torch.stack([x.flatten(), y.flatten()], -1) * spread.pitch.flip(-1)[..., None, :]
-    return place + _chief(system, options)[:, :, None, :], spread.intensity.flatten(-2)
+    chief = (_chief(system, options) - origin) / pitch + kernel // 2
+    x, y = (line * spread.pitch[..., 1 - i, None] / pitch + chief[..., i, None] for i in (0, 1))
+    # The samples are a lattice: their shares of pixels are products of those of rows and of columns.
+    return _linear_shares(y, kernel).mT @ spread.intensity @ _linear_shares(x, kernel), spread.intensity.sum((-2, -1))
+
+
+def _linear_shares(place: torch.Tensor, kernel: int) -> torch.Tensor:
+    """Return the shares of places ``[..., n]`` in the two pixels next to each, ``[..., n, K]``."""
+    away = place[..., None] - torch.arange(kernel, dtype=place.dtype, device=place.device)
+    return torch.where((away >= -1) & (away < 1), torch.where(away >= 0, 1 - away, 1 + away), 0.0)
 
 
 def _power(system, count: int, options, losses: bool) -> torch.Tensor:

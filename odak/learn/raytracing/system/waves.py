@@ -385,8 +385,8 @@ def pupil_image(
         pupil = torch.zeros(*phase.shape[:-1], samples, samples, dtype=phase.dtype, device=phase.device)
         pupil[..., inside.to(phase.device)] = amplitude * phase
         # Where the pupil lies on the grid does not change the modulus.
-        modulus = torch.fft.fft2(pupil, s=(size, size)).abs() / weight.sum(-1)[..., None, None]
-        intensity = intensity + torch.fft.fftshift(modulus.square(), dim=(-2, -1))
+        field = torch.fft.fft2(pupil / weight.sum(-1)[..., None, None], s=(size, size))
+        intensity = intensity + torch.fft.fftshift(field.real.square() + field.imag.square(), dim=(-2, -1))
         # A sample on the edge has the amplitude of the part inside, and the energy of its square: too little.
         energy = energy + (abs(amplitude) ** 2 * weight).sum(-1) * (size / weight.sum(-1)).square()
     slopes = _derivatives(found, weight)

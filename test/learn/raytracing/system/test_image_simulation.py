@@ -20,7 +20,7 @@ from odak.learn.raytracing.system import (
     surface,
     trace_fields,
 )
-from odak.learn.raytracing.system.image_simulation import ideal_points
+from odak.learn.raytracing.system.image_simulation import _linear_shares, _splat, ideal_points
 from odak.raytracing.interfaces import IdealLens
 
 F64 = torch.float64
@@ -196,3 +196,17 @@ def test_what_is_refused():
         simulate_image(torch.zeros(1, 5, 6), found)
     with pytest.raises(ValueError, match="irradiance must be"):
         expose_sensor(torch.zeros(2, 4, 4), pattern="RGGB")
+
+
+def test_lattices_of_samples_are_shared_among_pixels_like_single_samples():
+    """Samples on a lattice, some of them outside of the image and one in the middle of a pixel."""
+    generator = torch.Generator().manual_seed(1)
+    shares = torch.rand(2, 3, 30, 40, dtype=F64, generator=generator)
+    y, x = (
+        torch.arange(n, dtype=F64) * 0.31 - 3.0 + torch.rand(2, 3, 1, dtype=F64, generator=generator) for n in (30, 40)
+    )
+    y[0, 0, 10] = 4.0
+    offsets = torch.stack(torch.broadcast_tensors(x[..., None, :], y[..., :, None]), -1).flatten(2, 3)
+    expected = _splat(offsets - 7 // 2, shares.flatten(2), 7)
+    found = _linear_shares(y, 7).mT @ shares @ _linear_shares(x, 7)
+    torch.testing.assert_close(found, expected, rtol=0.0, atol=1e-12)
