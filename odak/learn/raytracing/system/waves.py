@@ -1306,7 +1306,8 @@ class _PlaneWaves(NamedTuple):
     def image(self) -> Spread:
         """Return the intensity of the sum of the waves."""
         amplitude = phasor_of_cycles(self.path, torch.complex128) * self.weight
-        field = _nonuniform_transform(amplitude, *(way * self.spacing for way in self.ways[:2]), self.size)
+        x, y = (way * self.spacing for way in self.ways[:2])
+        field = _nonuniform_transform(amplitude, x, y, self.size)
         total = self.weight.sum(-1)
         intensity = (field.real.square() + field.imag.square()) / total.square()[..., None, None]
         # The area of direction cosines per area of the pupil: the determinant of the slopes that fit the rays best.
