@@ -1247,7 +1247,7 @@ def huygens_point_spread_function(
     Examples
     --------
     >>> from odak.learn.raytracing.system import huygens_point_spread_function, load_system
-    >>> tuple(huygens_point_spread_function(load_system("cooke_triplet"), 16, 32).intensity.shape)
+    >>> tuple(huygens_point_spread_function(load_system("cooke_triplet"), 40, 32).intensity.shape)
     (3, 3, 32, 32)
     """
     checked_system(system), checked_prescription(prescription)
