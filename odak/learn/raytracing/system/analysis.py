@@ -876,7 +876,8 @@ def field_curvature(
     Returns
     -------
     tuple of torch.Tensor
-        Tangential (rays in the y–z plane) and sagittal (x–z), ``[..., W, F]``, for fields along y.
+        Tangential (rays in the y–z plane) and sagittal (x–z), ``[..., W, F]``, for fields along y; infinite where rays
+        stay parallel.
 
     Notes
     -----
@@ -914,8 +915,13 @@ def _along(value: torch.Tensor, place: torch.Tensor, axis: int) -> torch.Tensor:
     """Return the derivative of each entry ``[..., W, F, 1]`` by the pupil coordinate, ``[..., W, F]``."""
     # The vector-Jacobian product is linear in the vector; its derivative by the vector is a column of the Jacobian.
     vector = torch.ones_like(value).requires_grad_()
-    product = torch.autograd.grad(value, place, vector, create_graph=True)[0][0, axis]
-    return torch.autograd.grad(product, vector, create_graph=True)[0][..., 0]
+    options: dict[str, Any] = {"create_graph": True, "allow_unused": True, "materialize_grads": True}
+    # Slopes of parallel rays that meet planes alone do not depend on the pupil.
+    if value.requires_grad:
+        product = torch.autograd.grad(value, place, vector, **options)[0][0, axis]
+        if product.requires_grad:
+            return torch.autograd.grad(product, vector, **options)[0][..., 0]
+    return torch.zeros_like(value[..., 0])
 
 
 class Wavefront(NamedTuple):

@@ -220,7 +220,11 @@ def _differentiable_gradients(layout, tensors, gradients, needed):
     state = plain(layout, Numbers(*tensors[6:]), tuple(tensors[:6]))
     lost = state.status != HIT
     gradients = [torch.where(lost, 0.0, value) for value in gradients]
-    found = iter(torch.autograd.grad(state[:7], wanted, gradients, create_graph=True, allow_unused=True))
+    # Directions behind planes alone do not depend on where a ray starts.
+    outputs, given = zip(
+        *(pair for pair in zip(state[:7], gradients, strict=True) if pair[0].requires_grad), strict=True
+    )
+    found = iter(torch.autograd.grad(outputs, wanted, given, create_graph=True, allow_unused=True))
     return [next(found) if need else None for need in needed]
 
 

@@ -661,14 +661,20 @@ def _search(system, given: tuple, wide: bool, known: tuple | None, graph: bool) 
         x, y, found = _beside(errors, held, places_of(pupil, points), step, radius, goals)
     lost = held.reached & ~found
     single = known is not None and math.prod(shape[:-2]) == 1
-    if single and held.ends is not None:
-        lost = lost & ~_past_ends(held.ends, goals.reshape(*shape[-2:], 2), lost.reshape(shape[-2:])).reshape(shape)
-    if bool(lost.any()):
+    if single and bool(lost.any()):
+        flat = goals.reshape(*shape[-2:], 2)
+        if held.ends is not None:
+            lost = lost & ~_past_ends(held.ends, flat, lost.reshape(shape[-2:])).reshape(shape)
+        # Of one system the innermost ray of each spoke comes first: where it is not found, neither are those behind.
+        first, behind = _innermost(flat, lost.reshape(shape[-2:]))
+    for part in ("first", "rest") if single else ("all",):
+        if not bool(lost.any()):
+            break
         # Those lost in any system of a batch, as fields of one ray each.
-        some = lost.flatten(0, -3).any(0)
+        some = first if part == "first" else lost.flatten(0, -3).any(0)
         fx, fy = (value.expand(shape)[..., some, None] for value in held[:2])
         ends, which = goals[..., some, :][..., None, :], fields.expand(*shape[-2:], 2)[some][:, None]
-        px, py, met, way = _continuation(errors, fx, fy, step, radius, lambda s: (s[..., None] * ends, which))
+        px, py, met, way = _continuation(errors, fx, fy, step, radius, lambda s, e=ends, w=which: (s[..., None] * e, w))
         px, py, met, way = (value[..., 0] for value in (px, py, met, way))
         better = met & lost[..., some]
         x[..., some], y[..., some] = (
@@ -678,6 +684,8 @@ def _search(system, given: tuple, wide: bool, known: tuple | None, graph: bool) 
         found[..., some] = found[..., some] | better
         if single:
             held = held._replace(ends=_ends(held.ends, some.nonzero()[:, 0], ends.reshape(-1, 2), way, ~met))
+        if part == "first":
+            lost = lost & ~found & behind(met.flatten()).reshape(shape)
     if known is not None:
         _CHIEF_RAYS[known] = held
         if len(_CHIEF_RAYS) > KEPT:
@@ -701,6 +709,30 @@ def _ends(before: torch.Tensor | None, field, goals, way, stopped) -> torch.Tens
     # Several rays of one spoke stop at the same place.
     found = torch.cat([found[:, :3].round(decimals=9), found[:, 3:].round(decimals=3)], -1)
     return torch.unique(found if before is None else torch.cat([before, found]), dim=0)[-ENDS:]
+
+
+def _innermost(goals: torch.Tensor, lost: torch.Tensor) -> tuple[torch.Tensor, Callable]:
+    """Return which of the lost points ``[F, P, 2]`` of the stop are the innermost of their spokes.
+
+    Also a function that takes which of these were found and returns all lost points on the spokes of those.
+    """
+    field, place = lost.nonzero().unbind(-1)
+    size = goals[field, place].square().sum(-1).sqrt()
+    spokes = torch.cat([field[:, None].to(goals), (goals[field, place] / size[:, None]).round(decimals=8)], -1)
+    kinds, spoke = torch.unique(spokes, dim=0, return_inverse=True)
+    number = len(kinds)
+    inner = size <= size.new_full((number,), torch.inf).scatter_reduce(0, spoke, size, "amin")[spoke]
+    first = torch.zeros_like(lost)
+    first[field, place] = inner
+
+    def on_spokes(met: torch.Tensor) -> torch.Tensor:
+        held = torch.zeros(number, dtype=torch.bool, device=met.device)
+        held[spoke[inner][met]] = True
+        found = torch.zeros_like(lost)
+        found[field, place] = held[spoke]
+        return found
+
+    return first, on_spokes
 
 
 def _past_ends(ends: torch.Tensor, goals: torch.Tensor, lost: torch.Tensor) -> torch.Tensor:

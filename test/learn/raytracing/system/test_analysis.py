@@ -121,6 +121,13 @@ def test_a_pinhole_has_no_distortion_and_a_ball_of_glass_does():
     assert float(distortion(system)[1, 2]) == pytest.approx(expected, rel=1e-9)
 
 
+def test_rays_that_stay_parallel_have_no_foci():
+    """Planes alone leave no derivative of the directions."""
+    plate = optical_system([surface(thickness=5.0, material=1.5), surface(thickness=50.0)], 10.0, fields=[0.0, 10.0])
+    for focus in field_curvature(plate):
+        assert bool(torch.isinf(focus).all())
+
+
 def test_field_curvature_is_coddingtons():
     """A stop at the centre of curvature: both foci on the sphere about it (Schwarzschild)."""
     radius = 100.0
