@@ -12,7 +12,7 @@ import numpy as np
 
 from odak import _show, _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.instruments.focus import astigmatism_by_focus, distance_with_uncertainty
+from odak.instruments.focus import astigmatism_by_focus, distance_with_uncertainty, focused
 from odak.instruments.illumination import illumination_with_uncertainty
 from odak.instruments.mapping import Lens, Registration, ray_matrix
 from odak.instruments.phase_response import (
@@ -63,11 +63,11 @@ LIMITS = {"phases": 0.015, "registration": 0.1, "wavefront": 2 * np.pi / 200}
 SMALLEST_ERROR = 2 * np.pi / 500
 # Width of a modulator in units of the square root of wavelength and distance below which diffraction spreads the light
 # of its lenslets too much to tell the distance; shares of the distance on either side among which the focus is searched
-# for there, at first and later; focal lengths of the last search, and patterns of the illumination, without a lens and
-# behind one, where more patterns reduce its error, on six simulated tables from 0.43 to 0.33 % (root mean square).
-FEWEST, FAR, NEAR, FOCI, PATTERNS, BEHIND_LENS = 5.5, 0.15, 0.03, 7, 16, 40
+# for there, at first and later; patterns of the illumination, without a lens and behind one, where more patterns reduce
+# its error.
+FEWEST, FAR, NEAR, PATTERNS, BEHIND_LENS = 5.5, 0.15, 0.03, 16, 40
 # Captures of grids of spots for the first registration, those between, and the last.
-FIRST_GRIDS, GRIDS, LAST_GRIDS = 2, 4, 4
+FIRST_GRIDS, GRIDS, LAST_GRIDS = 2, 2, 4
 # Rows and columns of regions where the response varies.
 REGIONS = (3, 3)
 
@@ -278,8 +278,8 @@ def calibrate_table(
         of it besides is measured anew.
     rounds : int
         Number of measurements of the registration and the wavefront; up to twice as many as long as the wavefront
-        changes by more than a twentieth of a wavelength. With two, a calibration without a lens takes about 160
-        captures, and 175 with cameras of fewer than 10 bits.
+        changes by more than a twentieth of a wavelength. With two, a calibration without a lens takes about 100
+        captures, and 120 with cameras of fewer than 10 bits.
     regions : sequence of int, optional
         Rows and columns of regions whose phase response is measured too, after the second registration, and used in
         the later steps; a response that varies over the modulator acts as an aberration and shifts the image. The
@@ -339,7 +339,7 @@ def calibrate_table(
     modulator, camera, wavelength, _ = parts_of(table)
     wavefront = np.zeros(modulator.shape)
     table = replace(table, camera=camera, wavefront=wavefront, amplitude=None)
-    phases, doubt, spread = phases_with_uncertainty(table, 15, 5)
+    phases, doubt, spread = phases_with_uncertainty(table, 13, 5)
     warn_of_short_range(phases)
     regions = _regions_to_measure(regions, modulator, spread, behind_lens)
     uncertainty = {"phases": doubt}
@@ -369,12 +369,13 @@ def calibrate_table(
         if turn == 0:
             found, doubt = wavefront_with_uncertainty(table, iterations=5, captures=1)
         else:
-            found, doubt = wavefront_with_uncertainty(table, iterations=3, start=wavefront, captures=2)
+            found, doubt = wavefront_with_uncertainty(table, iterations=2, start=wavefront, captures=2)
         if behind_lens:
             # An aberration does not change the scale and the shear of spots of which each has the light of all pixels.
             table = replace(table, wavefront=without(found, aberration_modes(modulator, 1)))
         else:
-            table = _with_distance_and_wavefront(table, found, turn == 0)
+            # The focus of all captures that follows tells the astigmatism, too.
+            table = _with_distance_and_wavefront(table, found, turn == 0, turn != 1)
         change, wavefront = float((table.wavefront - wavefront).std()), np.asarray(table.wavefront)
     # An error of the response of a region acts as an aberration, of the mean phase of a pattern. The factors here and
     # below are those that make standard deviations of the errors on 50 independent tables.
@@ -382,8 +383,10 @@ def calibrate_table(
     uncertainty["wavefront"] = math.hypot(1.5 * doubt, REST * change, SMALLEST_ERROR, response_error)
     by_distance = 0.0
     if not behind_lens:
-        distance, doubt = distance_with_uncertainty(table, NEAR if rounds == 1 else None, FOCI, 2)
-        table = replace(table, distance=distance)
+        if rounds == 1:
+            table = replace(table, distance=distance_with_uncertainty(table, NEAR, captures=1)[0])
+        table, doubt = focused(table)
+        distance, wavefront = ray_matrix(table.distance)[1], np.asarray(table.wavefront)
         # A lens has the wavefront π/λ·(x² + y²)/f.
         y, x = pixel_axes(modulator)
         defocus = 0.2 * uncertainty["wavefront"] / (x**2 + y**2).std() * wavelength * distance**2 / np.pi
@@ -449,7 +452,7 @@ def _seen_part(table: OpticalTable, partial: bool) -> "_Middle | None":
     return _Middle(table.modulator, (rows, columns))
 
 
-def _with_distance_and_wavefront(table: OpticalTable, raw: np.ndarray, first: bool) -> OpticalTable:
+def _with_distance_and_wavefront(table: OpticalTable, raw: np.ndarray, first: bool, astigmatic: bool) -> OpticalTable:
     """Return a table with a measured wavefront without tilt and defocus, its distance, and the astigmatism of a focus.
 
     The quadratic part of the wavefront of the table, which a focus gave, takes the place of the measured one.
@@ -464,7 +467,7 @@ def _with_distance_and_wavefront(table: OpticalTable, raw: np.ndarray, first: bo
         distance = _focused(modulator, wavelength, distance, raw)
     low = quadratic[[0, 1, DEFOCUS]]
     table = replace(table, distance=distance, wavefront=without(found, low))
-    return replace(table, wavefront=without(astigmatism_by_focus(table), low))
+    return replace(table, wavefront=without(astigmatism_by_focus(table), low)) if astigmatic else table
 
 
 def _focused(modulator: Modulator, wavelength: float, distance: float, wavefront: np.ndarray) -> float:

@@ -31,6 +31,8 @@ SATURATED = 0.98
 LARGEST_STUCK, FEWEST_CUTS, LONGEST_DARK = 200, 5, 30.0
 # Share of the wanted counts above which the offset is negligible.
 PROPORTIONAL = 0.25
+# Share of the wanted counts above which a first capture is used.
+USABLE = 0.5
 # Frames that are older than what they should show.
 STALE = (
     "{} frames that the camera returned after {} show {}: discard as many frames before each capture (skip= of "
@@ -130,23 +132,23 @@ def set_exposure(camera: Camera, show: Callable[[], None] | None = None, level: 
     return camera.exposure
 
 
-def exposed(camera: CheckedCamera, pattern: str, level: float = EXPOSED) -> np.ndarray:
-    """Return a capture whose brightest pixel has about a share of the range.
+def exposed(camera: CheckedCamera, pattern: str, level: float = EXPOSED, brighter: float = 1.0) -> np.ndarray:
+    """Return a capture whose brightest pixel has more than half a share of the range, and set the exposure for it.
 
-    The exposure begins as the last pattern of the same name left it, and is set only where it does not fit.
+    The exposure begins as the last pattern of the same name left it, or another one that is less bright by a factor.
     """
-    camera.exposure = camera.exposures.get(pattern, camera.exposure)
+    camera.exposure = camera.exposures.get(pattern, camera.exposure / brighter)
     if not camera.examined:
         set_exposure(camera, level=level)
-    for _ in range(6):
+    for attempt in range(6):
         frame = camera.capture(1)[0].astype(float)
         share = frame.max() / camera.top
-        if camera.examined and 0.75 * level < share < 1.2 * level:
-            break
-        if camera.examined and share > PROPORTIONAL * level:
-            camera.exposure *= level / share if share < SATURATED else 0.25
-        else:
+        if not camera.examined or (attempt > 1 and share < PROPORTIONAL * level):
             set_exposure(camera, level=level)
+            continue
+        camera.exposure *= min(level / share, 10) if 0 < share < SATURATED else 0.15 if share else 10
+        if USABLE * level < share < SATURATED:
+            break
     camera.exposures[pattern] = camera.exposure
     return frame
 

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.instruments.exposures import combined, set_exposure
+from odak.instruments.exposures import combined, exposed
 from odak.instruments.mapping import Lens, ray_matrix
 from odak.instruments.phase_response import nearest_levels
 from odak.instruments.spots import averaged, lens_phase, pixel_axes, read_around
@@ -27,6 +27,8 @@ DEPTH, EVEN = 0.7, 0.013
 # Bits of cameras below which each pattern is captured at a second exposure, longer by a factor, because most speckles
 # are much darker than the brightest; and electrons of a full pixel, from which the weights follow.
 FEW_BITS, LONGER, WELL = 10, 8, 20_000.0
+# Factor that makes standard deviations of the errors on 30 independent tables.
+LARGER = 1.15
 # Half the width of the places that are evaluated, as a share of the width of a cell's light, and pixels of it at most.
 VIEW, WIDEST = 0.7, 24
 QUARTERS = np.arange(4) * (np.pi / 2)
@@ -116,6 +118,7 @@ def illumination_with_uncertainty(
         aside /= 2
     draw = np.random.default_rng(0)
     each = -(-_validate.integer("patterns", patterns, minimum=16) // len(corners))
+    _expose(replace(table, camera=camera), aside * corners[0])
     parts = [
         _speckles(
             replace(table, camera=camera), aside * corner, cell, draw.integers(4, size=(each, cells * cells)), captures
@@ -147,7 +150,8 @@ def illumination_with_uncertainty(
             )
             slopes.append(high - low)
             mean = mean * (1 + (low + high - 2 * middle) / 6)
-        return part._replace(tilts=mean * _tilts(part.away, part.places, part.widths, np.stack(slopes, axis=-1)))
+        tilts = _tilts(part.away, part.places, part.widths, np.stack(slopes, axis=-1))
+        return part._replace(tilts=mean * part.envelope * tilts)
 
     def fields(part: _Speckles, parameters: np.ndarray) -> np.ndarray:
         return np.tensordot(1j**part.steps, waves_of(part, parameters), axes=(1, 2))
@@ -196,7 +200,7 @@ def illumination_with_uncertainty(
         ]
     )[:, 3:-3]
     variance = (((terms - terms[largest]) @ changes.T) ** 2).sum(-1) * (1 - 1 / len(changes))
-    uncertainty = math.sqrt((amplitude**2 * variance).mean())
+    uncertainty = LARGER * math.sqrt((amplitude**2 * variance).mean())
     reason = ""
     if half > farthest + aside and not behind_lens:
         reason = (
@@ -231,6 +235,8 @@ class _Speckles(NamedTuple):
     widths: np.ndarray
     away: np.ndarray
     """Points of the pixels of the camera beside the point, as spatial frequencies ``[pixels, 4, 2]``."""
+    envelope: np.ndarray
+    """Field that a pixel of a cell sends to these points, over that at the point ``[pixels, 4, cells or 1]``."""
     tilts: np.ndarray
     """Wave of each cell at these points ``[pixels, 4, cells]``."""
 
@@ -239,6 +245,16 @@ def _tilts(away: np.ndarray, places: np.ndarray, widths: np.ndarray, slopes: np.
     """Return the waves of cells whose amplitude changes by factors exp(slopes) along their widths."""
     turns = away[..., None, :] * widths + 1j * slopes / (2 * np.pi)
     return np.exp(-2j * np.pi * (away @ places.T)) * np.sinc(turns).prod(-1)
+
+
+def _expose(table: OpticalTable, point: np.ndarray) -> None:
+    """Set the exposure of the camera for the focus of all pixels at a point, at four tenths of its range."""
+    modulator, camera, wavelength, distance, phases, registration = parts_of(table, "phases", "registration")
+    place = np.rint(registration.camera_pixels(point)).astype(int)
+    read_around(camera, place, int(min(14, *place, *(np.array(camera.shape[::-1]) - 1 - place))))
+    modulator.show(nearest_levels(lens_phase(modulator, wavelength, distance, point) - table.wavefront, phases))
+    exposed(camera, "focus", 0.4)
+    camera.region = None
 
 
 def _speckles(table: OpticalTable, point: np.ndarray, cell: np.ndarray, steps: np.ndarray, captures) -> _Speckles:
@@ -267,11 +283,10 @@ def _speckles(table: OpticalTable, point: np.ndarray, cell: np.ndarray, steps: n
     def show(step: np.ndarray) -> None:
         modulator.show(np.take_along_axis(shown, step[cell][None], axis=0)[0])
 
-    set_exposure(camera, lambda: show(0 * steps[0]))
     # Random phases spread the light over a region as many times larger as there are cells; speckles are up to five
     # times as bright as their mean.
     cells = steps.shape[1]
-    camera.exposure *= cells / 8
+    camera.exposure *= cells / 5
     top, exposures = (1 << camera.bits) - 1, np.array([1.0, LONGER] if camera.bits < FEW_BITS else [1.0])
     frames = []
     for factor in exposures:
@@ -286,7 +301,7 @@ def _speckles(table: OpticalTable, point: np.ndarray, cell: np.ndarray, steps: n
     offsets = np.quantile(seen, 0.005, axis=(1, 2), keepdims=True)
     noise = (top / (WELL * captures), 1 / (12 * captures))
     seen = combined(seen - offsets, seen < 0.95 * top, exposures, noise)[fine] / camera.exposure
-    camera.exposure /= cells / 8
+    camera.exposure /= cells / 5
     row, column, high, wide = camera.region or (0, 0, *camera.shape)
     camera.region = None
     v, u = np.meshgrid(np.arange(row, row + high), np.arange(column, column + wide), indexing="ij")
@@ -303,4 +318,10 @@ def _speckles(table: OpticalTable, point: np.ndarray, cell: np.ndarray, steps: n
     widths = np.sqrt(12 * np.clip(squares - places**2, 0, None) + modulator.pitch**2)
     away = (points - point) / (wavelength * b)
     noise = np.sqrt(np.clip(seen, 0, None) * seen.max() + (0.02 * seen.max()) ** 2)
-    return _Speckles(point, steps[fine], seen, noise, places, count, widths, away, _tilts(away, places, widths))
+    # All pixels lie at the same angle behind a lens.
+    angles = np.zeros(2) if isinstance(distance, Lens) else places
+    turns = (modulator.pitch / (wavelength * b)) * (points[..., None, :] - angles)
+    at_point = (modulator.pitch / (wavelength * b)) * (point - angles)
+    envelope = np.sinc(turns).prod(-1) / np.sinc(at_point).prod(-1)
+    tilts = envelope * _tilts(away, places, widths)
+    return _Speckles(point, steps[fine], seen, noise, places, count, widths, away, envelope, tilts)

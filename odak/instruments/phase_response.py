@@ -1,5 +1,6 @@
 """Phase of each level of a modulator, for the whole of it and by regions."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -27,9 +28,13 @@ GUARD, LARGEST_WINDOW = 3, 201
 SMALLEST_REGION = 12
 # Captures of level 0, whose error is in all phases, for each of another level; and noise of a phase of one half in
 # radians above which more captures are averaged.
-OF_ZERO, NOISE = 4, 3e-4
-# Exposure in units of that at which no pixel is saturated: without the brightest pixels, the others have more light.
-BRIGHTER = 2.0
+OF_ZERO, NOISE = 3, 4e-4
+# Deviation of captures from one phase at all pixels, as a share of the interference, that is a warning.
+DEVIATING = 0.1
+# Exposures in units of that at which no pixel is saturated: without the brightest pixels, the others have more light.
+BRIGHT, BRIGHTER = 2.0, 4.0
+# Factor by which light is focused, about, for a first exposure.
+FOCUSED = 300.0
 
 
 def nearest_levels(phase: np.ndarray, phases: np.ndarray) -> np.ndarray:
@@ -107,31 +112,32 @@ def between_regions(pixels: int, parts: int) -> np.ndarray:
 def measure_phase_response(table: OpticalTable, *, samples: int = 25, captures: int = 4) -> np.ndarray:
     """Measure the phase of each level of a modulator.
 
-    One half of the panel shows a level g, the same everywhere; a fixed pattern deflects the light of the other half
-    onto the light of the first. Behind them the field is A·e^{iφ(g)} + B, so that the intensity of each pixel of the
+    Two opposite quarters of the panel show a level g, the same everywhere; a fixed pattern deflects the light of those
+    beside them onto their light. Behind them the field is A·e^{iφ(g)} + B, so that the intensity of each pixel of the
     camera is a sum of a constant, cos φ(g) and sin φ(g), whatever the aberration, the illumination and the alignment
     are. The two largest principal components of the captures are such sums too; the ellipse on which they lie gives the
-    phase. The halves take turns, and the mean of the two is returned.
+    phase. The mean of the results of the two quarters is returned. Behind a lens, and where fringing fields along the
+    borders disturb, halves of the panel take the place of the quarters, one after the other.
 
     Parameters
     ----------
     table : OpticalTable
-        The table. The exposure of the camera is set for light that is not focused, twice as long as the brightest
+        The table. The exposure of the camera is set for light that is not focused, four times as long as the brightest
         pixels allow, which are left out. Behind a lens both halves form the focus on the axis, and the sign of the
         phases, for which the image turns by 180°, is taken to be positive.
     samples : int
         Number of levels measured, at least 8; those between are interpolated by a cubic spline.
     captures : int
-        Number of captures that are averaged for each pattern at most, and four times as many for level 0, whose error
-        is in all phases; four times as many behind a lens, whose focus few pixels see. One is enough where its noise
-        changes a phase by less than 0.3 mrad.
+        Number of captures that are averaged for each pattern of a half at most, twice as many for one of quarters, and
+        three times as many for level 0, whose error is in all phases; four times as many behind a lens, whose focus few
+        pixels see. One is enough where its noise changes a phase by less than 0.4 mrad.
 
     Returns
     -------
     numpy.ndarray
         Phases in radians ``[2^bits]``, relative to level 0, unwrapped; they fall with the level where a lens pattern
         focuses for that sign.
-        Where the response varies over the panel, it is a mean over what lies near the line between the halves.
+        Where the response varies over the panel, it is a mean over what lies near its middle.
 
     Raises
     ------
@@ -180,15 +186,24 @@ def phases_with_uncertainty(
     top = (1 << _validate.integer("modulator.bits", modulator.bits, minimum=1)) - 1
     # Responses that begin as a power of the level bend most there.
     levels = np.union1d(_measured_levels(top, samples), [1])
-    columns = modulator.shape[1]
-    left = np.arange(columns) < columns // 2
+    rows, columns = modulator.shape
+    left, upper = np.arange(columns) < columns // 2, np.arange(rows)[:, None] < rows // 2
+    border = np.s_[:, columns // 2 - GUARD : columns // 2 + GUARD]
+    one_side = [np.broadcast_to(side, modulator.shape) for side in (left, ~left)]
     if isinstance(distance, Lens):
         captures = 4 * captures
         pattern = np.full(modulator.shape, (top + 1) // 2)
+        pattern[border] = _guard(modulator, top)[border]
+        ways = [(1.0, pattern, one_side)]
     else:
         pattern = _onto_the_other_half(modulator, wavelength, distance, top)
-    border = np.s_[:, columns // 2 - GUARD : columns // 2 + GUARD]
-    pattern[border] = _guard(modulator, top)[border]
+        pattern[border] = _guard(modulator, top)[border]
+        crossed = pattern.copy()
+        crossed[rows // 2 - GUARD : rows // 2 + GUARD] = np.arange(columns) % 2 * top
+        crossed[border] = pattern[border]
+        # With the level on the left above and on the right below, one pattern tells the response of both halves. It has
+        # twice as much border, whose fringing fields disturb.
+        ways = [(BRIGHTER, crossed, [left == upper]), (BRIGHT, pattern, one_side)]
     modulator.show(np.where(left, pattern, (top + 1) // 2))
     if isinstance(distance, Lens):
         # Interference may make the focus twice as bright.
@@ -203,38 +218,45 @@ def phases_with_uncertainty(
         step = 1 + 2 * reach // LARGEST_WINDOW
         read_around(camera, np.array(camera.shape[::-1]) // 2, reach)
         set_exposure(camera)
-        camera.exposure *= BRIGHTER
     check_frames_are_new(modulator, camera, nearest_levels(deflected(modulator), np.array([0, np.pi])) * (top + 1) // 2)
     repeats = np.where(levels == 0, OF_ZERO, 1)
 
-    def halves(count: int) -> list[np.ndarray]:
-        """Return the sums of as many captures of each level on each half ``[levels, pixels]``, over the repeats."""
-        return [np.stack([seen_of(fixed, *one, count) for one in zip(levels, repeats, strict=True)]) for fixed in sides]
+    def seen(count: int, pattern: np.ndarray, sides: list[np.ndarray]) -> list[np.ndarray]:
+        """Return sums of as many captures of each level on each side ``[levels, rows, columns]``, over the repeats."""
+        found = []
+        for fixed, (level, repeat) in itertools.product(sides, zip(levels, repeats, strict=True)):
+            modulator.show(np.where(fixed, pattern, level))
+            frames = camera.capture(int(repeat * count))[:, ::step, ::step]
+            found.append(count * np.where(frames < SATURATED * camera.top, frames, np.nan).mean(0))
+        return np.split(np.stack(found), len(sides))
 
-    def seen_of(fixed: np.ndarray, level: int, repeat: int, count: int) -> np.ndarray:
-        modulator.show(np.where(fixed, pattern, level))
-        frames = camera.capture(int(repeat * count))[:, ::step, ::step]
-        return count * np.where(frames < SATURATED * camera.top, frames, np.nan).mean(0).ravel()
+    def halves(frames: list[np.ndarray]) -> list[np.ndarray]:
+        return [frame.reshape(len(levels), -1) for frame in frames] if len(frames) > 1 else _halved(frames[0])
 
-    sides = (left, ~left)
-    frames, captures = halves(1), _validate.integer("captures", captures, minimum=1)
-    more = min(captures, math.ceil(max((_noise_of_phases(half) / NOISE) ** 2 for half in frames))) - 1
-    if more > 0:
-        frames = [half + others for half, others in zip(frames, halves(more), strict=True)]
-    found = [_phases_of_interference(half) for half in frames]
+    captures = _validate.integer("captures", captures, minimum=1)
+    exposure = camera.exposure
+    for brighter, *shown in ways:
+        camera.exposure = brighter * exposure
+        frames = seen(1, *shown)
+        most = 2 * captures // len(frames)
+        more = min(most, math.ceil(max((_noise_of_phases(half) / NOISE) ** 2 for half in halves(frames)))) - 1
+        if more > 0:
+            frames = [one + others for one, others in zip(frames, seen(more, *shown), strict=True)]
+        (one, first), (other, second) = (_phases_of_interference(half) for half in halves(frames))
+        spread = max(first, second)
+        if spread < DEVIATING:
+            break
     camera.region = None
-    (one, first), (other, second) = found
-    seen = (one + other) / 2
+    mean = (one + other) / 2
     if not isinstance(distance, Lens):
-        seen = seen * _sign(modulator, camera, wavelength, distance, levels, seen)
-    phases, fewer = (_of_all_levels(levels[used], seen[used], top) for used in (np.s_[:], np.s_[::2]))
+        mean = mean * _sign(modulator, camera, wavelength, distance, levels, mean)
+    phases, fewer = (_of_all_levels(levels[used], mean[used], top) for used in (np.s_[:], np.s_[::2]))
     # A mean of two independent values is uncertain by half of their difference; the factors are those that make
     # standard deviations of the largest errors on independent tables. Near level 0, a power law is interpolated by half
     # the samples with several times the error. Fringing fields cause errors of about half of what captures deviate
     # from one phase at all pixels, as a share of the interference.
     within = levels[-1 - (len(levels) + 1) % 2]
     interpolation = float(np.abs(phases - fewer)[:within].max())
-    spread = max(first, second)
     return phases, math.hypot(0.4 * float(np.abs(one - other).max()), 0.005 * interpolation, 0.4 * spread), spread
 
 
@@ -264,6 +286,8 @@ def _sign(
     for sign in (1, -1):
         modulator.show(nearest_levels(lens, sign * every))
         if sign == 1:
+            # From the dark side fewer captures are needed.
+            camera.exposure /= FOCUSED
             set_exposure(camera)
         smooth = uniform_filter(averaged(camera, 1), 3)
         peaks.append(float(smooth.max() - np.median(smooth)))
@@ -282,10 +306,14 @@ def check_frames_are_new(modulator: Modulator, camera: Camera, other: np.ndarray
     """Raise an error if a camera returns frames of the pattern before, after another one `other` was shown."""
     first, second = (camera.capture(1)[0].astype(float) for _ in range(2))
     modulator.show(other)
-    frames = [camera.capture(1)[0].astype(float) for _ in range(count)]
+    before, noise = (first + second) / 2, ((first - second) ** 2).mean()
+    frames = [camera.capture(1)[0].astype(float) for _ in range(2)]
+    # Two that differ from those before and from one another by noise alone are new.
+    if ((frames[0] - before) ** 2).mean() > 9 * noise > 4 * ((frames[0] - frames[1]) ** 2).mean():
+        return
+    frames += [camera.capture(1)[0].astype(float) for _ in range(count - 2)]
     last = frames[-1]
-    before = (first + second) / 2
-    if ((last - before) ** 2).mean() < 9 * ((first - second) ** 2).mean():
+    if ((last - before) ** 2).mean() < 9 * noise:
         return
     older = [((frame - before) ** 2).mean() < ((frame - last) ** 2).mean() for frame in frames]
     if any(older):
@@ -318,6 +346,13 @@ def _of_all_levels(levels: np.ndarray, phases: np.ndarray, top: int) -> np.ndarr
     """
     angles = np.arccos(1 - 2 * np.arange(top + 1) / top)
     return CubicSpline(angles[levels], phases, bc_type="clamped")(angles)
+
+
+def _halved(frames: np.ndarray) -> list[np.ndarray]:
+    """Return the frames ``[n, pixels]`` of the first and of the last rows, of which each has half of the changes."""
+    changes = np.nan_to_num(frames.var(0)).sum(-1).cumsum()
+    row = int(np.clip(np.searchsorted(changes, changes[-1] / 2), 1, len(changes) - 1))
+    return [part.reshape(len(part), -1) for part in (frames[:, :row], frames[:, row:])]
 
 
 def _changes(frames: np.ndarray) -> np.ndarray:
@@ -369,7 +404,7 @@ def _phases_of_interference(frames: np.ndarray) -> tuple[np.ndarray, float]:
 
 def _warn_of_deviations(other: float) -> None:
     """Warn if captures deviate much from the captures that levels with one phase at all pixels would give."""
-    if other > 0.1:
+    if other > DEVIATING:
         warn(
             f"the phase response is uncertain: captures deviate by {other:.0%} from a response with one phase at "
             "all pixels, because of fringing fields between them, or a response that varies over the panel or in time",

@@ -36,6 +36,8 @@ ZERO_ORDER = 0.25
 COARSE = 4
 # Zernike polynomials of orders 1 to 4.
 FOURTH = 14
+# Change of the wavefront by coarse lenslets, in radians, below which one measurement by them is enough.
+SETTLED = 2 * np.pi / 4
 # Change of the wavefront in the last step, in radians, above which the measurement has not converged.
 UNSETTLED = 2 * np.pi / 20
 
@@ -72,7 +74,7 @@ def measure_wavefront(
         Highest radial order of the Zernike polynomials.
     iterations : int
         Number of iterations. With three or more and no `start`, the first two are of 4 × 4 lenslets, and take four
-        captures each.
+        captures each; the second is left out where the first finds less than a quarter of a wavelength.
     captures : int
         Number of captures that are averaged for each of the others.
     start : numpy.ndarray, optional
@@ -199,8 +201,10 @@ def wavefront_with_uncertainty(
     wavefront = np.zeros(modulator.shape) if start is None else np.asarray(start, float)
     camera.region = None
     cell, middles, system = lenslets_of(np.array([COARSE, COARSE]))
-    for _ in range(coarse):
-        wavefront = wavefront + fitted(apart(cell, middles), system[:, :FOURTH])[0]
+    turn, by = 0, math.inf
+    while turn < coarse and by > SETTLED:
+        change = fitted(apart(cell, middles), system[:, :FOURTH])[0]
+        wavefront, by, turn = wavefront + change, float(change.std()), turn + 1
     cell, middles, system = lenslets_of(fine)
     targets = middles * (wide / size)[::-1]
     phase, places = lenses(cell, targets), registration.camera_pixels(targets)

@@ -73,6 +73,23 @@ def test_distance_of_a_full_panel(wrong, bits, distance):
     assert distance_found(wrong, (1080, 1920), bits, distance, captures=1) == pytest.approx(1, abs=1e-4)
 
 
+def test_distance_and_astigmatism_of_the_sharpest_focus_together():
+    """Half a step from the summit along three axes; the captures are those of one design, twice at most."""
+    y, x = ((np.arange(64) - 32) / 32 for _ in range(2))
+    surface = 0.4 * x * y[:, None] + 0.2 * (x**2 - y[:, None] ** 2)
+    table = Laboratory((64, 64), distance=9e-3, camera_shape=(190, 196), camera_pitch=4e-6, wavefront=surface)
+    there = (*instruments_of(table), 532e-9, 9.03e-3, table.phases, aligned(table), np.zeros((64, 64)))
+    found, doubt = focus.focused(instruments.OpticalTable(*there))
+    low = low_modes(table.modulator)
+    assert rms(spots.without(found.wavefront - surface, low)) < 0.1 * rms(spots.without(surface, low))
+    assert abs(found.distance - 9e-3) < min(3 * doubt, 1e-3 * 9e-3)
+    assert table.camera.taken <= 34
+    flat = np.zeros(256)
+    with pytest.raises(RuntimeError, match="no sharpest focus was found: the area of the spot"):
+        table.phases = flat
+        focus.focused(instruments.OpticalTable(*there))
+
+
 def test_distance_without_light_is_error_that_says_what_was_seen():
     table = Laboratory((48, 64), distance=0.01, camera_shape=(120, 120))
     table.power = 0.0

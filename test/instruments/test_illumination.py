@@ -22,6 +22,21 @@ def test_a_narrow_beam_varies_within_cells():
     assert rms(found - beam / beam.max()) < 0.004 and 0.001 < uncertainty < 0.003
 
 
+@pytest.mark.slow
+def test_a_beam_behind_a_lens_is_found_to_a_thousandth():
+    """With the light of a pixel as it is at the point, for all that the camera sees around it, the error is 0.17 %."""
+    y, x = np.ogrid[-1:1:96j, -1:1:96j]
+    beam = np.exp(-((x - 0.1) ** 2 + (y + 0.05) ** 2) / 1.5)
+    options = {"focal_length": 20e-3, "camera_shape": (220, 240), "camera_pitch": 4e-6, "fill": 0.9}
+    table = Laboratory((96, 96), amplitude=beam, **options)
+    known = instruments.Registration(np.diag([4e-6, 4e-6, 1.0]), 0.0, table.camera.shape)
+    there = instruments.OpticalTable(
+        *instruments_of(table), 532e-9, instruments.Lens(20e-3), table.phases, known, np.zeros((96, 96))
+    )
+    found, uncertainty = illumination_with_uncertainty(there, patterns=16)
+    assert rms(found - beam / beam.max()) < 1.3e-3 and 6e-4 < uncertainty < 1.8e-3
+
+
 def illumination_found(seed, **faults):
     table = instruments.SimulatedTable(seed, **faults)
     truth = table.truth
@@ -69,4 +84,4 @@ def test_illumination_by_cameras_of_8_bits(exposures, monkeypatch):
     found = instruments.measure_illumination(*there, wavefront=table.wavefront, patterns=150)
     true = np.abs(table.illumination)
     error = rms(found - true / true.max())
-    assert error < 0.015 if exposures == 2 else error > 0.02
+    assert error < 0.01 if exposures == 2 else error > 0.011
