@@ -75,8 +75,9 @@ class Camera(Protocol):
     -----
     Measurements check what :meth:`capture` returns. They also take one frame ``[rows, columns]`` for each call, whole
     frames where a region was set, and colour frames ``[count, rows, columns, 3]``, whose channel of the largest
-    variance is used: light of one wavelength. Other shapes, counts beyond the bit depth, and data that are shifted to
-    the upper bits raise a ValueError.
+    variance is used: light of one wavelength. Floating-point multiples of 1/(2^bits − 1) up to 1 are shares of the
+    range, and become counts. Other shapes, other numbers below 1, counts beyond the bit depth, integers of fewer bits,
+    and data that are shifted to the upper bits raise a ValueError.
 
     Examples
     --------
@@ -330,6 +331,21 @@ def checked_frames(frames: Any, count: int, camera: Any) -> np.ndarray:
         raise ValueError(
             f"captures must be counts from 0 to {top}, got {smallest} to {largest}"
             + ("; 16 bits were read as signed integers: use .view(numpy.uint16)" if found.dtype == np.int16 else "")
+        )
+    if found.dtype.kind == "f" and 0 < largest <= 1 < top and (found % 1 != 0).any():
+        counts = np.rint(found.astype(float) * top)
+        if np.abs(found - counts / top).max() > 1e-2 / top:
+            raise ValueError(
+                f"captures must be counts from 0 to {top}, camera.bits = {camera.bits}, got numbers from "
+                f"{smallest:.3g} to {largest:.3g} that are no multiples of 1/{top}: return the counts of the camera, "
+                "not scaled"
+            )
+        # Shares of the range.
+        found, largest = counts, largest * top
+    if found.dtype.kind in "ui" and 8 * found.dtype.itemsize < camera.bits:
+        raise ValueError(
+            f"captures of {8 * found.dtype.itemsize} bits ({found.dtype}) cannot hold counts to {top}: set camera.bits "
+            f"to {8 * found.dtype.itemsize}, now {camera.bits}, or let the camera send {camera.bits} bits"
         )
     if found.dtype.kind in "ui" and largest > smallest:
         used = int(np.bitwise_or.reduce(found, axis=None))

@@ -201,11 +201,16 @@ FORMS = {
     "one frame of colours": lambda frames, _: np.stack([frames[0], frames[0] // 3, 0 * frames[0]], axis=-1),
     "an axis of channels": lambda frames, _: frames[:, None],
     "floats": lambda frames, _: frames.astype(float),
+    "shares of the range": lambda frames, _: (frames / 4095).astype(np.float32),
 }
 
 
 @pytest.mark.parametrize(
-    "form", [form if form == "colours" else pytest.param(form, marks=pytest.mark.slow) for form in FORMS]
+    "form",
+    [
+        form if form in ("colours", "shares of the range") else pytest.param(form, marks=pytest.mark.slow)
+        for form in FORMS
+    ],
 )
 def test_captures_in_other_forms_are_taken(form):
     table = laboratory()
@@ -224,6 +229,8 @@ FAULTS = {
     "shifted": (lambda frames, _: frames << 4, "multiples of 16, .* shifts its data left by 4 bits"),
     "deeper": (lambda frames, _: 37 * frames + 1, "counts from 0 to 4095, camera.bits = 12"),
     "signed": (lambda frames, _: (37 * frames).astype(np.int16) - 100, "16 bits were read as signed integers"),
+    "other shares": (lambda frames, _: frames / 4096, r"no multiples of 1/4095: return the counts of the camera"),
+    "fewer bits": (lambda frames, _: (frames >> 4).astype(np.uint8), r"of 8 bits \(uint8\) .*: set camera.bits to 8"),
     "no number": (lambda frames, _: frames * np.nan, "got nan to nan"),
     "too many": (lambda frames, _: np.repeat(frames, 2, axis=0), r"must return \[1, .*, got \[2, "),
     "automatic": (lambda frames, _: np.rint(2400 * (frames / frames.max())).astype(int), "automatic"),
