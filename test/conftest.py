@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 import array_api_strict
-import hypothesis
+import hypothesis.internal.conjecture.providers
 import numpy as np
 import pytest
 from turns import Turn
@@ -21,6 +21,9 @@ for profile, fixed in (("fixed", True), ("search", False)):
         profile, derandomize=fixed, deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
     )
 hypothesis.settings.load_profile("fixed")
+# Hypothesis would also draw the numbers and texts in the source of all modules that are loaded by then: seconds of
+# parsing in each process, and other examples after each edit and in another order of the tests.
+hypothesis.internal.conjecture.providers.is_local_module_file = lambda path: False
 
 
 def pytest_addoption(parser):
