@@ -63,6 +63,21 @@ def pytest_configure(config):
         os.environ["PYTEST_ADDOPTS"] = f"--assert=plain {os.environ.get('PYTEST_ADDOPTS', '')}"
 
 
+def pytest_xdist_make_scheduler(config, log):
+    """Give the processes of `-n` whole files, or groups, of the default tests.
+
+    Each file's fixtures are made once, and the program that gives out tests one by one looks through all of them each
+    time. Of the slow tests, single ones are given out: a file of them can take longer than all others.
+    """
+    from xdist.scheduler import LoadGroupScheduling
+
+    class ByFiles(LoadGroupScheduling):
+        def _split_scope(self, nodeid):
+            return super()._split_scope(nodeid).partition("::")[0]
+
+    return ByFiles(config, log) if config.option.markexpr == "not slow" else None
+
+
 @pytest.fixture(autouse=True)
 def _fresh_state():
     """Let no test depend on those before it: kernels, random numbers and the number of threads are as at the start."""

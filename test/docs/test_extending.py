@@ -45,5 +45,5 @@ def test_arguments_are_checked(defined, name, valid, positive):
         wrong = list(hostile.wrong_values(value, **strict))
         assert wrong
         for what, given, verdict in wrong:
-            complaint = contract.judge(defined[name], valid.copy, argument, given, verdict)
+            complaint = contract.judge(defined[name], valid | {argument: given}, argument, verdict)
             assert complaint is None, f"{argument} = {what}: {complaint}"
