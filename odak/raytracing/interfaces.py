@@ -11,7 +11,14 @@ from odak.raytracing import components as vec
 from odak.raytracing.batches import in_pieces
 from odak.raytracing.geometry import dot, finite_rays, safe_divide, safe_sqrt
 from odak.raytracing.intersections import RayStatus, status_array
-from odak.raytracing.surfaces import Parametric, grid_reader, polynomial_in, xy_polynomial, zernike_sag
+from odak.raytracing.surfaces import (
+    Parametric,
+    ZernikeFreeform,
+    grid_reader,
+    polynomial_in,
+    xy_polynomial,
+    zernike_sag,
+)
 
 
 class Fresnel(NamedTuple):
@@ -209,7 +216,10 @@ class Phase(Parametric):
         return True
 
     def curvatures(self) -> tuple:
-        """Return the second derivatives of the phase over 2π at the vertex by x and by y."""
+        """Return the second derivatives of the phase over 2π at the vertex by x and by y: its optical power.
+
+        They are 0 here, and must be defined by a phase that has power, for first-order properties.
+        """
         return 0.0, 0.0
 
     def powers(self, wavelength) -> tuple:
@@ -515,6 +525,12 @@ class ZernikePhase(Phase):
         scale = self.order / (2 * vec.PI)
         found = zernike_sag(x, y, 0.0, 0.0, self.coefficients, self.radius)
         return scale * found.height, scale * found.slope_x, scale * found.slope_y
+
+    def curvatures(self) -> tuple:
+        """Return the second derivatives at the vertex."""
+        along_x, along_y = ZernikeFreeform(coefficients=self.coefficients, radius=self.radius).curvatures()
+        scale = self.order / (2 * vec.PI)
+        return scale * along_x, scale * along_y
 
 
 @dataclass(frozen=True)

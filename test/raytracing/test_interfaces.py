@@ -323,3 +323,45 @@ def test_curvatures_and_cover_of_sampled_phases():
     ends = np.array([-0.51, -0.5, 0.5, 0.51])
     for x, y in ((ends, 0 * ends), (0 * ends, ends)):
         assert sampled.covers(x, y).tolist() == [False, True, True, False]
+
+
+def test_holograms_with_more_columns_than_rows(random):
+    """A quadratic phase, wrapped: cubic convolution interpolates it exactly, rays beyond its samples are vignetted."""
+    rows, columns, pitch = 12, 30, 0.3
+    y, x = np.meshgrid(
+        (np.arange(rows) - rows // 2) * pitch, (np.arange(columns) - columns // 2) * pitch, indexing="ij"
+    )
+
+    def cycles(x, y):
+        return 0.05 * x**2 - 0.08 * x * y + 0.11 * y**2 + 0.3 * x - 0.2 * y
+
+    held = interfaces.HologramPhase(2 * np.pi * (cycles(x, y) % 1), pitch, order=2.0)
+    across, down = random.uniform(-3.9, 3.6, 50), random.uniform(-1.4, 1.2, 50)
+    value, along_x, along_y = held.cycles(across, down)
+    turns = value / 2 - cycles(across, down)
+    np.testing.assert_allclose(turns, np.round(turns), atol=1e-12)
+    np.testing.assert_allclose(along_x, 2 * (0.1 * across - 0.08 * down + 0.3), atol=1e-12)
+    np.testing.assert_allclose(along_y, 2 * (0.22 * down - 0.08 * across - 0.2), atol=1e-12)
+    np.testing.assert_allclose(held.curvatures(), [0.2, 0.44], atol=1e-12)
+    places = np.asarray([-4.3, -4.1, 3.8, 4.0]), np.asarray([-1.6, -1.4, 1.1, 1.3])
+    assert held.covers(places[0], np.zeros(4)).tolist() == [False, True, True, False]
+    assert held.covers(np.zeros(4), places[1]).tolist() == [False, True, True, False]
+
+
+@pytest.mark.parametrize(
+    "phase",
+    [
+        interfaces.RadialPhase([3.0, -0.2], 4.0, 2.0),
+        interfaces.PolynomialPhase([0.3, -0.2, 1.5, 0.4, -0.7], 4.0, 2.0),
+        interfaces.ZernikePhase([0.0, 0.2, -0.1, 0.4, 0.3, 0.5], 4.0, 2.0),
+    ],
+)
+def test_powers_of_phases_are_second_derivatives(phase):
+    step, zero, wavelength = 1e-3, np.zeros(2), 0.5
+    ends = np.asarray([-step, step])
+    along = np.diff(phase.cycles(ends, zero)[1])[0], np.diff(phase.cycles(zero, ends)[2])[0]
+    np.testing.assert_allclose(phase.powers(wavelength), [-wavelength * one / (2 * step) for one in along], rtol=1e-5)
+
+
+def test_ideal_lenses_have_one_power():
+    assert interfaces.IdealLens(50.0).powers(0.5) == (0.02, 0.02)
