@@ -303,6 +303,7 @@ BY_CALL = {
     "odak.learn.wave.optimise": {"target": tensor(48, 64), "run": Run(iterations=3, progress=False)},
     "odak.learn.wave.propagator": {"distances": tensor(1) * 1e-3},
     "odak.learn.wave.propagator.init_distances": {"distances": tensor(1) * 1e-3},
+    "odak.learn.wave.holographic_display.init_distances": {"distances": tensor(1) * 1e-3},
     "odak.learn.wave.eyebox_hologram": {
         "targets": tensor(2, 16, 16),
         "distance": 5e-2,
