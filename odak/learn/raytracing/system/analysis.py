@@ -70,6 +70,8 @@ class Spots(NamedTuple):
         mean is taken over the rays, with the weights of a :class:`PupilQuadrature` over the area of the pupil.
     status : torch.Tensor
         int8, numbers of :class:`odak.raytracing.RayStatus`: what befell the ray first.
+    weights : torch.Tensor or None
+        Fractions of the area of the pupil that the rays stand for, ``[P]`` or ``[F, P]``; None where all are alike.
 
     Examples
     --------
@@ -86,6 +88,7 @@ class Spots(NamedTuple):
     rms: torch.Tensor
     largest: torch.Tensor
     status: torch.Tensor
+    weights: torch.Tensor | None = None
 
     def __repr__(self) -> str:
         return _show.one_line(self)
@@ -157,7 +160,7 @@ def spot_diagram(
     rms = torch.where(number > 0, safe_sqrt(mean), torch.nan)
     largest = torch.where(number > 0, safe_sqrt(squared.amax((-3, -1))), torch.nan)
     x, y = (torch.where(kept, value, torch.nan) for value in around)
-    return Spots(x, y, torch.stack([cx, cy], -1), rms, largest, traced.status)
+    return Spots(x, y, torch.stack([cx, cy], -1), rms, largest, traced.status, weights)
 
 
 def rms_spot(system: Any, pupil: Any = "rings", count: int = 6, **options: Any) -> torch.Tensor:
@@ -631,7 +634,7 @@ def through_focus(system: Any, shifts: Any, pupil: Any = "rings", count: int = 6
     Returns
     -------
     torch.Tensor
-        ``[..., F, n]``, all wavelengths together.
+        ``[..., F, n]``, all wavelengths together; means over the rays as of :func:`spot_diagram`.
 
     Examples
     --------
@@ -653,6 +656,8 @@ def through_focus(system: Any, shifts: Any, pupil: Any = "rings", count: int = 6
         gap = shifts.to(value) - torch.where(kept, traced.z, 0.0)[..., None]
         parts.append(value[..., None] + gap * slope[..., None])
     share = wavelength_shares(system, options.get("prescription"), parts[0])[:, None, None, None]
+    weights = weights_of(pupil, count, parts[0])
+    share = share if weights is None else share * weights[..., None]
     number = (kept[..., None] * share).sum((-4, -2))
     total = 0.0
     for place in parts:
@@ -740,6 +745,8 @@ def encircled_energy(
         count, rays = found.x.shape[-3], found.x.shape[-1]
         share = x.new_tensor(checked_weights("wavelength_weights", wavelength_weights, count) or (1.0,) * count)
         weight = kept * share.repeat_interleave(rays)
+        if found.weights is not None:
+            weight = weight * found.weights[..., None, :].expand(*found.weights.shape[:-1], count, rays).flatten(-2)
         if radii is None:
             radii = torch.linspace(0, 1, 100, dtype=torch.float64, device=x.device) * found.largest[..., None]
     else:

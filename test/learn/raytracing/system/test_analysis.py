@@ -26,6 +26,7 @@ from odak.learn.raytracing.system import (
     optical_system,
     path_fan,
     point_spread_function,
+    pupil_quadrature,
     pupil_samples,
     ray_fan,
     relative_illumination,
@@ -308,6 +309,18 @@ def test_figures_show_the_numbers_of_the_analyses():
     places = through_focus_figure(lens, [-1.0, 0.0, 1.0]).axes
     sizes = next(axes for axes in places if axes.get_ylabel().startswith("RMS")).lines[0].get_ydata()
     assert sizes[1] == pytest.approx(1000 * float(rms_spot(lens, "rings", 5)[0]))
+
+
+@pytest.mark.parametrize("quadrature", [False, True])
+def test_foci_and_energies_of_weighted_rays_are_those_of_the_whole_pupil(quadrature):
+    """A slow sphere: rays land at k·r³, focus at z = L·r², so that best focus is 2L/3, and r³ holds an energy r²."""
+    mirror = optical_system([surface(-2000.0, thickness=-1000.0, material="mirror")], 20.0)
+    pupil = pupil_quadrature(mirror, 30) if quadrature else "gauss"
+    edge, length = 10.0**3 / (2 * 2000.0**2), 10.0**2 / (4 * 2000.0)
+    assert abs(float(through_focus(mirror, [0.0], pupil, 30)) / (edge / 2) - 1) < 1e-4
+    assert abs(float(best_focus(mirror, pupil, 30)) / (2 * length / 3) - 1) < 1e-4
+    energy = encircled_energy(spot_diagram(mirror, pupil, 30), [0.2 * edge, 0.6 * edge])[1][0]
+    assert abs(energy - torch.tensor([0.2, 0.6]) ** (2 / 3)).max() < 0.03
 
 
 def test_best_focus_is_the_least_of_the_spots():
