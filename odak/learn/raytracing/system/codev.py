@@ -697,7 +697,9 @@ def glass_by_name(number: int, name: str, context: Context, reader: str) -> Mate
         return material(SPECIAL[bare.upper()])
     found, problem = catalogued(number, bare, context._replace(makers=[maker] if maker else []))
     if found is None:
-        raise ValueError(f"{problem}. Or pass glasses={{{name!r}: …}} to {reader}")
+        raise ValueError(
+            f"{problem} or with odak trace --glasses FILE (.agf), or pass glasses={{{name!r}: …}} to {reader}"
+        )
     return found
 
 

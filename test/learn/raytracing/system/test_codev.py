@@ -166,7 +166,7 @@ def test_a_diffractive_surface_has_the_power_of_its_first_term(tmp_path):
         ("STO;", "GLA;", "line 14: GLA must have a name, got none"),
         ("STO;", "HCO 1;", "HCO is a command that is not understood"),
         ("S 50 6", "S 50 six", "line 14: S must have a number, got 'six'"),
-        ("NBK7_SCHOTT", "NOGLASS_SCHOTT", "surface 1: name .*NOGLASS.*read_seq"),
+        ("NBK7_SCHOTT", "NOGLASS_SCHOTT", "surface 1: name .*NOGLASS.* or with odak trace --glasses FILE.*read_seq"),
         ("DIM M", "DIM F", "DIM must be one of M, MM"),
         ("SI 0 0.25", "", "a lens must have an object"),
         ("STO;", "RET S7;", "RET must name an earlier surface, got S7"),
