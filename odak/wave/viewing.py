@@ -76,8 +76,8 @@ def eye_image(
     Warns
     -----
     SamplingWarning
-        If the pupil receives light beyond the box that the pixels of the field determine, or the blur of the focus is
-        wider than the field.
+        If the pupil receives light beyond the box that the pixels of the field determine, or lies partly outside this
+        box, or the blur of the focus is wider than the field.
 
     Notes
     -----
@@ -151,12 +151,13 @@ def eye_transfer(
     pitch = [wavelength * away / (n * step) for n, step in zip(fine, steps, strict=True)]
     radius = diameter[..., None, None] / 2
     from_middle = []
+    _check_reach(place, turns, radius, squeeze, [p * n / 2 for p, n in zip(pitch, fine, strict=True)])
     for axis, n in enumerate(fine):
         along = xp.asarray(_frequencies(n), dtype=xp.float64, device=device) * n * pitch[axis]
         along = along - place[..., axis, None] - ROTATION_RADIUS * xp.sin(turns[axis])
         from_middle.append(along[..., :, None] if axis == 0 else along[..., None, :])
     down, across = (values / (narrow * radius) for values, narrow in zip(from_middle, squeeze, strict=True))
-    pupil = _covered(xp, down, across, [p / (s * radius) for p, s in zip(pitch, squeeze, strict=True)])
+    pupil = covered(xp, down, across, [p / (s * radius) for p, s in zip(pitch, squeeze, strict=True)])
     cycles = 0 * pupil
     if focus is not None:
         # The curvature in 1/m that an eye focused at a distance lacks for a field at another.
@@ -229,7 +230,7 @@ def _frequencies(n: int) -> list[float]:
     return [(k if k < n // 2 else k - n) / n for k in range(n)]
 
 
-def _covered(xp, down, across, spacing):
+def covered(xp, down, across, spacing):
     """Return the share of each sample, `spacing` (rows, columns) wide, that lies within the unit disc."""
     radius = xp.sqrt(down**2 + across**2 + 1e-30)
     along = xp.sqrt((down * spacing[0]) ** 2 + (across * spacing[1]) ** 2 + 1e-60) / radius
@@ -258,6 +259,23 @@ def _check_box(shape, steps, wavelength, distance) -> None:
                 f"at {_validate.numbers(distance)[0]:.3g} m light from the rim of a field of {n * step:.3g} m leaves "
                 f"the angles that its pixels determine: the pupil should be at least {n * step**2 / reach:.3g} times "
                 "as far away",
+                SamplingWarning,
+            )
+
+
+def _check_reach(place, turns, radius, squeeze, half) -> None:
+    """Warn of pupils that light passes which the pixels of the field do not determine."""
+    if not all(_array.is_readable(value) for value in (place, radius, *turns, *half)):
+        return
+    xp = _array.namespace(place)
+    for axis in (0, 1):
+        middle = place[..., axis] + ROTATION_RADIUS * xp.sin(turns[axis])
+        farthest = max(_validate.numbers(abs(middle) + squeeze[axis] * radius[..., 0, 0]))
+        ends = min(_validate.numbers(half[axis]))
+        if min(_validate.numbers(squeeze[axis] * radius)) < ends < farthest:
+            warn(
+                f"a pupil reaches {farthest:.3g} m from the axis, where the light of the pixels ends at {ends:.3g} m; "
+                "more distance or a smaller pitch widens it",
                 SamplingWarning,
             )
 

@@ -61,7 +61,8 @@ REASONS = {
         tools/matrix: quantize slice_rgbd_targets
         tools/transformation: quaternion_to_rotation_matrix
         wave/displays: __init__ _amplitudes _checked_target _frames_alone _frames_lit judge optimise starting_phases
-        wave/eyebox: _of_each eyebox_hologram
+        wave/eyebox: eyebox_hologram
+        wave/eyes: __post_init__ angles_of_each of_each seen
         wave/gaussians/scene: chosen
         wave/gaussians/sets: prune
         wave/loss: _checked_geometry _checked_picture

@@ -3,6 +3,7 @@
 import copy
 import functools
 import io
+import math
 import pickle
 import warnings
 
@@ -137,12 +138,15 @@ def test_a_step_of_gradient_descent_is_one_graph():
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings(f"ignore:{TORCHS_OWN[1]}")
-@pytest.mark.parametrize("kind", ["colours and planes", "lens", "two panels"])
+@pytest.mark.parametrize("kind", ["colours and planes", "lens", "eyes", "two panels"])
 def test_a_step_of_a_display_is_one_graph(kind):
     """Also of two displays in one graph, and of a second one where the first has been compiled."""
     first = wave.AmplitudePanel(1e-4) if kind == "two panels" else None
     panel, powers = wave.Modulator((16, 12), 8e-6, lit_through=first), torch.tensor([[1.0, 0.5], [0.0, 1.0]])
     places = [Lens(1e-2), Lens(1e-2, after=1.3e-2)] if kind == "lens" else [[2e-3, 3e-3], [4e-3, 5e-3]]
+    if kind == "eyes":
+        looks = {"positions": [(0.0, 0.0), (1e-4, 2e-4)], "diameter": 2e-4}
+        places = [wave.Eyes(2e-2, focus=math.inf, **looks), wave.Eyes(Lens(2e-2, after=1e-2), **looks)]
     displays = [wave.Display(panel, [639e-9, 515e-9], place, 2, powers) for place in places]
     target, phase = torch.rand(displays[0].shape), 6 * torch.rand(2, 16, 12)
 

@@ -117,6 +117,7 @@ from .elements import thin_film_transfer as thin_film_transfer
 from .elements import zernike_basis as zernike_basis
 from .elements import zernike_phase as zernike_phase
 from .eyebox import eyebox_hologram as eyebox_hologram
+from .eyes import Eyes as Eyes
 from .fields import exposure as exposure
 from .fields import generate_complex_field as generate_complex_field
 from .fields import intensity as intensity

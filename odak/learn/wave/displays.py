@@ -22,11 +22,12 @@ from odak import _array, _show, _torch_private, _validate
 from odak._attributes import Prepared
 from odak._bars import tqdm
 from odak._torch_private import differentiates, in_own_precision
-from odak._warnings import AccuracyWarning, ArgumentWarning, warn
+from odak._warnings import AccuracyWarning, ArgumentWarning, SamplingWarning, warn
 from odak.instruments import Calibration, Lens, load_calibration
 from odak.learn._tensors import ValuesRead, floating
 from odak.learn.tools.iterations import Run, minimise
 from odak.learn.wave.devices import DISTRIBUTED, Ranks, on_devices, shares_of, used_devices
+from odak.learn.wave.eyes import Eyes, Sight, seen_by_eye
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.holograms import STARTS, best_scale, encode_double_phase, named, network_on, starting_phase
 from odak.learn.wave.loss import FocalTargets, multiplane_loss
@@ -45,6 +46,7 @@ from odak.wave.transfer_functions import (
     pitches,
     plane_wave_transfer,
 )
+from odak.wave.viewing import covered
 
 # Diffraction orders along each axis that are computed without an iris: the zeroth and its neighbours.
 _ORDERS = 3
@@ -247,10 +249,11 @@ class Display(Prepared, torch.nn.Module):
         The panel.
     wavelengths : float or sequence of float
         Wavelengths of the C light sources in metres.
-    distances : float, sequence of float or odak.instruments.Lens
+    distances : float, sequence of float, odak.instruments.Lens or Eyes
         Distances of the D planes from the panel, or from its image by a relay, in metres; or the lens behind which a
         single plane is: the points of its images are λ·focal_length/(rows·pitch) and λ·focal_length/(columns·pitch)
-        apart, the axis at rows // 2 and columns // 2, over all that the pixels reach.
+        apart, the axis at rows // 2 and columns // 2, over all that the pixels reach; or :class:`Eyes`, whose D retinal
+        images take the place of planes.
     frames : int, optional
         Patterns F that are shown one after another, faster than an eye tells apart; one for each source by default.
     powers : torch.Tensor, optional
@@ -262,7 +265,7 @@ class Display(Prepared, torch.nn.Module):
         Amplitude of the light on the modulator, ``[rows, columns]`` or ``[C, rows, columns]``; one by default.
     iris : Iris or str, optional
         "order", a square stop that passes one diffraction order, |f| ≤ 1/(2·pitch); a round :class:`Iris`; or None for
-        no stop, where nine orders are computed: 36 transforms of an image instead of four.
+        no stop, where nine orders are computed: 36 transforms of an image instead of four. Eyes get all orders then.
     medium : float
         Refractive index between the modulator and the planes.
 
@@ -289,7 +292,7 @@ class Display(Prepared, torch.nn.Module):
     Display: 32 × 48 pixels of 8 µm (fill 0.9, 8 bits), 639, 515, 473 nm, 3 frames, planes at 2, 3 mm, one order
     """
 
-    _fixed = ("modulator", "wavelengths", "distances", "lens", "medium", "iris", "frames", "samples")
+    _fixed = ("modulator", "wavelengths", "distances", "lens", "eyes", "medium", "iris", "frames", "samples")
     powers: torch.Tensor
     profile: torch.Tensor | None
 
@@ -298,7 +301,7 @@ class Display(Prepared, torch.nn.Module):
         self,
         modulator: Modulator,
         wavelengths: float | Sequence[float],
-        distances: float | Sequence[float] | Lens,
+        distances: float | Sequence[float] | Lens | Eyes,
         frames: int | None = None,
         powers: torch.Tensor | None = None,
         profile: torch.Tensor | None = None,
@@ -311,11 +314,22 @@ class Display(Prepared, torch.nn.Module):
         self.modulator = modulator
         self.wavelengths = _numbers("wavelengths", wavelengths, positive=True)
         self.lens = distances if isinstance(distances, Lens) else None
-        self.distances = _numbers("distances", distances if self.lens is None else self.lens.after)
+        self.eyes = distances if isinstance(distances, Eyes) else None
+        ends = distances.distance if isinstance(distances, Eyes) else distances
+        found = _numbers("distances", ends.after if isinstance(ends, Lens) else ends)
+        self.distances = found if self.eyes is None else found * len(self.eyes)
         _validate.lengths_together(self.wavelengths, modulator.pitch, names=("wavelengths", "pitch", "distances"))
         self.medium = _validate.constant("medium", medium, positive=True)
         _checked_iris(iris)
         self.iris = iris
+        if self.eyes is not None:
+            for name, given, other in (
+                ("iris", iris, "'order' or None"),
+                ("medium", self.medium, "1"),
+                ("lit_through", modulator.lit_through, "None"),
+            ):
+                if isinstance(given, (Iris, AmplitudePanel)) or (name == "medium" and given != 1):
+                    raise ValueError(f"{name} must be {other} for a display that eyes look at, got {given!r:.80}")
         self._first = modulator.lit_through
         if self._first is not None and (self.lens is not None or self._orders() > 1):
             got = "a display behind a lens" if self.lens is not None else f"iris={iris!r}"
@@ -351,7 +365,7 @@ class Display(Prepared, torch.nn.Module):
                 )
             profile = profile.expand(colours, *modulator.resolution)
         self.register_buffer("profile", profile)
-        self.samples = 2 * self._orders()
+        self.samples = 2 * self._orders() if self.eyes is None else self._checked_eyes()
         self._kept: dict[Any, torch.Tensor] = {}
         self._geometry = self._in_words()
         rows, columns = modulator.resolution
@@ -429,6 +443,11 @@ class Display(Prepared, torch.nn.Module):
         )
 
     def _planes_in_words(self) -> str:
+        if self.eyes is not None:
+            lens, count = self.eyes.distance, len(self.eyes)
+            length, place = (lens.focal_length, "behind a lens of") if isinstance(lens, Lens) else (lens, "at")
+            pupils = _listed(sorted(set(self.eyes.diameter)), 1e3)  # type: ignore[arg-type]
+            return f"{count} eye{'s' * (count > 1)} {place} {1e3 * length:.4g} mm, pupils of {pupils} mm"
         if self.lens is not None:
             return f"lens of {1e3 * self.lens.focal_length:.4g} mm"
         return f"plane{'s' * (len(self.distances) > 1)} at {_listed(self.distances, 1e3)} mm"
@@ -460,7 +479,13 @@ class Display(Prepared, torch.nn.Module):
             sine = wavelength / (2 * max(pair) * self.medium)
             angles.append(math.asin(min(1.0, sine)))
             table.append((f"largest angle at {1e9 * wavelength:.4g} nm", f"{math.degrees(angles[-1]):.4g}°"))
-        table += [(f"plane {i}", f"{1e3 * distance:.6g} mm") for i, distance in enumerate(self.distances)]
+        if self.eyes is None:
+            table += [(f"plane {i}", f"{1e3 * distance:.6g} mm") for i, distance in enumerate(self.distances)]
+        else:
+            table += [
+                (f"pupil {i}", ", ".join(f"{1e3 * p:.4g}" for p in place) + " mm")
+                for i, place in enumerate(self.eyes.positions)
+            ]
         section = _section(rows * pair[0], self.distances, list(zip(self.wavelengths, angles, strict=True)))
         return _show.View(repr(self), [("section: panel, planes, and the light of a pixel", section)], table)
 
@@ -490,11 +515,15 @@ class Display(Prepared, torch.nn.Module):
         def stop(iris):
             return (float(iris.radius), float(iris.focal_length)) if isinstance(iris, Iris) else iris
 
-        panel, first, lens = self.modulator, self._first, self.lens
+        panel, first = self.modulator, self._first
         before = None if first is None else (float(first.distance), float(first.fill), stop(first.iris))
-        behind = None if lens is None else tuple(float(getattr(lens, one.name)) for one in fields(lens))
         pixels = tuple(panel.resolution), _pitch_pair(panel.pitch), float(panel.fill)
-        return repr((pixels, before, self.wavelengths, behind, self.distances, stop(self.iris), float(self.medium)))
+        return repr((pixels, before, self.wavelengths, _in_numbers(self._path), stop(self.iris), float(self.medium)))
+
+    @property
+    def _path(self) -> "tuple[float, ...] | Lens | Eyes":
+        """Return what was given as `distances`."""
+        return self.eyes or self.lens or self.distances
 
     def _fingerprint(self) -> str:
         """Return a short text that a display of other lengths, light or panels does not have."""
@@ -631,6 +660,10 @@ class Display(Prepared, torch.nn.Module):
         colours = range(self.shape[1])
         if self.lens is not None:
             return torch.stack([self._focused(self._lit(light, c).unsqueeze(-3), c) for c in colours], -3)
+        if self.eyes is not None:
+            lit = [self._lit(light, c).unsqueeze(-3) for c in colours]
+            seen = [[self._seen(lit[c], c, e)[..., 0, 0, :, :] for e in range(self.shape[0])] for c in colours]
+            return torch.stack([torch.stack(one, -3) for one in seen], -3)
         middles = [self._kernels(c, light.dtype)[:: self.samples**2] for c in colours]
         if self._first is not None:
             return torch.stack([self._through_both(light, amplitudes, c, k) for c, k in enumerate(middles)], -3)
@@ -775,6 +808,9 @@ class Display(Prepared, torch.nn.Module):
         if self._first is not None:
             kernels = self._kernels(colour, lit.dtype, part.planes)
             shown = self._through_both(lit, shown_in(amplitudes), colour, kernels)
+        elif self.eyes is not None:
+            eyes = range(self.shape[0]) if part.planes is None else part.planes
+            shown = torch.cat([self._seen(light, colour, eye).flatten(-4, -3) for eye in eyes], -3)
         elif self.lens is None:
             # One kernel for each plane and point of a pixel takes one transform back, but a single forward one.
             shown = convolve(light, self._kernels(colour, light.dtype, part.planes))
@@ -788,6 +824,53 @@ class Display(Prepared, torch.nn.Module):
             exposure(points[:, :, None], amplitudes)[:, 0].unflatten(0, (-1, self.samples, self.samples))
         )
         return areas.reshape(*batch, -1, *areas.shape[-2:])
+
+    def _seen(self, light, colour, eye):
+        """Return the field on a retina at the points of a pixel, ``[..., samples, samples, rows, columns]``."""
+        parts = (self._once("_of_eye", colour, eye, part, light.dtype) for part in range(5))
+        shown = seen_by_eye(light, *parts)
+        samples = self.samples
+        rows, columns = self.modulator.resolution
+        return (
+            shown[..., 0, :, :]
+            .unflatten(-2, (rows, samples))
+            .unflatten(-1, (columns, samples))
+            .movedim((-3, -1), (-4, -3))
+        )
+
+    def _back_from_eye(self, amplitudes, light, colour, eye):
+        """Return the light on the panel, by the adjoint, of the image of an eye with its amplitudes replaced."""
+        down, across, pupil, *back = (self._once("_of_eye", colour, eye, part, light.dtype) for part in range(5))
+        # Every so many rows of the matrices are the middles of pixels.
+        back_down, back_across = (matrix[:: self.samples] for matrix in back)
+        shown = seen_by_eye(light, down, across, pupil, back_down, back_across)
+        there = back_down.mH @ (amplitudes * unit_phasor(shown.angle())) @ back_across.conj() * pupil.conj()
+        return down.mH @ there @ across.conj()
+
+    def _of_eye(self, colour, eye, part, dtype):
+        made = self._sight(colour, eye).parts(self.samples)[part]
+        return torch.from_numpy(made).to(self.powers.device, dtype)
+
+    def _sight(self, colour, eye) -> Sight:
+        """Return the way of the light of a colour to the retina of an eye."""
+        panel = self.modulator
+        pixels = tuple(panel.resolution), _pitch_pair(panel.pitch)
+        width, one_order = math.sqrt(panel.fill), self.iris == "order"
+        return Sight(self.eyes, eye, *pixels, self.wavelengths[colour], width, one_order)  # type: ignore[arg-type]
+
+    def _checked_eyes(self) -> int:
+        """Return how many points of a pixel describe what eyes see; warn where they see no image of the panel."""
+        sights = [self._sight(c, e) for c in range(len(self.wavelengths)) for e in range(len(self.eyes or ()))]
+        worst = min(sights, key=Sight.seen)
+        if self.iris == "order" and worst.seen() < 1:
+            place = ", ".join(f"{1e3 * p:.3g}" for p in worst.eyes.positions[worst.eye])
+            wide = 1e3 * min(map(worst.box, (0, 1)))
+            warn(
+                f"the light of {1 - worst.seen():.0%} of the rows or columns of the panel passes by the pupil at "
+                f"({place}) mm at {1e9 * worst.wavelength:.4g} nm: one order is {wide:.3g} mm wide there",
+                SamplingWarning,
+            )
+        return max(map(Sight.samples, sights))
 
     def _focused(self, light, colour, beside=(0.0, 0.0)):
         """Return the field behind the lens, at the middles of the points of an image or a part of one beside them."""
@@ -873,6 +956,8 @@ class Display(Prepared, torch.nn.Module):
                         first = self._lit(amplitudes[f : f + 1].to(light.dtype), c)[0]
                         lit = self._both(first, light[f], wavelength, finer)
                         shown = self._spread_freely(lit, wavelength, distance, finer)
+                    elif self.eyes is not None:
+                        shown, finer = self._on_retina(lit, self._sight(c, d))
                     elif self.lens is None:
                         # Without a round stop the grid has no frequencies but those that pass.
                         round_stop = isinstance(self.iris, Iris)
@@ -887,7 +972,7 @@ class Display(Prepared, torch.nn.Module):
 
     def lit_by(self, powers: torch.Tensor) -> "Display":
         """Return the same display with other powers of the sources, ``[F, C]``."""
-        given = self.modulator, self.wavelengths, self.lens or self.distances, self.frames, powers, self.profile
+        given = self.modulator, self.wavelengths, self._path, self.frames, powers, self.profile
         return Display(*given, self.iris, self.medium).to(self.powers.device)
 
     def _spread(self, light, colour):
@@ -903,6 +988,38 @@ class Display(Prepared, torch.nn.Module):
         turn = 2 * math.pi * torch.remainder(moved[0][:, None] + moved[1], 1)
         passed = torch.polar(self._envelope(frequencies, colour), turn).to(light.device, light.dtype)
         return torch.fft.fftshift(field) * passed
+
+    def _on_retina(self, light, sight: Sight):
+        """Return the field that an eye sees, by transforms to the whole plane of its pupil and back, and its samples.
+
+        The field has several samples in each pixel of an area of twice the extent of the panel.
+        """
+        (a, b, _), (middle, halves), sizes = sight.ray_matrix(), sight.pupil(), light.shape
+        boxes = [sight.box(axis) for axis in (0, 1)]
+        # All orders that reach the pupil, from the rim of the panel too.
+        reach = [abs(m) + h + box / 2 for m, h, box in zip(middle, halves, boxes, strict=True)]
+        finer = max(math.ceil(2 * r / box) for r, box in zip(reach, boxes, strict=True))
+        passed = 1.0 if self.iris is None else self._passed(finer, sight.wavelength, self.iris, light.device)
+        field = self._sampled(light, finer, self.modulator.fill, passed)
+        # Zeros around a small panel bring the points of the pupil nearer to each other.
+        wide = max(1, *(math.ceil(16 * box / (n * h)) for n, h, box in zip(sizes, halves, boxes, strict=True)))
+        more = [(wide - 1) * n * finer for n in sizes]
+        field = torch.nn.functional.pad(field, (more[1], more[1], more[0], more[0]))
+        (down, y, fine), (across, x, more_fine) = (
+            (
+                torch.fft.fftfreq(n, pitch / finer, dtype=torch.float64) * sight.wavelength * b - place,
+                ((torch.arange(n, dtype=torch.float64) - n // 2) * pitch / finer) ** 2,
+                sight.wavelength * abs(b) * finer / (n * pitch * half),
+            )
+            for n, pitch, half, place in zip(field.shape, sight.pitches, halves, middle, strict=True)
+        )
+        bend = a / (2 * sight.wavelength * b) * (y[:, None] + x)
+        blur = sight.defocus() / (2 * sight.wavelength) * (down[:, None] ** 2 + across**2)
+        passed = covered(torch, down[:, None] / halves[0], across / halves[1], [fine, more_fine]).to(field.device)
+        before, behind = (_array.phasor_of_cycles(c.to(field.device), field.dtype) for c in (bend, blur))
+        there = torch.fft.fft2(torch.fft.ifftshift(field * before)) * (passed * behind)
+        shown = torch.fft.fftshift(torch.fft.ifft2(there))
+        return shown[more[0] : len(shown) - more[0], more[1] : shown.shape[1] - more[1]], finer
 
     def _sampled(self, light, samples, fill, passed: torch.Tensor | float = 1.0):
         """Return the field of square pixels on a grid of twice its extent, with several samples in each pixel.
@@ -974,13 +1091,31 @@ def _of_geometry(geometry: str, device: str, make: str, *given) -> tuple[torch.T
     def stop(iris):
         return Iris(*iris) if isinstance(iris, tuple) else iris
 
-    (resolution, pitch, fill), before, wavelengths, lens, distances, iris, medium = ast.literal_eval(geometry)
+    (resolution, pitch, fill), before, wavelengths, path, iris, medium = ast.literal_eval(geometry)
     with _torch_private.outside_functional_transforms(), torch.no_grad(), _torch_private.keeping():
         first = None if before is None else AmplitudePanel(before[0], None, before[1], stop(before[2]))
         modulator = Modulator(resolution, pitch, None, fill, lit_through=first)
-        distances = distances if lens is None else Lens(*lens)
-        display = Display(modulator, wavelengths, distances, iris=stop(iris), medium=medium)
+        display = Display(modulator, wavelengths, _of_numbers(path), iris=stop(iris), medium=medium)
         return (getattr(display.to(device), make)(*given),)
+
+
+def _in_numbers(path):
+    """Return a path of light as a tuple of numbers, texts and tuples of them."""
+    if isinstance(path, (Lens, Eyes)):
+        return (type(path).__name__, *(_in_numbers(getattr(path, one.name)) for one in fields(path)))
+    if isinstance(path, tuple):
+        return tuple(map(_in_numbers, path))
+    # Infinity is a focus of eyes, and no number in a text of Python.
+    return path if path is None or math.isfinite(path) else str(path)
+
+
+def _of_numbers(path):
+    """Return what :func:`_in_numbers` has been given."""
+    if isinstance(path, tuple):
+        kind = {"Lens": Lens, "Eyes": Eyes}.get(path[0])
+        parts = map(_of_numbers, path if kind is None else path[1:])
+        return tuple(parts) if kind is None else kind(*parts)
+    return float(path) if isinstance(path, str) else path
 
 
 def _frames_lit(powers: torch.Tensor) -> tuple[tuple[int, ...], ...]:
@@ -1310,8 +1445,8 @@ def _frames_alone(display: Display, solver: str) -> list[tuple[int, int, int]]:
     """Return frame, plane and colour for each frame, for solvers whose frames show one colour on one plane each."""
     if display.modulator.lit_through is not None:
         raise ValueError(f"{solver} needs a modulator without lit_through: use the solver 'lbfgs'")
-    if display.lens is not None:
-        raise ValueError(f"{solver} needs a display without a lens: use the solver 'lbfgs'")
+    if display.lens is not None or display.eyes is not None:
+        raise ValueError(f"{solver} needs a display without a lens or eyes: use the solver 'lbfgs'")
     lit = [[c for c, power in enumerate(row) if power] for row in display.powers.tolist()]
     if len(display.distances) > 1 or any(len(colours) != 1 for colours in lit):
         raise ValueError(
@@ -1526,10 +1661,12 @@ class DisplayedHologram:
         return self.display.modulator.levels(self.phases)
 
     def table(self) -> list[dict[Any, Any]]:
-        """Return one row of numbers for each plane and colour: lengths in metres, ratios in decibels."""
+        """Return one row of numbers for each plane or eye and colour: lengths in metres, ratios in decibels."""
+        eyes = self.display.eyes
         return [
             {
                 "distance": distance,
+                **({} if eyes is None else {"pupil": eyes.positions[d]}),
                 "wavelength": wavelength,
                 "psnr_db": float(self.psnr[d, c]),
                 "psnr_at_points_db": float(self.psnr_at_points[d, c]),
@@ -1552,10 +1689,22 @@ class DisplayedHologram:
         named = (("target", self.target[0]), ("image", self.images[0]))
         pictures = [(name, _show.png(_picture(planes.detach().cpu()))) for name, planes in named]
         pictures.append(("pattern", _show.png((self.phases[0] / TURN).detach().cpu())))
-        head = ("plane", "wavelength", "PSNR over areas", "at points", "brightness")
+
+        def plane(row):
+            if "pupil" in row:
+                return ", ".join(f"{1e3 * p:.3g}" for p in row["pupil"]) + " mm"
+            return f"{1e3 * row['distance']:.4g} mm"
+
+        head = (
+            "plane" if self.display.eyes is None else "pupil",
+            "wavelength",
+            "PSNR over areas",
+            "at points",
+            "brightness",
+        )
         rows = [
             (
-                *(f"{1e3 * r['distance']:.4g} mm", f"{1e9 * r['wavelength']:.4g} nm"),
+                *(plane(r), f"{1e9 * r['wavelength']:.4g} nm"),
                 *(f"{r['psnr_db']:.1f} dB", f"{r['psnr_at_points_db']:.1f} dB", f"{r['brightness']:.4g}"),
             )
             for r in self.table()
@@ -1610,7 +1759,7 @@ def optimise(
     """Return the patterns that show a target on a display, with their images and quality.
 
     Use it for a picture on one plane, for several planes, colours and frames alike. What is optimised is what is
-    stated: means over the areas of pixels. For eyeboxes, use :func:`odak.learn.wave.eyebox_hologram`.
+    stated: means over the areas of pixels, on planes or on the retinas of :class:`Eyes`.
 
     Parameters
     ----------
@@ -1618,10 +1767,11 @@ def optimise(
         The display.
     target : torch.Tensor, tuple of torch.Tensor, multiplane_loss or list of them
         Intensities 0 … 1, ``[rows, columns]`` for one plane and colour, ``[C, rows, columns]`` for one plane, or
-        ``[D, C, rows, columns]``. Its brightness is free: the sources of each colour are dimmed to it. A picture with
-        depth is a pair of ``[C, rows, columns]`` and a depth ``[rows, columns]``, 0 the first plane and 1 the last:
-        each pixel is in focus on its own plane, and blurred on the others by the cone of its light. For another blur,
-        give a :class:`odak.learn.wave.multiplane_loss`. A list is of several pictures, each with a hologram of its own.
+        ``[D, C, rows, columns]``; eyes that get no targets of their own see the same. Its brightness is free: the
+        sources of each colour are dimmed to it. A picture with depth is a pair of ``[C, rows, columns]`` and a depth
+        ``[rows, columns]``, 0 the first plane and 1 the last: each pixel is in focus on its own plane, and blurred on
+        the others by the cone of its light. For another blur, give a :class:`odak.learn.wave.multiplane_loss`. A list
+        is of several pictures, each with a hologram of its own.
     loss : callable, optional
         ``loss(images, target)``, both ``[D, C, rows, columns]``; the mean squared error by default, for a picture with
         depth its :class:`odak.learn.wave.multiplane_loss`. One that takes a `generator` is given one.
@@ -1775,11 +1925,15 @@ def _unpacked(parts: dict[str, Any], display: Display) -> DisplayedHologram:
 
 
 def _projected(display, target, colour, phase, iterations: int = 10):
-    """Return a phase after iterations of Gerchberg and Saxton's between the panel and the plane behind a lens."""
-    amplitude, light = target[0, colour].sqrt(), unit_phasor(phase)
+    """Return a phase after iterations of Gerchberg and Saxton's between the panel and what a lens or eyes show."""
+    amplitudes, light = target[:, colour].sqrt(), unit_phasor(phase)
     for _ in range(iterations):
-        there = display._focused(light, colour)
-        light = unit_phasor(display._back(amplitude * unit_phasor(there.angle()), colour).angle())
+        if display.eyes is None:
+            there = amplitudes[0] * unit_phasor(display._focused(light, colour).angle())
+            back = display._back(there, colour)
+        else:
+            back = sum(display._back_from_eye(a, light, colour, eye) for eye, a in enumerate(amplitudes))
+        light = unit_phasor(back.angle())
     return light.angle()
 
 
@@ -1787,6 +1941,8 @@ def _focal_targets(display, target):
     """Return the targets of the planes of a picture with depth; None for any other target."""
     if not isinstance(target, tuple) or len(target) != 2:
         return None
+    if display.eyes is not None:
+        raise ValueError("target must be images [eyes, colours, rows, columns] where eyes look on, got one with depth")
     iris = display.iris
     # An iris passes frequencies up to radius/(λ·focal_length), λ in air: in a medium the sine of the cone is smaller.
     sine = iris.radius / (iris.focal_length * display.medium) if isinstance(iris, Iris) else None
@@ -1810,8 +1966,10 @@ def _checked_target(display, target):
     target = checked_intensities("target", floating("target", target))
     planes, colours, rows, columns = display.shape
     accepted = {(planes, colours, rows, columns)}
-    accepted |= {(colours, rows, columns)} if planes == 1 else set()
-    accepted |= {(rows, columns)} if planes == colours == 1 else set()
+    # Eyes may all see the same.
+    alike = planes == 1 or display.eyes is not None
+    accepted |= {(colours, rows, columns)} if alike else set()
+    accepted |= {(rows, columns)} if alike and colours == 1 else set()
     if tuple(target.shape) not in accepted:
         raise ValueError(
             f"target must be [planes, colours, rows, columns] = {list(display.shape)}, got {list(target.shape)}"
@@ -1823,7 +1981,7 @@ def _checked_target(display, target):
             "target is black: a modulator of phases leaves its light somewhere, and the quality means nothing",
             ArgumentWarning,
         )
-    return target.reshape(display.shape).to(display.powers.device)
+    return target.expand(display.shape).to(display.powers.device)
 
 
 def starting_phases(display, target, start, seed) -> torch.Tensor:
@@ -1835,13 +1993,18 @@ def starting_phases(display, target, start, seed) -> torch.Tensor:
     name = named("start", start, STARTS)
     if display.lens is not None and name in ("double phase", "network"):
         raise ValueError(f"start must be 'gs', 'quadratic', 'random', 'flat' or phases behind a lens, got {name!r}")
+    if display.eyes is not None and name not in ("gs", "random", "flat"):
+        raise ValueError(f"start must be 'gs', 'random', 'flat' or phases where eyes look on, got {name!r}")
+    begun = name
+    if name == "gs":
+        begun = "random" if display.eyes is not None else "quadratic" if display.lens is not None else name
     plane, phases = display.shape[0] // 2, torch.zeros(shape, dtype=target.dtype, device=target.device)
     brightest = display.powers.argmax(1).tolist()
     for colour in sorted(set(brightest)):
         frames = [frame for frame, lit in enumerate(brightest) if lit == colour]
         wavelength, distance = display.wavelengths[colour] / display.medium, display.distances[plane]
         found = starting_phase(
-            "quadratic" if display.lens is not None and name == "gs" else name,
+            begun,
             target[plane, colour],
             wavelength,
             distance,
@@ -1852,7 +2015,7 @@ def starting_phases(display, target, start, seed) -> torch.Tensor:
         )
         aberration = 0.0 if name in ("flat", "random") else display._flat(colour)[1]
         for frame, phase in zip(frames, found.reshape(len(frames), *shape[1:]), strict=True):
-            if display.lens is not None and name == "gs":
+            if begun != name:
                 phase = _projected(display, target, colour, phase)
             phases[frame] = phase - aberration
     return phases

@@ -10,6 +10,7 @@ import torch
 from odak import _validate
 from odak.learn._tensors import takes_constants, tensor
 from odak.learn.tools.iterations import SOLVERS, Run, minimise
+from odak.learn.wave.eyes import angles_of_each, of_each
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.holograms import best_scale
 from odak.learn.wave.training import checked_intensities, fingerprint, generator_from, seeded_loss, started
@@ -155,12 +156,9 @@ def eyebox_hologram(
             raise ValueError("pupils_per_step must be left out with 'lbfgs', whose line search needs one loss")
     device, generator = targets.device, generator_from(seed)
     places = places.to(device)
-    diameters, foci = (_of_each(*pair, places) for pair in (("pupil_diameter", pupil_diameter), ("focus", focus)))
-    turns = tensor("rotation", rotation, torch.float64, torch.device("cpu"))
-    if tuple(turns.shape) not in ((2,), (len(places), 2)):
-        raise ValueError(f"rotation must be [2] or [{len(places)}, 2], got {list(turns.shape)}")
+    diameters, foci = (of_each(*pair, places) for pair in (("pupil_diameter", pupil_diameter), ("focus", focus)))
+    turns = angles_of_each(rotation, len(places))
     turned = bool(turns.any())
-    turns = turns.detach().expand(len(places), 2)
     modulate = unit_phasor if slm is None else slm
     if (samples := getattr(slm, "samples_per_pixel", 1)) != 1:
         raise ValueError(f"slm must have one sample per pixel here, got {samples}")
@@ -216,18 +214,3 @@ def eyebox_hologram(
     with torch.no_grad():
         hologram = modulate(phase)
         return (hologram[0] if frames == 1 and len(hologram) == 1 else hologram), images(slice(None))
-
-
-def _of_each(name, value, places):
-    """Return a length for each place, ``[K]``; None for None."""
-    if value is None:
-        return None
-    if name == "focus":
-        lengths = tensor(name, value, torch.float64).to(places.device)
-        if not bool((lengths > 0).all()):
-            raise ValueError(f"focus must be positive distances, infinity included; got {value!r:.80}")
-    else:
-        lengths = tensor(name, _validate.real(name, value, positive=True), torch.float64).to(places.device)
-    if lengths.ndim > 1 or (lengths.ndim == 1 and len(lengths) != len(places)):
-        raise ValueError(f"{name} must be one number or [{len(places)}], got {list(lengths.shape)}")
-    return lengths.expand(len(places))

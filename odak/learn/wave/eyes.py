@@ -1,0 +1,250 @@
+"""Eyes that look at a display, and the way of light from its pixels to their retinas."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from scipy import special
+
+from odak import _array, _validate
+from odak.instruments import Lens
+from odak.learn._tensors import tensor
+from odak.wave.viewing import ROTATION_RADIUS, covered
+
+# Points along the diameter of a pupil, at least.
+_POINTS = 64
+
+
+@_validate.takes_units("distance", "positions", "diameter", "focus", degrees=("rotation",))
+@dataclass(frozen=True)
+class Eyes:
+    """Eyes that look at a display: what :class:`Display` takes in place of distances of planes.
+
+    Use them for near-eye displays and for eyeboxes: the images are those on the retinas of K eyes, or of one eye at K
+    places. With an eyepiece, give the :class:`odak.instruments.Lens` between the panel and the pupil, whose distance
+    from the lens is `after`. Light is followed from the pixels to the pupil by direct sums of Fresnel's integral.
+
+    Parameters
+    ----------
+    distance : float or odak.instruments.Lens
+        Distance from the panel, or from its image by a relay, to the pupils in metres; or the eyepiece before them.
+    positions : sequence of sequence of float
+        Middles of the pupils (y, x) in metres, ``[K, 2]``; the axis by default.
+    diameter : float or sequence of float
+        Diameter of the pupil in metres, one or ``[K]``.
+    focus : float or sequence of float, optional
+        Distance in metres on which the eye is focused, infinity included, one or ``[K]``; by default the panel, as it
+        is seen through the eyepiece.
+    rotation : sequence
+        Angles in degrees (rows, columns) by which the eye is rotated about its centre, ``[2]`` or ``[K, 2]``: the pupil
+        moves to the side and back, and appears narrower, as in :func:`odak.learn.wave.eye_image`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Notes
+    -----
+    A sample of the image is the direction in which its pixel of the panel is seen from the middle of the pupil.
+
+    Examples
+    --------
+    >>> from odak.instruments import Lens
+    >>> from odak.learn.wave import Eyes
+    >>> len(Eyes(Lens("40mm", after="25mm"), [[0.0, -1e-3], [0.0, 1e-3]], "3mm"))
+    2
+    """
+
+    distance: float | Lens
+    positions: Sequence[Any] = ((0.0, 0.0),)
+    diameter: float | Sequence[float] = 4e-3
+    focus: float | Sequence[float] | None = None
+    rotation: Sequence[Any] = (0.0, 0.0)
+
+    def __post_init__(self):
+        def keep(name, values):
+            object.__setattr__(self, name, values)
+
+        if not isinstance(self.distance, Lens):
+            keep("distance", _validate.constant("distance", self.distance, positive=True))
+        elif self.distance.block:
+            raise ValueError(f"distance must be a lens without a block before an eye, got {self.distance!r:.80}")
+        places = tensor("positions", self.positions, torch.float64)
+        if places.ndim != 2 or places.shape[1] != 2 or not len(places):
+            raise ValueError(f"positions must be [K, 2] with K at least 1, got {list(places.shape)}")
+        keep("positions", tuple(map(tuple, _validate.real("positions", places).tolist())))
+        keep("diameter", tuple(of_each("diameter", self.diameter, places).tolist()))
+        if self.focus is not None:
+            keep("focus", tuple(of_each("focus", self.focus, places).tolist()))
+        keep("rotation", tuple(map(tuple, angles_of_each(self.rotation, len(places)).tolist())))
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+
+@dataclass(frozen=True)
+class Sight:
+    """The way of the light of one wavelength from the pixels of a panel through one pupil to a retina.
+
+    Fresnel's integral over a small square pixel is its value at the middle times the sinc function of the angle. Both
+    are products of a function of rows and one of columns: two matrix products lead to the points of a pupil, and two to
+    those of an image, without the transforms of the whole plane (Soummer et al., Opt. Express 15, 15935 (2007)).
+
+    Attributes
+    ----------
+    eyes : Eyes
+        The eyes.
+    eye : int
+        Which of them.
+    sizes, pitches : tuple
+        Pixels of the panel along rows and columns, and their distances in metres.
+    wavelength : float
+        Wavelength in metres.
+    width : float
+        Width of what emits of a pixel, as a share of its pitch.
+    one_order : bool
+        Whether a stop passes one diffraction order alone.
+    """
+
+    eyes: Eyes
+    eye: int
+    sizes: tuple[int, int]
+    pitches: tuple[float, float]
+    wavelength: float
+    width: float
+    one_order: bool
+
+    def ray_matrix(self) -> tuple[float, float, float]:
+        """Return A, B and D of the ray matrix from the panel to the pupil, which recedes as the eye turns."""
+        down, across = map(math.radians, self.eyes.rotation[self.eye])
+        receded, path = ROTATION_RADIUS * (1 - math.cos(down) * math.cos(across)), self.eyes.distance
+        if not isinstance(path, Lens):
+            return 1.0, path + receded, 1.0
+        return *path.moved(receded).ray_matrix, 1 - float(path.before or 0.0) / path.focal_length
+
+    def pupil(self) -> tuple[list[float], list[float]]:
+        """Return the middle and the half widths of the pupil along rows and columns in metres."""
+        turns, place = [math.radians(angle) for angle in self.eyes.rotation[self.eye]], self.eyes.positions[self.eye]
+        middle = [p + ROTATION_RADIUS * math.sin(t) for p, t in zip(place, turns, strict=True)]
+        return middle, [self.eyes.diameter[self.eye] / 2 * math.cos(t) for t in turns]  # type: ignore[index]
+
+    def defocus(self) -> float:
+        """Return the curvature in 1/m that the light of a pixel has in the pupil beyond what the eye focuses."""
+        (_, b, d), focus = self.ray_matrix(), self.eyes.focus
+        return 0.0 if focus is None else d / b - 1 / focus[self.eye]  # type: ignore[index]
+
+    def box(self, axis: int) -> float:
+        """Return how wide one diffraction order of a pixel is in the plane of the pupil, in metres."""
+        return self.wavelength * abs(self.ray_matrix()[1]) / self.pitches[axis]
+
+    def samples(self) -> int:
+        """Return how many points of each pixel describe the intensity of the image."""
+        widths = [2 * half / self.box(axis) for axis, half in enumerate(self.pupil()[1])]
+        widths = [min(1.0, width) for width in widths] if self.one_order else widths
+        return max(1, math.ceil(2 * max(widths) - 1e-9))
+
+    def seen(self) -> float:
+        """Return the least share of the rows or columns whose light, of the order in the middle, reaches the pupil."""
+        a, shares = self.ray_matrix()[0], []
+        for axis, (middle, half) in enumerate(zip(*self.pupil(), strict=True)):
+            reached = abs(middle - a * self._places(axis)) < self.box(axis) / 2 + half
+            shares.append(float(reached.mean()))
+        return min(shares)
+
+    def to_pupil(self, axis: int) -> np.ndarray:
+        """Return the matrix from pixels to points of the pupil along an axis, complex128 ``[points, pixels]``."""
+        a, b, _ = self.ray_matrix()
+        there, x = self._points(axis)[0][:, None] + self.pupil()[0][axis], self._places(axis)
+        # Of the order of a pixel: ±1/2 at its edges.
+        order = (there - a * x) / self.box(axis)
+        envelope = np.sinc(self.width * order)
+        if self.one_order:
+            step = self._points(axis)[1] / self.box(axis)
+            envelope = envelope * _through_stop(
+                order, a * self.pitches[axis] / (self.box(axis) * (1 if b > 0 else -1)), step
+            )
+        return envelope * _array.phasor_of_cycles((a * x - 2 * there) * x / (2 * self.wavelength * b))
+
+    def through_pupil(self) -> np.ndarray:
+        """Return what the pupil passes, with the phase that the eye does not focus, complex128 ``[points, points]``."""
+        (down, *fine), (across, *more) = self._points(0), self._points(1)
+        halves = self.pupil()[1]
+        spacing = [step / half for (step,), half in zip((fine, more), halves, strict=True)]
+        passed = covered(np, down[:, None] / halves[0], across / halves[1], spacing)
+        return passed * _array.phasor_of_cycles(
+            self.defocus() / (2 * self.wavelength) * (down[:, None] ** 2 + across**2)
+        )
+
+    def to_retina(self, axis: int, samples: int) -> np.ndarray:
+        """Return the matrix from the pupil to points of an image along an axis, ``[pixels · samples, points]``."""
+        b, (points, step) = self.ray_matrix()[1], self._points(axis)
+        there = points + self.pupil()[0][axis]
+        turn = _array.phasor_of_cycles(self._places(axis, samples)[:, None] * there / (self.wavelength * b))
+        return turn * (step / self.box(axis))
+
+    def parts(self, samples: int = 1) -> list[np.ndarray]:
+        """Return the five arguments of :func:`seen_by_eye` after the light."""
+        back = [self.to_retina(axis, samples) for axis in (0, 1)]
+        return [self.to_pupil(0), self.to_pupil(1), self.through_pupil(), *back]
+
+    def _places(self, axis: int, samples: int = 1) -> np.ndarray:
+        n, pitch = self.sizes[axis], self.pitches[axis]
+        return (np.arange(n * samples) / samples - n // 2) * pitch
+
+    def _points(self, axis: int) -> tuple[np.ndarray, float]:
+        """Return points from the middle of the pupil, and how far apart they are.
+
+        The image of points is periodic, here with twice its width.
+        """
+        width = 2 * self.pupil()[1][axis]
+        count = max(_POINTS, math.ceil(2 * self.sizes[axis] * width / self.box(axis)))
+        step = width / count
+        return (np.arange(count) - (count - 1) / 2) * step, step
+
+
+def seen_by_eye(light, down, across, pupil, back_down, back_across):
+    """Return the field on a retina of light on a panel ``[..., rows, columns]``, by the parts of a :class:`Sight`."""
+    return back_down @ ((down @ light @ across.mT) * pupil) @ back_across.mT
+
+
+def _through_stop(order: np.ndarray, fresnel_number: float, step: float) -> np.ndarray:
+    """Return what a stop of one order passes of the light of a pixel at places in units of the order, from its middle.
+
+    The order's edges are those of the diffraction by a slit, with the Fresnel number of a pixel (Goodman, Introduction
+    to Fourier Optics (2005), section 4.5.1), and geometric ones where these are finer than the points are apart.
+    """
+    if abs(fresnel_number) < step**2:
+        return np.clip((0.5 - abs(order)) / step + 0.5, 0, 1)
+    ends = [special.fresnel((2 / abs(fresnel_number)) ** 0.5 * (order + end)) for end in (-0.5, 0.5)]
+    (below, above), turn = [cosine + 1j * sine for sine, cosine in ends], np.exp(-0.25j * np.pi) / 2**0.5
+    passed = (above - below) * turn
+    return passed.conj() if fresnel_number > 0 else passed
+
+
+def of_each(name, value, places):
+    """Return a length for each place, ``[K]``; None for None."""
+    if value is None:
+        return None
+    if name == "focus":
+        lengths = tensor(name, value, torch.float64).to(places.device)
+        if not bool((lengths > 0).all()):
+            raise ValueError(f"focus must be positive distances, infinity included; got {value!r:.80}")
+    else:
+        lengths = tensor(name, _validate.real(name, value, positive=True), torch.float64).to(places.device)
+    if lengths.ndim > 1 or (lengths.ndim == 1 and len(lengths) != len(places)):
+        raise ValueError(f"{name} must be one number or [{len(places)}], got {list(lengths.shape)}")
+    return lengths.expand(len(places))
+
+
+def angles_of_each(rotation, count):
+    """Return the angles of each place in degrees, ``[K, 2]``."""
+    turns = tensor("rotation", rotation, torch.float64, torch.device("cpu"))
+    if tuple(turns.shape) not in ((2,), (count, 2)):
+        raise ValueError(f"rotation must be [2] or [{count}, 2], got {list(turns.shape)}")
+    if bool((turns.abs() >= 90).any()):
+        raise ValueError(f"rotation must be within ±90 degrees, got {turns.tolist()}")
+    return turns.detach().expand(count, 2)
