@@ -621,6 +621,11 @@ def field_from_stokes(vector: ArrayT) -> ArrayT:
     array
         Complex ``[..., 2, k]`` or ``[2]``. The common phase is lost: the x amplitude is real and not negative.
 
+    Raises
+    ------
+    ValueError
+        If the vectors are not real, of another shape, or have a negative intensity S0.
+
     Examples
     --------
     Light polarised linearly at 45°, of intensity 2:
@@ -632,7 +637,9 @@ def field_from_stokes(vector: ArrayT) -> ArrayT:
     """
     vector, axis = stokes_vector(vector)
     xp = _array.namespace(vector)
-    _, s1, s2, s3 = _components(vector, axis)
+    s0, s1, s2, s3 = _components(vector, axis)
+    if _array.is_readable(s0) and bool(xp.any(s0 < 0)):
+        raise ValueError(f"vector must have intensities S0 of at least 0, got {float(xp.min(s0)):.6g}")
     across = s2**2 + s3**2
     # (P + |S1|)/2 and its partner by their product, so that neither is a difference of equal numbers.
     large = (_root(s1**2 + across) + xp.abs(s1)) / 2

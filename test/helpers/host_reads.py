@@ -60,7 +60,7 @@ REASONS = {
         raytracing/nonsequential: __post_init__ _plain _reach polarized system_elements trace
         tools/matrix: quantize slice_rgbd_targets
         tools/transformation: quaternion_to_rotation_matrix
-        wave/displays: __init__ _amplitudes _checked_target _frames_alone _frames_lit judge optimise starting_phases
+        wave/displays: _amplitudes _checked_target _frames_lit optimise starting_phases
         wave/eyebox: eyebox_hologram
         wave/eyes: __post_init__ angles_of_each of_each seen
         wave/gaussians/scene: chosen

@@ -125,6 +125,8 @@ def test_errors_and_precision(as_array):
         jones.depolarizer(1.5)
     with pytest.raises(ValueError, match=r"kept must be within 0 … 1, got -0\.5"):
         jones.depolarizer(as_array(np.asarray([0.5, -0.5])))
+    with pytest.raises(ValueError, match="S0 of at least 0, got -1"):
+        jones.field_from_stokes(as_array(np.asarray([[2.0, -1.0], [1.0, 1.0], [0.0, 0.0], [0.0, 0.0]])))
     field = as_array((np.ones((3, 2, 4)) * (1 + 0.5j)).astype(np.complex64))
     vector = jones.stokes(field)
     assert tuple(vector.shape) == (3, 4, 4) and "float32" in str(vector.dtype)

@@ -346,13 +346,6 @@ class Display(Prepared, torch.nn.Module):
         if powers is None:
             powers = torch.eye(colours).repeat(-(-self.frames // colours), 1)[: self.frames]
         powers = self._fitting(powers).detach()
-        if bool((powers < 0).any()):
-            raise ValueError(f"powers must be at least 0, got {float(powers.min())}")
-        if not bool((powers.sum(0) > 0).all()):
-            raise ValueError(
-                f"powers must light each wavelength in a frame, got {powers.sum(0).tolist()} over all {self.frames} "
-                "frames; give more frames, or powers"
-            )
         self.register_buffer("powers", powers)
         self._powers_read = ValuesRead(_frames_lit)
         self._powers_read(powers)
@@ -949,7 +942,7 @@ class Display(Prepared, torch.nn.Module):
         for c, wavelength in enumerate(self.wavelengths):
             power = self.powers[:, c] / self.powers[:, c].sum()
             for d, distance in enumerate(self.distances):
-                for f in torch.nonzero(power)[:, 0].tolist():
+                for f in self._lit_frames[c]:
                     lit, finer = self._lit(light[f : f + 1], c)[0], self._orders() if self.lens is None else 2
                     if amplitudes is not None:
                         finer = 2 + self._passing(self._first.iris)  # type: ignore[union-attr]
@@ -1119,7 +1112,14 @@ def _of_numbers(path):
 
 
 def _frames_lit(powers: torch.Tensor) -> tuple[tuple[int, ...], ...]:
-    """Return for each colour the frames in which its source is on."""
+    """Return for each colour the frames in which its source is on, of powers ``[F, C]`` that light each colour."""
+    if bool((powers < 0).any()):
+        raise ValueError(f"powers must be at least 0, got {float(powers.min())}")
+    if not bool((powers.sum(0) > 0).all()):
+        raise ValueError(
+            f"powers must light each wavelength in a frame, got {powers.sum(0).tolist()} over all {len(powers)} "
+            "frames; give more frames, or powers"
+        )
     return tuple(tuple(f for f, power in enumerate(row) if power) for row in powers.T.tolist())
 
 
@@ -1447,7 +1447,7 @@ def _frames_alone(display: Display, solver: str) -> list[tuple[int, int, int]]:
         raise ValueError(f"{solver} needs a modulator without lit_through: use the solver 'lbfgs'")
     if display.lens is not None or display.eyes is not None:
         raise ValueError(f"{solver} needs a display without a lens or eyes: use the solver 'lbfgs'")
-    lit = [[c for c, power in enumerate(row) if power] for row in display.powers.tolist()]
+    lit = [[c for c, frames in enumerate(display._lit_frames) if f in frames] for f in range(display.frames)]
     if len(display.distances) > 1 or any(len(colours) != 1 for colours in lit):
         raise ValueError(
             f"{solver} shows one colour on one plane in each frame; this display has {len(display.distances)} planes "

@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-from odak import _array, _show, _validate
+from odak import _array, _show, _torch_private, _validate
 from odak.learn._tensors import ValuesRead, checked_device, floating, kind_of, tensor
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.slm import pixel_fill_of
@@ -50,6 +50,8 @@ def checked_powers(name: str, power: torch.Tensor, shape: tuple[int, int], ampli
     """
     power = floating(name, power)
     check_shape(name, power, "[frames, wavelengths]", shape)
+    if _torch_private.is_wrapped(power):
+        return power
     if not bool(power.isfinite().all()):
         raise ValueError(f"{name} must be finite, got NaN or infinite values")
     if amplitudes and bool((power < 0).any()):
@@ -366,6 +368,8 @@ class propagator(display_volume):
     def _one_source_per_frame(self) -> bool:
         if self._learns_powers() or self.channel_power.requires_grad:
             return False
+        if not torch.compiler.is_compiling() and _torch_private.is_wrapped(self.channel_power):
+            return False
         return self._powers_read(self.channel_power)
 
     def holograms(self, hologram_phases: torch.Tensor, amplitude: torch.Tensor | None = None) -> torch.Tensor:
@@ -425,25 +429,28 @@ class propagator(display_volume):
         if workspace is not None and not isinstance(workspace, Workspace):
             raise TypeError(f"workspace must be a Workspace or None, got {type(workspace).__name__}")
         _validate.one_device(holograms=holograms, kernels=kernels)
-        if not self._one_source_per_frame:
+        return self._spread(holograms, frames, kernels, workspace, self._one_source_per_frame)
+
+    def _spread(self, holograms, frames: slice, kernels, workspace, alone: bool):
+        if not alone:
             return convolve(holograms[frames], kernels, workspace)
         lit, holograms = self._lit(holograms, frames)
         return convolve(holograms, kernels[:, lit.start : lit.stop].transpose(0, 1)[:, :, None], workspace)
 
     def _lit(self, holograms, frames: slice):
         """Return the illuminated ones of the requested frames, and the pattern of each in its one colour."""
-        lit = range(self._lit_frames())[frames]
+        lit = range(min(self.number_of_frames, self.number_of_channels))[frames]
         if holograms.shape[2] > 1:
             holograms = holograms.diagonal(dim1=0, dim2=2).permute(3, 0, 1, 2)[:, :, None]
         return lit, holograms if len(lit) == len(holograms) else holograms[lit.start : lit.stop]
 
-    def _fields_on(self, planes: slice, holograms, frames: slice, kernels=None, workspace=None):
-        """Return the fields of some frames on some planes as :meth:`fields` does, by the available method."""
+    def _fields_on(self, planes: slice, holograms, frames: slice, alone: bool, kernels=None, workspace=None):
+        """Return the fields of some frames on some planes by the available method, each in one colour if alone."""
         if self._has_kernels:
             kernels = self.transfer(planes, holograms.dtype) if kernels is None else kernels
-            return self.fields(holograms, frames, kernels, workspace)
+            return self._spread(holograms, frames, kernels, workspace, alone)
         wavelengths = torch.stack([torch.as_tensor(w, dtype=torch.float64) for w in self.wavelengths])
-        if self._one_source_per_frame:
+        if alone:
             lit, holograms = self._lit(holograms, frames)
             wavelengths = wavelengths[lit.start : lit.stop, None, None]
         else:
@@ -487,9 +494,11 @@ class propagator(display_volume):
         powers = self.get_laser_powers() if powers is None else floating("powers", powers)
         check_shape("powers", powers, "[frames, wavelengths]", (self.number_of_frames, self.number_of_channels))
         _validate.one_device(holograms=holograms, powers=powers, aperture=self.aperture)
-        fields = self._fields_on(planes, holograms, slice(None), workspace=workspace)
+        # Other powers than the display's may light a frame by several sources.
+        alone = powers is self.channel_power and self._one_source_per_frame
+        fields = self._fields_on(planes, holograms, slice(None), alone, workspace=workspace)
         powers = powers.to(fields.real.dtype)
-        if not self._one_source_per_frame:
+        if not alone:
             return exposure(fields, powers, workspace=workspace)
         light = exposure(fields, powers.diagonal()[:, None], one_each=True, workspace=workspace)
         dark = light.new_zeros(len(light), self.number_of_channels - light.shape[1], *light.shape[2:])
@@ -531,19 +540,21 @@ class propagator(display_volume):
             powers = self.get_laser_powers().to(holograms.real.dtype)
             powers = (powers if get_complex else powers.square())[:, None, :, None, None]
             result: Any = None
+            alone = self._one_source_per_frame
             shape = (self.number_of_frames, self.number_of_depth_layers, self.number_of_channels, *self.field_shape)
             for planes in self.plane_chunks():
                 kernels = self.transfer(planes, holograms.dtype) if self._has_kernels else None
                 for frames in _parts(self._lit_frames(), self._pairs_at_once()):
-                    fields = self._fields_on(planes, holograms, frames, kernels)
+                    fields = self._fields_on(planes, holograms, frames, alone, kernels)
                     light = fields if get_complex else intensity(fields)
+                    light = light if alone else light * powers[frames]
                     # Of the light itself, so that torch.func.vmap may write it.
                     result = light.new_zeros(shape) if result is None else result
-                    if self._one_source_per_frame:
+                    if alone:
                         for frame, shown in zip(range(self._lit_frames())[frames], light, strict=True):
                             result[frame, planes, frame] = shown[:, 0] * powers[frame, :, frame]
                     else:
-                        result[frames, planes] = light * powers[frames]
+                        result[frames, planes] = light
         return result
 
     def plane_chunks(self) -> list[slice]:

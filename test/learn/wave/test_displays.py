@@ -389,6 +389,11 @@ def test_displays_that_cannot_be_are_named():
     panel = Modulator((16, 16), PITCH)
     with pytest.raises(ValueError, match="powers must light each wavelength"):
         Display(panel, [639e-9, 515e-9], 1e-3, frames=1)
+    lit = Display(panel, [639e-9, 515e-9], 1e-3, profile=torch.ones(16, 16))
+    lit.powers[:, 1] = 0
+    for use in (lit, lit.judge, lambda phases: optimise(lit, torch.ones(1, 2, 16, 16), solver="gs")):
+        with pytest.raises(ValueError, match=r"powers must light each wavelength in a frame, got \[1.0, 0.0\]"):
+            use(torch.zeros(2, 16, 16))
     with pytest.raises(ValueError, match="iris must be"):
         Display(panel, WAVELENGTH, 1e-3, iris="round")
     with pytest.raises(ValueError, match="fill"):

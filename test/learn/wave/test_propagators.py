@@ -176,6 +176,26 @@ def test_one_source_per_frame_is_the_general_case(phases):
     torch.testing.assert_close(lit, general.exposures(general.holograms(phases), slice(None)))
 
 
+def test_powers_of_another_kind_than_the_display_was_made_for(phases):
+    show, each = display(), torch.rand(4, 3, 3)
+    holograms = show.holograms(phases)
+    expected = torch.stack([display(laser_channel_power=one).reconstruct(phases) for one in each])
+    given = [show.exposures(holograms, slice(None), one) for one in each]
+    torch.testing.assert_close(torch.stack(given), expected.sum(1))
+    for whole, run in (
+        (expected, show.reconstruct),
+        (expected.sum(1), lambda p: show.exposures(holograms, slice(None))),
+    ):
+
+        def with_powers(one, run=run):
+            show.set_laser_powers(one)
+            return run(phases)
+
+        torch.testing.assert_close(torch.func.vmap(with_powers)(each), whole)
+    slopes = torch.autograd.functional.jacobian(with_powers, each[0])
+    torch.testing.assert_close(torch.func.jacrev(with_powers)(each[0]), slopes)
+
+
 @pytest.mark.parametrize("frames", [1, 2, 5])
 def test_more_or_fewer_frames_than_colours(frames):
     show = display(number_of_frames=frames)
