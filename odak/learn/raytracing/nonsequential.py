@@ -27,7 +27,7 @@ from odak.learn.raytracing.system.tracing import ray_paths
 from odak.raytracing import components as vec
 from odak.raytracing.apertures import Aperture, CombinedAperture
 from odak.raytracing.batches import needs_gradient
-from odak.raytracing.geometry import safe_sqrt
+from odak.raytracing.geometry import safe_sqrt, unit
 from odak.raytracing.interfaces import Phase, fresnel_shares, reflected, refracted
 from odak.raytracing.surfaces import Plane, Shape, intersection
 from odak.tools.transformation import rotation_matrix
@@ -276,7 +276,7 @@ class Interface:
         Fraction of the power that is reflected, together with `transmittance`; the rest is absorbed. With a `phase`, a
         mapping from the diffraction order to its efficiency: a number, or a function of the points and the directions
         of the incident light, ``[m, 3]`` each in the element's frame, that returns ``[m]``. The share of an order that
-        does not propagate is absorbed.
+        does not propagate is absorbed, and so is light where the phase is not known.
     transmittance : float, torch.Tensor or mapping, optional
         Fraction that is transmitted. (1, 0) is a mirror, (0, 0) a black surface. Where light is totally reflected, this
         share is reflected too.
@@ -555,7 +555,7 @@ class Light(NamedTuple):
     Attributes
     ----------
     rays : torch.Tensor
-        ``[m, 2, 3]``, points and unit directions.
+        ``[m, 2, 3]``, points and directions of any length; a direction of length 0 marks a missing ray.
     power : torch.Tensor
         ``[m]``.
     field : torch.Tensor or None
@@ -1008,7 +1008,7 @@ def _checked_light(light) -> Light:
         not isinstance(field, torch.Tensor) or not field.is_complex() or field.shape != rays[:, 0].shape
     ):
         raise ValueError(f"light must have a complex field [m, 3] or None, got {field!r:.80}")
-    return Light(rays, power, field)
+    return Light(torch.stack((rays[:, 0], unit(rays[:, 1])), 1), power, field)
 
 
 def _perpendicular(way: tuple, normal: tuple, otherwise: tuple) -> tuple:
@@ -1135,8 +1135,8 @@ class _Walk:
         if item.detects:
             wave = (torch.stack(field, -1),) if field else ()
             self.arrived[i].append((torch.stack(place, -1), torch.stack(way, -1), power, path, state.ray, *wave))
-        options = self._options(i, interface, (place, way, normal, field), (n1, n2, cosine), power)
-        kept = sum((share for _, share, _ in options), torch.zeros_like(power))
+        options = self._options(i, interface, (place, way, normal, field), (n1, n2, cosine), power, path)
+        kept = sum((share for _, share, _, _ in options), torch.zeros_like(power))
         self.absorbed[i] = self.absorbed[i] + (power - kept).sum()
         if not self.split and len(options) > 1:
             options = [self._drawn(options)]
@@ -1144,20 +1144,19 @@ class _Walk:
             options = [one for option in options for one in self._scattered(interface.scatter, normal, *option)]
         state = state._replace(
             point=end,
-            path=path,
             left=torch.full_like(state.left, i),
             face=state.face if face is None else face,
         )
         return [
-            state._replace(direction=item._leave(out), power=share, field=item._leave(field) if field else ())
-            for out, share, field in options
+            state._replace(direction=item._leave(out), power=share, field=item._leave(field) if field else (), path=far)
+            for out, share, field, far in options
         ]
 
     def _spread(self, i: int, like) -> tuple:
         return tuple(torch.as_tensor(value, dtype=like.dtype, device=like.device) + 0 * like for value in self.index[i])
 
-    def _options(self, i: int, interface: Interface, ray: tuple, numbers, power) -> list[tuple]:
-        """Return directions, powers and fields of the rays into which light is divided, before it is scattered."""
+    def _options(self, i: int, interface: Interface, ray: tuple, numbers, power, path) -> list[tuple]:
+        """Return directions, powers, fields and paths of the rays into which light is divided, before scattering."""
         place, way, normal, field = ray
         n1, n2, cosine = numbers
         axes: tuple = ()
@@ -1166,11 +1165,11 @@ class _Walk:
             p = vec.cross(way, s)
             axes = (s, vec.dot(field, s), vec.dot(field, p))
 
-        def divided(out, exists, share, amplitudes=(1.0, 1.0)):
+        def divided(out, exists, share, amplitudes=(1.0, 1.0), path=path):
             """Return one of the rays; `amplitudes` scale the two polarisations, `share` the power of both."""
             out = tuple(torch.where(exists, o, v) for o, v in zip(out, way, strict=True))
             if not field:
-                return out, torch.where(exists, share * power, 0.0), ()
+                return out, torch.where(exists, share * power, 0.0), (), path
             s, along_s, along_p = axes
             if interface.phase is not None:
                 s = _perpendicular(out, normal, s)
@@ -1180,10 +1179,10 @@ class _Walk:
             size = torch.where(seen, strength, 1.0).sqrt()
             turned = vec.along(vec.scaled(s, along_s / size), along_p / size, vec.cross(out, s))
             turned = tuple(torch.where(seen, t, f) for t, f in zip(turned, field, strict=True))
-            return out, torch.where(exists, share * strength * power, 0.0), turned
+            return out, torch.where(exists, share * strength * power, 0.0), turned, path
 
         if interface.phase is not None:
-            found = []
+            found, covered = [], interface.phase.covers(*place[:2])
             for reflects, shares in ((True, interface.reflectance), (False, interface.transmittance)):
                 for order, share in shares.items():
                     if not callable(share) and not isinstance(share, torch.Tensor) and share == 0:
@@ -1191,9 +1190,9 @@ class _Walk:
                     behind = n1 if reflects else n2
                     phase = replace(interface.phase, order=order)  # type: ignore[call-arg]
                     wave = self.wavelength.to(cosine)
-                    out, through, _ = phase.deflect(place, way, normal, n1, behind, wave, reflects)
+                    out, through, added = phase.deflect(place, way, normal, n1, behind, wave, reflects)
                     value = share(torch.stack(place, -1), torch.stack(way, -1)) if callable(share) else share
-                    found.append(divided(out, through, value))
+                    found.append(divided(out, through & covered, value, path=path + added))
             return found
         if field and interface.reflectance is None:
             back, behind = self._amplitudes(i, interface, numbers)
@@ -1247,23 +1246,24 @@ class _Walk:
 
     def _drawn(self, options: list[tuple]) -> tuple:
         """Return one of several rays, drawn by its share of the power, with the power of all."""
-        shares = [share.detach() for _, share, _ in options]
+        shares = [share.detach() for _, share, _, _ in options]
         total = sum(shares)
         pick = self._uniform(total) * total
-        out, power, field = options[0]
+        out, power, field, path = options[0]
         reached = shares[0]
-        for other, share, wave in options[1:]:
+        for other, share, wave, way in options[1:]:
             beyond = (pick >= reached) & (share.detach() > 0)
             out = tuple(torch.where(beyond, a, b) for a, b in zip(other, out, strict=True))
             field = tuple(torch.where(beyond, a, b) for a, b in zip(wave, field, strict=True))
             power = torch.where(beyond, share, power)
+            path = path if way is path else torch.where(beyond, way, path)
             reached = reached + share.detach()
         held = power.detach()
         if needs_gradient(power):
-            return out, power * torch.where(held > 0, total / torch.where(held > 0, held, 1.0), 0.0), field
-        return out, torch.where(held > 0, total, 0.0), field
+            return out, power * torch.where(held > 0, total / torch.where(held > 0, held, 1.0), 0.0), field, path
+        return out, torch.where(held > 0, total, 0.0), field, path
 
-    def _scattered(self, scatter: Scatter, normal, out, power, field) -> list[tuple]:
+    def _scattered(self, scatter: Scatter, normal, out, power, field, path) -> list[tuple]:
         """Return what is scattered of light that leaves a surface, and what is not."""
         first, second = axes_across(normal)
         along, across = scatter._draw(
@@ -1282,9 +1282,9 @@ class _Walk:
             wave = tuple(torch.where(leaves, d.to(f.dtype), f) for d, f in zip(drawn, field, strict=True))
         share = scatter.share
         if not isinstance(share, torch.Tensor) and share == 1:
-            return [(turned, power, wave)]
+            return [(turned, power, wave, path)]
         weak = torch.where(leaves, share * power, 0.0)
-        options = [(out, power - weak, field), (turned, weak, wave)]
+        options = [(out, power - weak, field, path), (turned, weak, wave, path)]
         return options if self.split else [self._drawn(options)]
 
     def result(self, emitted, walks: list["_Walk"]) -> SceneLight:

@@ -496,6 +496,40 @@ def test_orders_that_do_not_propagate_are_absorbed():
     assert float(found.absorbed[0]) == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("split", [True, False])
+def test_a_plane_wave_behind_a_grating_is_plane(split):
+    frequency, distance = 600.0, 20.0
+    grating = Interface({}, {0: 0.3, 1: 0.7}, phase=LinearGrating(0.0, frequency))
+    light = light_source("collimated", 64, size=2.0, center=(0, 0, -1))
+    for order in (0, 1):
+        sine = order * WAVE * frequency
+        center = (0, distance * sine, distance * math.sqrt(1 - sine * sine))
+        across = Element(Plane(), interface=BLACK, center=center, angles=(-math.degrees(math.asin(sine)), 0, 0))
+        across.detects, across.name, across.aperture = True, "across", 3.0
+        found = Scene([Element(Plane(), interface=grating), across]).trace(light, WAVE, split=split)
+        assert (found.received["across"].path - (1 + distance)).abs().max() < 1e-12
+
+
+def test_light_beside_a_hologram_is_absorbed():
+    phase = HologramPhase(torch.zeros(16, 16, dtype=torch.float64), 0.1)
+    parts = [Element(Plane(), interface=Interface({}, {0: 1.0}, phase=phase)), screen(2)]
+    rays = tensor([[[0, 0.3, -1], [0, 0, 1]], [[0, 5.0, -1], [0, 0, 1]]])
+    found = Scene(parts).trace(Light(rays, tensor([1.0, 1.0])), WAVE)
+    assert found.received["screen"].ray.tolist() == [0] and found.absorbed.tolist() == [1, 1]
+
+
+def test_directions_may_be_of_any_length():
+    light = light_source("point", 50, half_angle=20.0, center=(0, 0, -1))
+    longer = light.rays * tensor([1.0, 3.0])[:, None]
+    parts = [*plate(angles=(30.0, 0.0, 0.0)), screen(9)]
+    given, found = (
+        Scene(parts).trace(Light(rays, light.power), WAVE, split=True).received["screen"]
+        for rays in (light.rays, longer)
+    )
+    for name in ("point", "direction", "power", "path"):
+        assert (getattr(found, name) - getattr(given, name)).abs().max() < 1e-12
+
+
 def test_a_seed_repeats_a_trace():
     light = light_source("point", 500, center=(0, 0, 8.0))
     scene = Scene(sphere(10.0, Interface(0.5, 0.3, scatter=LambertianScatter(0.7))))
