@@ -192,15 +192,16 @@ def conic(start, direction, curvature, constant, aperture=None, select: str = "a
         height = z + t * dz
         on_sheet = exists & (1 - (k * curvature) * height > 0) & (abs(t) < xp.inf)
         across = None if aperture is None else (x + t * dx) ** 2 + (y + t * dy) ** 2
-        candidates.append((t + offset, on_sheet, height, across))
-    (t1, on1, z1, r1), (t2, on2, z2, r2) = candidates
+        candidates.append((t + offset, on_sheet, height, across, exists))
+    (t1, on1, z1, r1, exists1), (t2, on2, z2, r2, exists2) = candidates
     if select in ("through", "forward"):
         # The derivative of z − sag along the ray has the sign of b at the first root, the opposite one at the second.
         first = (b >= 0) == (dz > 0) if select == "through" else b >= 0
         on1, on2 = on1 & first, on2 & ~first
     if select == "ahead":
+        # The start may lie on the other sheet, or on the other half of a sphere.
         leaving = _starts_on(start, curvature, k, aperture)
-        nearer = on1 & (abs(t1) <= abs(t2))
+        nearer = exists1 & (~exists2 | (abs(t1) <= abs(t2)))
         on1, on2 = on1 & (t1 > 0) & ~(leaving & nearer), on2 & (t2 > 0) & ~(leaving & ~nearer)
     order = t1 <= t2 if select == "ahead" else abs(z1) <= abs(z2)
     sheet = on1 | on2
@@ -215,7 +216,7 @@ def conic(start, direction, curvature, constant, aperture=None, select: str = "a
 
 
 def _starts_on(start, curvature, k, aperture):
-    """Return which starts lie on a conic's sheet within rounding."""
+    """Return which starts lie on a conic of revolution within rounding, on either of its sheets."""
     x, y, z = start
     terms = (curvature * (x * x + y * y), (curvature * k) * (z * z), -2 * z)
     # Near the vertex the rounding error of the start is relative to the size of the aperture, not to its own

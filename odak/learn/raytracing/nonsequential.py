@@ -473,9 +473,11 @@ class Element:
             place, normal = (place[0], place[1], zero), (zero, zero, one)
         else:
             limit = None if isinstance(self.aperture, LIMITS) else self.aperture
-            start = vec.along(point, margin, direction)
+            # Rays that have left another surface may meet this one as close by as it stands.
+            ahead = margin if left is None else margin * left
+            start = vec.along(point, ahead, direction)
             found, _ = intersection(start, direction, self.shape, limit, "ahead")
-            distance, hit, place, normal = found.distance + margin, found.hit, found.point, found.normal
+            distance, hit, place, normal = found.distance + ahead, found.hit, found.point, found.normal
         if isinstance(self.aperture, LIMITS):
             hit = hit & self.aperture.passes(place[0], place[1])
         return torch.where(hit, distance, torch.inf), place, normal, None

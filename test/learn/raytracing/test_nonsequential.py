@@ -518,6 +518,15 @@ def test_light_beside_a_hologram_is_absorbed():
     assert found.received["screen"].ray.tolist() == [0] and found.absorbed.tolist() == [1, 1]
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_thin_films_of_glass_end_at_their_second_face(dtype):
+    faces = [Element(Conic(0.02), (1.0, 1.5), aperture=9.0)]
+    faces.append(Element(Conic(0.02), (1.5, 1.0), BLACK, center=(0, 0, 0.01), aperture=9.0))
+    light = light_source("collimated", 50, size=5.0, center=tensor([0, 0, -100.0]).to(dtype))
+    found = Scene(faces).trace(light, WAVE, split=True)
+    assert float(found.absorbed[1]) == pytest.approx(0.96, abs=1e-3)
+
+
 def test_directions_may_be_of_any_length():
     light = light_source("point", 50, half_angle=20.0, center=(0, 0, -1))
     longer = light.rays * tensor([1.0, 3.0])[:, None]

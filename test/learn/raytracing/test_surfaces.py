@@ -190,6 +190,19 @@ def test_a_start_on_the_surface_is_not_a_hit(random):
         assert (again.status == RayStatus.MISS).all()
 
 
+@pytest.mark.parametrize("face", [core, rt])
+def test_chords_of_a_sphere_meet_the_half_that_is_the_surface(face, random):
+    """Rays start on either half of a sphere of radius 10 and end on the half that is the conic, or on the other."""
+    ends = random.normal(size=(2, 500, 3))
+    ends = 10 * (ends / np.linalg.norm(ends, axis=-1, keepdims=True) + [0.0, 0.0, 1.0])
+    rays = core.create_ray_from_two_points(*ends)
+    given = rays if face is core else torch.from_numpy(rays)
+    hit = face.intersect_w_sag(given, face.Conic(0.1), aperture=10.0 + 1e-9)
+    np.testing.assert_array_equal(np.asarray(hit.status) == RayStatus.HIT, ends[1][:, 2] < 10)
+    met = ends[1][:, 2] < 10
+    np.testing.assert_allclose(np.asarray(hit.point)[met], ends[1][met], atol=1e-12)
+
+
 def test_zernike_sag_is_the_polynomials(random):
     x, y = random.uniform(-1.4, 1.4, (2, 30))
     coefficients = random.normal(size=22)
