@@ -17,6 +17,7 @@ import platform
 import subprocess
 import sys
 import tempfile
+import traceback
 import xml.etree.ElementTree as ElementTree
 
 import torch
@@ -31,7 +32,7 @@ sys.path.insert(0, str(FOLDER))
 
 
 def main() -> int:
-    """Run the requested benchmarks; return 1 if a ratio is above its bound."""
+    """Run the requested benchmarks; return 1 if one fails or a ratio is above its bound."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("groups", nargs="*", metavar="GROUP", help=", ".join(GROUPS))
     parser.add_argument("--device", default="cpu", choices=["cpu", "cuda"])
@@ -52,14 +53,20 @@ def main() -> int:
     if tests is not None:
         print(f"tests: {tests['passed']} passed, {len(tests['failed'])} failed, {tests['skipped']} skipped", flush=True)
         print("".join(f"failed: {name}: {message}\n" for name, message in tests["failed"].items()), end="", flush=True)
-    rows = []
+    rows, failed = [], {}
     print(f"{'task':52} {'ours':>10} {'floor':>18} {'ratio':>7} {'bound':>6}")
     for group in arguments.groups or GROUPS:
         for benchmark in importlib.import_module(group).ALL:
-            for row in benchmark(arguments.device):
-                rows.append(row)
-                print(_line(row), flush=True)
-    run = {**about(arguments.device, arguments.threads), "rows": rows}
+            try:
+                for row in benchmark(arguments.device):
+                    rows.append(row)
+                    print(_line(row), flush=True)
+            except Exception as error:
+                # The rows of the others, which take half an hour, are not lost with it.
+                traceback.print_exc()
+                failed[f"{group}.{benchmark.__name__}"] = f"{type(error).__name__}: {error}"
+    run = {**about(arguments.device, arguments.threads), "rows": rows, "failed": failed}
+    print("".join(f"failed: {name}: {message}\n" for name, message in failed.items()), end="", flush=True)
     if tests is not None:
         run["tests"] = tests
     text = json.dumps(run, indent=1) + "\n"
@@ -77,7 +84,7 @@ def main() -> int:
         )
     slow = any(row["bound"] is not None and row["ratio"] > row["bound"] for row in rows)
     # Tests that did not run show nothing either.
-    return int(slow or (tests is not None and (bool(tests["failed"]) or not tests["passed"])))
+    return int(slow or bool(failed) or (tests is not None and (bool(tests["failed"]) or not tests["passed"])))
 
 
 def tested(arguments: list[str]) -> dict:

@@ -55,6 +55,24 @@ def test_the_last_run_of_the_same_kind_of_device(script, monkeypatch, tmp_path):
     assert {"time", "commit", "machine", "cores", "torch", "threads"} <= set(about)
 
 
+def test_a_benchmark_that_fails_does_not_lose_the_others(script, monkeypatch, tmp_path, capsys):
+    def fails(device):
+        yield {**row, "task": "before it failed"}
+        raise ValueError("no rays")
+
+    row = {"ours_s": 1.0, "floor_s": 1.0, "floor": "itself", "bound": 2.0, "ratio": 1.0}
+    module, kept = types.ModuleType("rays"), tmp_path / "rows.json"
+    module.ALL = fails, lambda device: [{**row, "task": "another"}]
+    monkeypatch.setitem(sys.modules, "rays", module)
+    threads = str(torch.get_num_threads())
+    monkeypatch.setattr(sys, "argv", ["benchmarks", "rays", "--threads", threads, "--json", str(kept)])
+    assert script["main"]() == 1
+    found = json.loads(kept.read_text())
+    assert [row["task"] for row in found["rows"]] == ["before it failed", "another"]
+    assert found["failed"] == {"rays.fails": "ValueError: no rays"}
+    assert "failed: rays.fails: ValueError: no rays" in capsys.readouterr().out
+
+
 def test_runs_are_stored_compared_and_drawn(script, monkeypatch, tmp_path, capsys):
     pytest.importorskip("matplotlib")
     make_pictures = documentation.script("make_pictures")
