@@ -189,7 +189,9 @@ PropagationType = Annotated[
     ),
 ]
 EyeboxIterations = Annotated[int, typer.Option(metavar="COUNT", help="Number of iterations.")]
-EyeboxLearningRate = Annotated[float, typer.Option(metavar="RADIANS", help="Step size in radians of Adam.")]
+EyeboxLearningRate = Annotated[
+    float | None, typer.Option(metavar="RADIANS", help="Step size in radians of Adam, in place of L-BFGS.")
+]
 Iterations = Annotated[
     int, typer.Option(metavar="COUNT", help="Number of iterations (all methods except double-phase and network).")
 ]
@@ -804,7 +806,7 @@ def eyebox(
     pupil: Pupil = 2e-3,
     frames: EyeboxFrames = 2,
     iterations: EyeboxIterations = 60,
-    learning_rate: EyeboxLearningRate = 0.2,
+    learning_rate: EyeboxLearningRate = None,
     seed: Seed = 0,
     bits: Bits = 8,
     device: Device = "auto",

@@ -1,36 +1,30 @@
 """Computation of holograms for `odak eyebox`: what an eye sees from several places of its pupil, optimised together.
 
-Each picture is judged from the saved patterns by exact propagation to the pupil and back, not by the model that the
+Each picture is judged from the saved patterns by :meth:`odak.learn.wave.Display.judge`, not by the model that the
 optimizer uses.
 """
 
-import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
-from tqdm import tqdm
 
 from odak import _validate
 from odak.cli import files
 from odak.cli.job import GREY_WAVELENGTH, SMALLEST_SIDE, InputError, image_path, warn_of_samples
-from odak.cli.report import find_device, picture_panel, psnr, sheet, versions
+from odak.cli.report import find_device, picture_panel, progress, psnr, sheet, versions
 from odak.cli.target import fit, fitting_size, read_picture, to_grey
 from odak.learn import wave
 from odak.learn.wave.holograms import best_scale
-from odak.wave.methods import spread
 from odak.wave.transfer_functions import pitches
 
-# Samples of the pupil's plane per period of the finest fringe of the light there.
-FINENESS = 4
 DEFINITIONS = {
     "views": "For each place of the pupil, in reading order: its middle (y, x) in metres, the picture, and the peak "
     "signal-to-noise ratio in decibels of what an eye there sees of the saved patterns, over the whole frame, at one "
-    "brightness for all places: by exact propagation to the pupil, and back from it to the modulator, whose pixels are "
-    "points.",
+    "brightness for all places: of means over the areas of pixels, whose light is computed by transforms to the plane "
+    "of the pupil and back.",
     "psnr_db": "That of all views together.",
-    "share": "Share of the light that enters the pupil.",
+    "share": "Share of the light of the pixels that enters the pupil.",
     "light_box": "Height and width in metres of the area that the light of the pixels reaches at the pupil.",
 }
 
@@ -63,8 +57,8 @@ class EyeboxJob:
         Patterns shown one after another.
     iterations : int
         Number of iterations.
-    learning_rate : float
-        Step size in radians.
+    learning_rate : float, optional
+        Step size in radians of Adam; L-BFGS is used without it.
     seed : int
         Seed of the random initial phases.
     bits : int
@@ -86,7 +80,7 @@ class EyeboxJob:
     pupil: float = 2e-3
     frames: int = 2
     iterations: int = 60
-    learning_rate: float = 0.2
+    learning_rate: float | None = None
     seed: int = 0
     bits: int = 8
     device: str = "auto"
@@ -99,7 +93,8 @@ class EyeboxJob:
                 _validate.real(f"--{name}", getattr(self, name), positive=True)
             for pitch in pitches(self.pixel_pitch):
                 _validate.real("--pixel-pitch", pitch, positive=True)
-            _validate.real("--learning-rate", self.learning_rate, positive=True)
+            if self.learning_rate is not None:
+                _validate.real("--learning-rate", self.learning_rate, positive=True)
             for side in self.resolution:
                 _validate.integer("--resolution", side, minimum=SMALLEST_SIDE)
             for count in self.places:
@@ -174,38 +169,19 @@ def run(job: EyeboxJob, notices: files.Notices = files.SILENT) -> dict:
     written = [*names, "views.png"]
     files.announce(folder, [*written, files.REPORT], notices)
     places = job.middles()
-    done = 0
-    with tqdm(total=job.iterations, desc="eyebox", unit="it", disable=job.quiet) as bar:
-
-        def tick(iteration, _):
-            nonlocal done
-            done = iteration + 1
-            bar.update()
-
-        hologram, _ = wave.eyebox_hologram(
-            targets if len(targets) > 1 else targets[0],
-            job.wavelength,
-            job.distance,
-            job.pixel_pitch,
-            places,
-            job.pupil,
-            iterations=job.iterations,
-            learning_rate=job.learning_rate,
-            frames=job.frames,
-            seed=job.seed,
-            progress=False,
-            callback=tick,
-        )
-        if done < job.iterations:
-            # After Ctrl-C the best result so far is returned, which must not be saved as the result of the whole run.
-            raise KeyboardInterrupt
-    for name, frame in zip(names, hologram.reshape(-1, *job.resolution), strict=True):
-        files.save_pattern(folder / name, files.quantise(frame, job.bits), job.bits)
+    panel = wave.Modulator(job.resolution, job.pixel_pitch, job.bits)
+    display = wave.Display(panel, job.wavelength, wave.Eyes(job.distance, places, job.pupil), job.frames).to(device)
+    wanted = targets.expand(len(places), *job.resolution)
+    solver = "lbfgs" if job.learning_rate is None else wave.Descent("adam", job.learning_rate)
+    with progress(job, "eyebox") as clock:
+        steps = wave.Run(job.iterations, False, clock.tick, seed=job.seed)
+        hologram = wave.optimise(display, wanted[:, None], solver=solver, run=steps)
+    for name, phase in zip(names, hologram.phases, strict=True):
+        files.save_pattern(folder / name, files.quantise(wave.unit_phasor(phase.double()), job.bits), job.bits)
     stored = torch.stack([files.load_pattern(folder / name, job.bits) for name in names]).to(device)
-    seen = torch.stack([_seen(job, stored, place) for place in places])
-    wanted = targets.expand(len(places), -1, -1).double()
-    views = seen * best_scale(seen, wanted, None)
-    quality = [psnr(view, target) for view, target in zip(views, wanted, strict=True)]
+    seen = display.double().judge(stored)[0][:, 0]
+    views = seen * best_scale(seen, wanted.double(), None)
+    quality = [psnr(view, target) for view, target in zip(views, wanted.double(), strict=True)]
     panels = [[picture_panel("Picture", target[None].cpu()) for target in targets]]
     captions = [
         f"Pupil at {1e3 * y:.3g}, {1e3 * x:.3g} mm: {value:.1f} dB"
@@ -216,13 +192,14 @@ def run(job: EyeboxJob, notices: files.Notices = files.SILENT) -> dict:
     files.write_png(folder / "views.png", sheet(panels))
     report = {
         "command": "eyebox",
-        "psnr_db": psnr(views, wanted),
+        "psnr_db": psnr(views, wanted.double()),
         "views": [
             {
                 "place": place,
                 "picture": str(paths[k if len(paths) > 1 else 0]),
                 "psnr_db": value,
-                "share": float(seen[k].sum()) / (job.resolution[0] * job.resolution[1]),
+                # A panel without gaps would send all its light into the order in the middle.
+                "share": float(seen[k].mean()) * panel.fill,
             }
             for k, (place, value) in enumerate(zip(places, quality, strict=True))
         ],
@@ -242,39 +219,3 @@ def _target(path: Path, job: EyeboxJob) -> torch.Tensor:
     if not frame.any():
         raise InputError(f"IMAGE must have a pixel above 0, but all pixels of {str(path)!r} are black")
     return frame[0]
-
-
-def _seen(job: EyeboxJob, phases: torch.Tensor, place: tuple[float, float]) -> torch.Tensor:
-    """Return what an eye sees that is focused on the modulator: the mean intensity of all frames, float64.
-
-    The light passes the pupil, and propagates back to the modulator, where the eye sees it.
-    """
-    field = torch.polar(torch.ones_like(phases), phases)
-    steps = [float(pitch) for pitch in pitches(job.pixel_pitch)]
-    # The steepest light has the finest fringes: it goes from the far edge of the modulator to the rim of the pupil.
-    aside = max(
-        n * pitch / 2 + abs(middle) + job.pupil / 2
-        for n, pitch, middle in zip(job.resolution, steps, place, strict=True)
-    )
-    step = job.wavelength * job.distance / (FINENESS * aside)
-    # Pixels are points. Seen from aside, those at the far edge show an order of theirs.
-    orders = math.ceil(2 * max(steps) * aside / (job.wavelength * job.distance))
-    fine = [pitch / orders for pitch in steps]
-    points = orders**2 * spread(field, orders)
-    count = 2 * math.ceil(job.pupil / (2 * step)) + 4
-    y, x = (
-        (torch.arange(count, dtype=torch.float64, device=phases.device) - count // 2).reshape(shape) * step
-        for shape in ((-1, 1), (1, -1))
-    )
-    # A pixel at the rim counts by the share of it that is inside.
-    opening = (0.5 + (job.pupil / 2 - torch.hypot(y, x)) / step).clamp(0, 1)
-    # The optical axis is at pixel n // 2, and on the finer grid of odd numbers of pixels beside its middle.
-    middle = [
-        offset + pitch * (orders * (n // 2) - orders * n // 2)
-        for offset, n, pitch in zip(place, job.resolution, fine, strict=True)
-    ]
-    at_pupil = wave.propagate_to_window(points, job.wavelength, job.distance, fine, (count, count), step, offset=middle)
-    seen: Any = wave.propagate_to_window(
-        at_pupil * opening, job.wavelength, -job.distance, step, job.resolution, steps, offset=[-c for c in place]
-    )
-    return wave.intensity(seen).mean(0)

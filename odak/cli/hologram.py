@@ -8,13 +8,11 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
-from tqdm import tqdm
 
 from odak._validate import UNITS
 from odak._warnings import AccuracyWarning, warn
@@ -365,7 +363,7 @@ def _hologram(job: Job, intensity: torch.Tensor, wavelength: float) -> tuple[tor
         with torch.no_grad():
             phase = network(intensity, wavelength, job.pixel_pitch, job.distance)
         return wave.generate_complex_field(1.0, phase), None, None
-    with _progress(job, f"{wavelength * 1e9:.6g} nm") as clock:
+    with report.progress(job, f"{wavelength * 1e9:.6g} nm") as clock:
         hologram = (_descend if job.method == "sgd" else _retrieve)(job, intensity, wavelength, clock.tick)
         _finish(intensity.device)
     return hologram, clock.seconds_per_tick(), clock.loss
@@ -602,50 +600,6 @@ def starting_phase(job: Job, like: torch.Tensor, wavelength: float) -> torch.Ten
     return phase.to(like).expand(like.shape).clone()
 
 
-class _Clock:
-    """Moves the progress bar and times the iterations, the first one (which builds the kernel) left out."""
-
-    def __init__(self, bar: tqdm) -> None:
-        self.bar, self.ticks, self.first, self.last = bar, 0, 0.0, 0.0
-        self.loss: float | None = None
-        self._value: torch.Tensor | None = None
-
-    def tick(self, _: int, value: torch.Tensor) -> None:
-        """Count an iteration, and store its loss."""
-        self.bar.update()
-        self.ticks += 1
-        # The loss, or with Gerchberg-Saxton the phase; it is read once at the end, as reading it waits for the device.
-        self._value = value if value.ndim == 0 else None
-        if self.ticks == 1:
-            self.first = time.perf_counter()
-
-    def end(self) -> None:
-        """Store the time of the last iteration and its loss."""
-        self.last = time.perf_counter()
-        if self._value is not None:
-            self.loss = float(self._value.detach())
-            self.bar.set_postfix_str(f"loss {self.loss:.4g}")
-
-    def seconds_per_tick(self) -> float | None:
-        """Return the mean time of an iteration after the first in seconds, None if there was only one."""
-        return (self.last - self.first) / (self.ticks - 1) if self.ticks > 1 else None
-
-
-@contextmanager
-def _progress(job: Job, description: str):
-    """Show a progress bar, and yield the clock whose `tick` moves it."""
-    start = time.perf_counter()
-    with tqdm(total=job.iterations, desc=description, unit="it", disable=job.quiet) as bar:
-        clock = _Clock(bar)
-        clock.first = start
-        yield clock
-        clock.end()
-    if clock.ticks < job.iterations:
-        # After Ctrl-C the optimizers return their best result so far, which must not be saved as the result of the
-        # whole run.
-        raise KeyboardInterrupt
-
-
 def _finish(device: torch.device) -> None:
     """Wait for the device, which works asynchronously, so that times are correct."""
     if device.type == "cuda":
@@ -719,7 +673,7 @@ def _frame_files(job: Job, target: Target) -> list[str]:
 
 
 def _optimise(job: Job, target: Target, volume: Volume, device) -> tuple[Frames, float | None, float | None]:
-    with _progress(
+    with report.progress(
         job, f"{job.planes} planes" if job.planes > 1 else f"{len(_frame_files(job, target))} frames"
     ) as clock:
         frames = (_frames_over_areas if job.over_areas else _frames_at_points)(job, target, volume, device, clock.tick)

@@ -8,6 +8,7 @@ import math
 import platform
 import sys
 import textwrap
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -17,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
+from tqdm import tqdm
 
 from odak._warnings import OdakWarning
 from odak.cli.files import file_depth, response_of
@@ -485,3 +487,47 @@ def _broken(caption: str, font, width: int) -> str:
 def _height(font) -> int:
     top, bottom = font.getbbox("Ågq")[1], font.getbbox("Ågq")[3]
     return round(bottom - min(top, 0))
+
+
+class Clock:
+    """Moves the progress bar and times the iterations, the first one (which builds the kernel) left out."""
+
+    def __init__(self, bar: tqdm) -> None:
+        self.bar, self.ticks, self.first, self.last = bar, 0, 0.0, 0.0
+        self.loss: float | None = None
+        self._value: torch.Tensor | None = None
+
+    def tick(self, _: int, value: torch.Tensor) -> None:
+        """Count an iteration, and store its loss."""
+        self.bar.update()
+        self.ticks += 1
+        # The loss, or with Gerchberg-Saxton the phase; it is read once at the end, as reading it waits for the device.
+        self._value = value if value.ndim == 0 else None
+        if self.ticks == 1:
+            self.first = time.perf_counter()
+
+    def end(self) -> None:
+        """Store the time of the last iteration and its loss."""
+        self.last = time.perf_counter()
+        if self._value is not None:
+            self.loss = float(self._value.detach())
+            self.bar.set_postfix_str(f"loss {self.loss:.4g}")
+
+    def seconds_per_tick(self) -> float | None:
+        """Return the mean time of an iteration after the first in seconds, None if there was only one."""
+        return (self.last - self.first) / (self.ticks - 1) if self.ticks > 1 else None
+
+
+@contextmanager
+def progress(job, description: str):
+    """Show a progress bar, and yield the clock whose `tick` moves it."""
+    start = time.perf_counter()
+    with tqdm(total=job.iterations, desc=description, unit="it", disable=job.quiet) as bar:
+        clock = Clock(bar)
+        clock.first = start
+        yield clock
+        clock.end()
+    if clock.ticks < job.iterations:
+        # After Ctrl-C the optimizers return their best result so far, which must not be saved as the result of the
+        # whole run.
+        raise KeyboardInterrupt
