@@ -1216,5 +1216,5 @@ def _check_range(found: Material, wide, extrapolate: bool) -> None:
             got = f"{low * 1e-6:g} m: wavelengths are in metres; did you mean {meant}?"
         raise ValueError(
             f"wavelength must be within {found.range[0]:g} … {found.range[1]:g} µm for {found.name} "
-            f"(or extrapolate=True), got {got}"
+            f"(odak.catalog.refractive_index takes extrapolate=True), got {got}"
         )

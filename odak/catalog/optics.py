@@ -14,6 +14,7 @@ from odak._array import Array
 from odak.catalog.materials import Material, material, refractive_index
 from odak.raytracing import arguments
 from odak.raytracing.boundary import intersect_w_circle, intersect_w_sphere, intersect_w_surface, refract
+from odak.raytracing.geometry import unit
 from odak.raytracing.primitives import bring_plane_to_origin, define_circle, define_plane, define_sphere
 from odak.tools.transformation import apply_matrix, rotation_matrix
 
@@ -109,7 +110,7 @@ class plane_detector:
         -------
         tuple of numpy.ndarray
             Normals and distances of :func:`odak.raytracing.intersect_w_surface`. The field gains amplitude/distance²,
-            in the pixel hit; the lower rim of a pixel belongs to it.
+            whatever the length of the ray's direction, in the pixel hit; the lower rim of a pixel belongs to it.
         """
         rays = arguments.flat_rays("ray", ray)
         normal, distance = map(np.asarray, intersect_w_surface(rays, self.plane))
@@ -120,7 +121,8 @@ class plane_detector:
             amplitude, channels = np.full((len(hits), 1), 1000.0), np.arange(self.field.shape[-1])
         else:
             amplitude = self._amplitude(field, len(hits), len(channels))
-        gain = amplitude[inside] / distance[inside, None] ** 2
+        length = np.linalg.norm(rays[inside, 1], axis=-1)
+        gain = amplitude[inside] / (distance[inside] * length)[:, None] ** 2
         np.add.at(self.field, (row[:, None], column[:, None], channels), gain)
         return normal, distance
 
@@ -286,7 +288,8 @@ class thin_diffuser:
         Returns
         -------
         new_rays : numpy.ndarray
-            ``[m·n, 2, 3]``, the n rays of the first ray first. NaN for a ray that misses the diffuser or has it behind.
+            ``[m·n, 2, 3]``, the n rays of the first ray first, with directions as long as its own. NaN for a ray that
+            misses the diffuser or has it behind.
         normal, distance : numpy.ndarray
             Of :func:`odak.raytracing.intersect_w_surface`.
         """
@@ -296,7 +299,8 @@ class thin_diffuser:
         local = within_frame(hits, self.settings["center"], self.settings["angles"])[:, :2]
         inside = is_ahead(rays, hits) & np.all(np.abs(local) <= np.asarray(self.settings["shape"]) / 2, axis=-1)
         towards = self.diffusion_points / np.linalg.norm(self.diffusion_points, axis=-1, keepdims=True)
-        directions = _rotated(towards, rays[:, 1])
+        length = np.linalg.norm(rays[:, 1], axis=-1, keepdims=True)
+        directions = length[:, None] * _rotated(towards, unit(rays[:, 1]))
         new_rays = np.stack(np.broadcast_arrays(hits[:, None], directions), axis=-2)
         new_rays[~inside] = np.nan
         return new_rays.reshape(-1, 2, 3), normal, distance

@@ -130,6 +130,19 @@ def test_diffuser_scatters_onward_within_its_cone(towards):
     np.testing.assert_allclose(new[:, 1] @ towards, 1 / np.sqrt(1 + tangent**2), atol=1e-12)
 
 
+def test_directions_of_rays_may_be_of_any_length():
+    ray = create_ray_from_two_points([0.2, 0.1, -3], [0.3, 0.4, 2])
+    longer = ray * [[1.0], [2.5]]
+    found, given = (thin_diffuser(diffusion_angle=30).raytrace(one)[0] for one in (longer, ray))
+    np.testing.assert_allclose(found, given * [[1.0], [2.5]], atol=1e-12)
+    fields = []
+    for one in (longer, ray):
+        detector = plane_detector(resolution=[4, 4], center=[0, 0, 2])
+        detector.raytrace(one)
+        fields.append(detector.get_field())
+    np.testing.assert_allclose(*fields, rtol=1e-6)
+
+
 def test_diffuser_rays_come_ray_by_ray_and_misses_are_flagged():
     diffuser = thin_diffuser(shape=[2, 2], diffusion_no=[3, 3])
     rays = parallel_rays(np.asarray([[0.0, 0, -1], [0, 5, -1], [0.5, 0, -1], [0, 0, 1]]))

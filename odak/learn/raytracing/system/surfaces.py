@@ -8,10 +8,11 @@ from itertools import pairwise
 from numbers import Number, Real
 from typing import Any, NamedTuple, SupportsComplex, cast
 
+import numpy as np
 import torch
 
 from odak import _show, _validate
-from odak._array import Array, complex_dtype, is_readable, namespace
+from odak._array import Array, complex_dtype, is_array, is_readable, namespace
 from odak.catalog.materials import MICROMETRES, Material, refractive_index
 from odak.catalog.materials import material as find_material
 from odak.jones.thin_films import stack_response
@@ -126,11 +127,11 @@ class Coating:
 
         Parameters
         ----------
-        n1, n2 : array
+        n1, n2 : float or array
             Indices in front and behind, `n2` without effect where there is a substrate.
-        cosine, cosine_behind : array
+        cosine, cosine_behind : float or array
             Cosines of the angles of incidence and refraction, positive.
-        wavelength : array
+        wavelength : float or array
             In vacuum.
         unit : str
             Of the wavelength.
@@ -144,6 +145,7 @@ class Coating:
         -----
         :func:`odak.jones.thin_film_stack`, with the signs of Born and Wolf: r_p = −r_s at normal incidence.
         """
+        cosine = cosine if is_array(cosine) else np.asarray(cosine, dtype=np.float64)
         xp = namespace(cosine)
         n1, n2, cosine, wavelength = (
             xp.astype(value + 0 * cosine, xp.float64) for value in (n1, n2, cosine, wavelength)

@@ -99,6 +99,17 @@ def test_a_quarter_wave_coating_in_a_trace_is_that_of_the_stack():
     assert abs(float(polarized_trace(tilted_plane(0.0, coating=perfect), along_z()).transmittance) - 1) < 1e-14
 
 
+@pytest.mark.parametrize("as_given", [float, lambda value: torch.tensor(value, dtype=torch.float64)])
+def test_a_quarter_wave_mirror_reflects_as_its_admittance(as_given):
+    """Macleod, Thin-Film Optical Filters, section 5.2: Y = (H/L)^(2p)·H²/S."""
+    high, low, glass, wave = 2.35, 1.46, 1.52, 550e-6
+    mirror = Coating.quarter_waves([high, low] * 5 + [high], wave)
+    found = mirror.amplitudes(*map(as_given, (1.0, glass, 1.0, 1.0, wave)))
+    admittance = (high / low) ** 10 * high**2 / glass
+    assert float(abs(found.reflected_s) ** 2) == pytest.approx(((1 - admittance) / (1 + admittance)) ** 2, abs=1e-12)
+    assert float(abs(found.transmitted_p) ** 2) == pytest.approx(4 * admittance / (1 + admittance) ** 2, abs=1e-12)
+
+
 def test_total_reflection_retards_as_fresnel_says():
     """tan(δ/2) = cos θ·√(sin²θ − n⁻²)/sin²θ (Born and Wolf 1999, section 1.5.4), without loss."""
     for angle in (45.0, 51.79):
