@@ -404,7 +404,7 @@ def texts(name: str, value) -> list[str]:
 
 
 def check_white(name: str, brightest: float, white: float, remedy: str) -> None:
-    """Warn where a picture looks like one of 0 … 1 though 255 or more is white, or the other way round.
+    """Warn where a picture looks like one of 0 … 1 though 255 or more is white, or of far more than white.
 
     Parameters
     ----------
@@ -418,7 +418,7 @@ def check_white(name: str, brightest: float, white: float, remedy: str) -> None:
         What to do, with which the message ends.
     """
     # Room for the overshoot of a picture of 0 … 1.
-    if (white >= 255 and 0 < brightest <= _OVERSHOT) or (white < 255 and _OVERSHOT * white < brightest < math.inf):
+    if (white >= 255 and 0 < brightest <= _OVERSHOT) or _OVERSHOT * white < brightest < math.inf:
         warn(f"{name} reaches {brightest:g} where {white:g} is white: {remedy}", ArgumentWarning)
 
 

@@ -692,7 +692,7 @@ def save_image(
         Value of black.
     cmax : float, optional
         Value of white, 255 by default. An :class:`~odak.ArgumentWarning` says where that leaves a picture of 0 … 1
-        nearly black.
+        nearly black, or one of 16 bits nearly white.
     color_depth : {8, 16}
         Bits per channel; 16 in PNG, and for grey in TIFF.
 
@@ -975,9 +975,12 @@ def _checked(img):
 
 
 def check_levels(img: np.ndarray, white: float) -> None:
-    """Warn where a picture of 0 … 1 is about to be saved with a white of 255."""
-    brightest = np.max(img, initial=0, where=~np.isnan(img))
-    _validate.check_white("img", float(brightest), white, "the file is nearly black; give cmax=1.0 where 1 is white")
+    """Warn where a picture of 0 … 1, or of 16 bits, is about to be saved with a white of 255."""
+    brightest = float(np.max(img, initial=0, where=~np.isnan(img)))
+    remedy = "the file is nearly black; give cmax=1.0 where 1 is white"
+    if brightest > white:
+        remedy = "all that is brighter becomes white; give cmax, such as 65535 for a picture of 16 bits"
+    _validate.check_white("img", brightest, white, remedy)
 
 
 def _levels(img, cmin, cmax, color_depth):

@@ -129,7 +129,7 @@ def quantize(image_field: ArrayT, bits: int = 4) -> ArrayT:
     ----------
     image_field : array
         Values from 0 to 255; those outside take the nearest level, not-a-number takes 0. An
-        :class:`~odak.ArgumentWarning` names a picture of 0 … 1.
+        :class:`~odak.ArgumentWarning` names a picture of 0 … 1, or of 16 bits.
     bits : int
         Bits to keep, 1 to 8.
 
@@ -164,8 +164,10 @@ def quantize(image_field: ArrayT, bits: int = 4) -> ArrayT:
         image_field = xp.astype(image_field, xp.float64)
     known = xp.where(xp.isnan(image_field), xp.zeros_like(image_field), image_field)
     if _array.is_readable(known) and 0 not in known.shape:
+        brightest = float(xp.max(known))
         remedy = "multiply it by 255, or use odak.learn.tools.quantize, which takes 0 … 1"
-        _validate.check_white("image_field", float(xp.max(known)), 255, remedy)
+        remedy = remedy if brightest <= 255 else "all that is brighter takes the top level; scale it to 0 … 255"
+        _validate.check_white("image_field", brightest, 255, remedy)
     levels = xp.clip(xp.trunc(known / 2 ** (8 - bits)), 0, 2**bits - 1)
     return xp.astype(levels, xp.int64)
 

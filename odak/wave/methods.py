@@ -475,7 +475,7 @@ def warnings_outside_range(method: Method, shape: tuple[int, int], request: Requ
         failure = method.failure(report)
         if failure is not None:
             rows, columns = report.shape
-            pitch = " x ".join(f"{value:.3g}" for value in sorted(set(pitches(report.dx))))
+            pitch = " x ".join(f"{value:.3g}" for value in dict.fromkeys(pitches(report.dx)))
             axes = axes_of(shape, pitches(report.dx), report.wavelength, report.distance)
             yield (
                 f"{method.name} is outside its range on a {rows} x {columns} grid (dx = {pitch} m, "

@@ -262,6 +262,8 @@ def test_a_warning_outside_the_range_names_the_better_method():
         odak.SamplingWarning, match=r"^Angular Spectrum is outside its range.*Use Linear Angular Spectrum"
     ):
         odak.wave.propagate_beam(field, None, 0.5, DX, WAVELENGTH, "Angular Spectrum")
+    with pytest.warns(odak.SamplingWarning, match=r"on a 64 x 64 grid \(dx = 8e-06 x 6e-06 m, "):
+        odak.wave.propagate_beam(field, None, 0.5, (8e-6, 6e-6), WAVELENGTH, "Angular Spectrum")
 
 
 def test_warnings_are_shown_once_for_each_line_and_text():

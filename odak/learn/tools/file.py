@@ -135,7 +135,8 @@ def save_image(
         Value of black.
     cmax : float, optional
         Value of white. By default 1, or 255 when the image holds integers or exceeds 1, or 65535 when it exceeds 255
-        as well and is saved with 16 bits. An :class:`~odak.ArgumentWarning` says where 255 leaves it nearly black.
+        as well and is saved with 16 bits. An :class:`~odak.ArgumentWarning` says where 255 leaves it nearly black,
+        or nearly white.
     color_depth : {8, 16}
         Bits per channel.
 

@@ -425,7 +425,7 @@ class Display(Prepared, torch.nn.Module):
     def extra_repr(self) -> str:
         """Return the numbers of the display in a line."""
         panel = self.modulator
-        pitch = " × ".join(f"{1e6 * p:.4g}" for p in sorted({float(p) for p in pitches(panel.pitch)}))
+        pitch = " × ".join(f"{1e6 * p:.4g}" for p in dict.fromkeys(_pitch_pair(panel.pitch)))
         levels = "no levels" if panel.bits is None else f"{panel.bits} bits"
         stop = repr(self.iris) if isinstance(self.iris, Iris) else "no iris" if self.iris is None else "one order"
         before = "" if self._first is None else f"lit through a panel at {1e3 * self._first.distance:.4g} mm, "

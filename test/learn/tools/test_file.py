@@ -74,9 +74,26 @@ def test_picture_of_0_to_1_saved_nearly_black(path, mask):
         odak.tools.save_image(path, mask.numpy())
 
 
+def test_picture_of_16_bits_saved_nearly_white(path):
+    picture = np.asarray([[0, 255, 40000]], np.uint16)
+    for save, depth in ((odak.tools.save_image, 8), (odak.tools.save_image, 16), (save_image, 8)):
+        with pytest.warns(
+            odak.ArgumentWarning, match=r"img reaches 40000 where 255 is white: .* give cmax, such as 65535"
+        ):
+            save(path, picture, color_depth=depth)
+        white = 2**depth - 1
+        assert levels_in(path).tolist() == [[0, white, white]]
+    odak.tools.save_image(path, picture, cmax=65535, color_depth=16)
+    assert levels_in(path).tolist() == picture.tolist()
+
+
 def test_quantize_names_a_picture_of_the_other_range():
     with pytest.warns(odak.ArgumentWarning, match="image_field reaches 1 where 255 is white: multiply it by 255"):
         odak.tools.quantize(np.linspace(0, 1, 5))
+    with pytest.warns(
+        odak.ArgumentWarning, match="image_field reaches 65535 where 255 is white: .* scale it to 0 … 255"
+    ):
+        odak.tools.quantize(np.linspace(0, 65535, 5))
     with pytest.warns(odak.ArgumentWarning, match=r"image_field reaches 255 where 1 is white: .*limits=\(0, 255\)"):
         odak.learn.tools.quantize(torch.linspace(0, 255, 5))
 

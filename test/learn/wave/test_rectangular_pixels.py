@@ -38,6 +38,11 @@ def test_a_display_shows_what_an_independent_propagation_gives(options):
     assert physics.relative_error(shown.numpy(), intensity(phase, net, PITCH[::-1])) > 0.1
 
 
+def test_a_display_says_its_pitches_as_rows_and_columns():
+    display = learn.Display(learn.Modulator((12, 16), (8e-6, 6.4e-6)), 532e-9, 2e-3)
+    assert "12 × 16 pixels of 8 × 6.4 µm" in repr(display)
+
+
 def test_a_round_iris_is_round_in_cycles_per_metre():
     phase, cutoff = random_phase(), 4e4
     options = {"iris_radius": cutoff * WAVELENGTH * 0.1, "iris_focal_length": 0.1}
