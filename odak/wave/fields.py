@@ -8,6 +8,11 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array, ArrayT
+from odak._warnings import ArgumentWarning, warn
+
+# Where the default unit is the millimetre: wavelengths below 10 nm, and apertures of fewer wavelengths, are likely in
+# metres.
+_FEWEST_MILLIMETRES, _FEWEST_WAVES = 1e-5, 100
 
 
 @_validate.takes_units("wavelength")
@@ -62,12 +67,20 @@ def rotationspeed(wavelength: Array, c: float | Array = 3 * 10**11) -> Array:
     array
         Angular frequency in rad/s, of the shape to which the arguments broadcast.
 
+    Warns
+    -----
+    ArgumentWarning
+        If `wavelength` is likely in metres, and `c` is the default.
+
     Examples
     --------
     >>> from odak.wave import rotationspeed
     >>> round(float(rotationspeed(500e-9, 299792458.0)) / 1e15, 3)
     3.767
     """
+    numbers = isinstance(wavelength, float) and isinstance(c, (int, float))
+    if numbers and c == 3 * 10**11 and 0 < wavelength < _FEWEST_MILLIMETRES:
+        warn(f"wavelength is in mm with the default c, got {wavelength:g}: give c=299792458.0 for m", ArgumentWarning)
     k, c = wavenumber(wavelength), _positive("c", c)
     _validate.fitting(wavelength=k, c=c)
     return k * c
@@ -91,6 +104,11 @@ def rayleigh_resolution(diameter: float, focal: float | None = None, wavelength:
     float
         Resolution (Born and Wolf 1999, section 8.6.2).
 
+    Warns
+    -----
+    ArgumentWarning
+        If `diameter` is likely in metres, and `wavelength` is the default.
+
     Examples
     --------
     A lens of 25 mm aperture and 100 mm focal length, in mm:
@@ -99,6 +117,12 @@ def rayleigh_resolution(diameter: float, focal: float | None = None, wavelength:
     >>> round(rayleigh_resolution(25.0, 100.0, 500e-6), 6)
     0.00244
     """
+    lengths = isinstance(diameter, float) and isinstance(wavelength, float)
+    if lengths and wavelength == 0.0005 and 0 < diameter < _FEWEST_WAVES * wavelength:
+        warn(
+            f"wavelength is 0.0005 by default, in mm, got a diameter of {diameter:g}: give both in one unit",
+            ArgumentWarning,
+        )
     wavelength, diameter = _positive("wavelength", wavelength), _positive("diameter", diameter)
     focal = 1.0 if focal is None else _validate.real("focal", focal)
     focal = np.asarray(focal) if isinstance(focal, (list, tuple)) else focal

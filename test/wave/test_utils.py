@@ -62,3 +62,12 @@ def test_complex_phases_are_refused_rather_than_halved():
         odak.wave.generate_complex_field(1.0, np.asarray([1 + 1j]))
     with pytest.raises(TypeError, match="new_phase must be real"):
         odak.wave.add_phase(np.ones(2), 1j)
+
+
+def test_metres_where_millimetres_are_the_default():
+    with pytest.warns(odak.ArgumentWarning, match=r"by default, in mm, got a diameter of 0\.004"):
+        odak.wave.rayleigh_resolution(4e-3)
+    with pytest.warns(odak.ArgumentWarning, match=r"in mm with the default c, got 5\.32e-07: give c=299792458\.0"):
+        odak.wave.rotationspeed("532 nm")
+    assert odak.wave.rayleigh_resolution(4e-3, wavelength=532e-9) == pytest.approx(1.22 * 532e-9 / 4e-3)
+    assert odak.wave.rotationspeed("532 nm", 299792458.0) == pytest.approx(2 * math.pi * 299792458.0 / 532e-9)

@@ -113,7 +113,7 @@ def quantize(image_field: torch.Tensor, bits: int = 8, limits: Sequence[float] =
     if not low < high:
         raise ValueError(f"limits must be two rising numbers, got {limits!r}")
     if image_field.numel() and _array.is_readable(image_field):
-        brightest = float(image_field.detach().nan_to_num(nan=0.0).max())
+        brightest = float(image_field.detach().nan_to_num(nan=0.0, posinf=math.inf).max())
         _validate.check_white("image_field", brightest, high, "give the limits of its values, such as limits=(0, 255)")
     levels = (image_field - low) / (high - low) * 2**bits
     return levels.nan_to_num(nan=0.0).clamp(0, 2**bits).to(torch.int32).clamp(max=2**bits - 1)
