@@ -143,13 +143,15 @@ def least_square_1d(x: Array, y: Array) -> Array:
     x, y = xp.reshape(x, (-1,)), xp.reshape(y, (-1,))
     if x.shape != y.shape:
         raise ValueError(f"y must have as many points as x, got {y.shape[0]} and {x.shape[0]}")
-    middle, height = xp.mean(x), xp.mean(y)
-    across = x - middle
+    # From the first point, so that points far from zero keep their digits in single precision.
+    across, up = x - x[:1], y - y[:1]
+    middle, height = xp.mean(across), xp.mean(up)
+    across = across - middle
     spread = xp.sum(across**2)
     if _array.is_readable(spread) and not _validate.numbers(spread)[0] > 0:
         raise ValueError(f"x must contain at least two different finite numbers, got {x.shape[0]} without any spread")
-    gradient = xp.sum(across * (y - height)) / spread
-    return xp.stack((gradient, height - gradient * middle))
+    gradient = xp.sum(across * (up - height)) / spread
+    return xp.stack((gradient, y[0] + (height - gradient * (middle + x[0]))))
 
 
 _CHUNK = 256

@@ -135,3 +135,12 @@ def test_tensors_with_gradients_are_taken_as_numbers(random):
     with pytest.warns(odak.AccuracyWarning, match="parameters requires a gradient"):
         found = fit.gradient_descent_1d(x, x, torch.zeros(3, dtype=torch.float64, requires_grad=True), *options)
     np.testing.assert_array_equal(found, fit.gradient_descent_1d(x, x, np.zeros(3), *options))
+
+
+def test_a_line_far_from_zero_keeps_its_digits_in_single_precision():
+    x = np.linspace(1e6, 1e6 + 5, 20, dtype=np.float32)
+    y = (3 * (x - np.float32(1e6)) + np.sin(7 * x)).astype(np.float32)
+    slope, start = fit.least_square_1d(x, y)
+    expected = np.polyfit(x.astype(np.float64) - 1e6, y, 1)
+    assert slope == pytest.approx(expected[0], rel=1e-5)
+    assert start + slope * 1e6 == pytest.approx(expected[1], abs=1.0)
