@@ -50,6 +50,8 @@ __all__ = [
 BLOCK = 1 << 15
 LIMITS = (Aperture, CombinedAperture)
 SOURCES = ("collimated", "lambertian", "point")
+# Rounding errors of sources that lie on an element, over those of places that are computed along rays.
+STARTING = 1 / 256
 # Samples of a radial distribution, between which its sum is inverted linearly in r².
 SAMPLES = 4096
 
@@ -453,17 +455,20 @@ class Element:
         tuple
             Distances, infinite for rays that do not meet it, places, normals as tuples, and triangles or None.
         """
+        # A source may lie on the element, but for the rounding of its place.
+        near = margin * STARTING if left is None else 0.0
         if isinstance(self.shape, triangle_mesh):
+            point = vec.along(point, near, direction) if near else point
             rays = torch.stack((torch.stack(point, -1), torch.stack(direction, -1)), -2)
             leaving = None if left is None else torch.where(left, face, -1)
             found: Any = self.shape.intersect(rays, leaving=leaving)
             places = tuple(part.unbind(-1) for part in (found.point, found.normal))
-            return torch.where(found.hit, found.distance, torch.inf), *places, found.face
+            return torch.where(found.hit, found.distance + near, torch.inf), *places, found.face
         if isinstance(self.shape, Plane):
             # In closed form, since guides and boxes consist of planes.
             steep = direction[2] != 0
             distance = -point[2] / torch.where(steep, direction[2], 1.0)
-            hit = steep & (distance > 0)
+            hit = steep & (distance > near)
             if left is not None:
                 hit = hit & ~left
             place = vec.along(point, distance, direction)
@@ -881,7 +886,8 @@ class Scene:
     Notes
     -----
     The media at an intersection are taken from the element that is met, on the side from which the ray comes, so
-    that adjoining elements must agree on the medium between them. Light is taken for unpolarised at each interface,
+    that adjoining elements must agree on the medium between them. An element on which a source lies does not stop its
+    rays where they start. Light is taken for unpolarised at each interface,
     unless it comes from :meth:`Light.polarized`: then interfaces act on its two polarisations, scattering leaves none
     (each ray is scattered with a linear polarisation that is drawn), and gratings turn the field with the ray.
 

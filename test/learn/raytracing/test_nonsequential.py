@@ -519,6 +519,16 @@ def test_light_beside_a_hologram_is_absorbed():
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_tilted_board_does_not_stop_the_light_of_its_own_source(dtype):
+    center, angles = torch.tensor([1.3, 2.7, -3.1], dtype=dtype), (33.0, 21.0, 7.0)
+    light = light_source("lambertian", 5_000, size=(1.0, 1.0), center=center, angles=angles)
+    corners = torch.tensor([[-3, -3, 0], [3, -3, 0], [-3, 3, 0], [3, 3, 0]], dtype=dtype)
+    for board in (Plane(), triangle_mesh(corners, torch.tensor([[0, 1, 2], [1, 3, 2]]))):
+        found = Scene([Element(board, interface=BLACK, center=center, angles=angles)]).trace(light, WAVE)
+        assert float(found.absorbed[0]) == 0
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_thin_films_of_glass_end_at_their_second_face(dtype):
     faces = [Element(Conic(0.02), (1.0, 1.5), aperture=9.0)]
     faces.append(Element(Conic(0.02), (1.5, 1.0), BLACK, center=(0, 0, 0.01), aperture=9.0))
