@@ -54,6 +54,8 @@ _ORDERS = 3
 _REACH = 4
 # Pixels around a modulator, at least, in which the light of its edges is followed behind another panel.
 _MARGIN = 32
+# Where an iris passes fewer periods across the panel, its spot is wider than all that is computed.
+_FEWEST_PERIODS = 0.5
 # Least amplitude of the light on the panel, as a share of its root mean square, that double phase makes up for.
 _DIMMEST = 0.1
 
@@ -279,6 +281,11 @@ class Display(Prepared, torch.nn.Module):
     ValueError, TypeError
         If an argument is outside its range, naming it.
 
+    Warns
+    -----
+    AccuracyWarning
+        If the iris passes less than half a period across the modulator, and images are mere tails of its spot.
+
     Examples
     --------
     >>> import torch
@@ -322,6 +329,15 @@ class Display(Prepared, torch.nn.Module):
         self.medium = _validate.constant("medium", medium, positive=True)
         _checked_iris(iris)
         self.iris = iris
+        if isinstance(iris, Iris) and self.lens is None:
+            across = min(n * p for n, p in zip(modulator.resolution, _pitch_pair(modulator.pitch), strict=True))
+            periods = across * min(iris.cutoff(wavelength) for wavelength in self.wavelengths)
+            if periods < _FEWEST_PERIODS:
+                warn(
+                    f"iris passes {periods:.2g} periods across the modulator, whose light it spreads far beyond "
+                    f"the images: is its radius of {iris.radius:g} m right?",
+                    AccuracyWarning,
+                )
         if self.eyes is not None:
             for name, given, other in (
                 ("iris", iris, "'order' or None"),

@@ -8,7 +8,7 @@ import pytest
 import torch
 from emulated_device import NAME, EmulatedDevice, reads
 
-from odak import ArgumentWarning, SamplingWarning
+from odak import AccuracyWarning, ArgumentWarning, SamplingWarning
 from odak.instruments import Calibration, Lens, SimulatedTable, save_calibration
 from odak.learn.models import hologram_network
 from odak.learn.wave import (
@@ -394,6 +394,8 @@ def test_displays_that_cannot_be_are_named():
     for use in (lit, lit.judge, lambda phases: optimise(lit, torch.ones(1, 2, 16, 16), solver="gs")):
         with pytest.raises(ValueError, match=r"powers must light each wavelength in a frame, got \[1.0, 0.0\]"):
             use(torch.zeros(2, 16, 16))
+    with pytest.warns(AccuracyWarning, match=r"passes 0\.24 periods across the modulator.* radius of 2e-05 m right"):
+        Display(panel, WAVELENGTH, 1e-3, iris=Iris(20e-6, 0.02))
     with pytest.raises(ValueError, match="iris must be"):
         Display(panel, WAVELENGTH, 1e-3, iris="round")
     with pytest.raises(ValueError, match="fill"):
