@@ -527,6 +527,9 @@ def circular_aperture(
     """
     _validate.number("radius", radius, positive=True)
     _validate.number("inner_radius", inner_radius, least=0)
+    plain = plain_numbers(radius, inner_radius)
+    if plain is not None and plain[1] > plain[0]:
+        raise ValueError(f"inner_radius must be at most the radius {plain[0]:g}, got {plain[1]:g}")
     xp, device, (radius, inner_radius) = single_numbers(xp, device, radius=radius, inner_radius=inner_radius)
     steps, (y, x) = grid_positions(shape, dx, offset, xp, device)
     ring = inner_radius > 0

@@ -169,7 +169,7 @@ def calculate_amplitude(field: ArrayT) -> ArrayT:
     Returns
     -------
     array
-        Real, not negative, of the field's shape and precision.
+        Real, not negative, of the field's shape and precision; float32 from integers.
 
     Examples
     --------
@@ -178,7 +178,11 @@ def calculate_amplitude(field: ArrayT) -> ArrayT:
     >>> calculate_amplitude(np.asarray([3 + 4j, -2 + 0j])).tolist()
     [5.0, 2.0]
     """
-    return _array.namespace(field).abs(_validate.array("field", field))
+    field = _validate.array("field", field)
+    xp = _array.namespace(field)
+    # The modulus of the least integer of a type is no integer of that type.
+    known = xp.isdtype(field.dtype, ("real floating", "complex floating"))
+    return xp.abs(field if known else xp.astype(field, _array.real_dtype(field)))
 
 
 def calculate_intensity(field: ArrayT) -> ArrayT:
@@ -192,7 +196,7 @@ def calculate_intensity(field: ArrayT) -> ArrayT:
     Returns
     -------
     array
-        Real, not negative, of the field's shape and precision.
+        Real, not negative, of the field's shape and precision; float32 from integers.
 
     Examples
     --------

@@ -8,6 +8,7 @@ from typing import Any
 
 from odak import _array, _validate
 from odak._array import Array
+from odak._warnings import SamplingWarning, warn
 from odak.wave.elements import zernike_modes
 from odak.wave.propagation import padding_flags, propagate_beam
 from odak.wave.transfer_functions import autocorrelation, pitches
@@ -66,6 +67,11 @@ def pupil_function(
     ValueError, TypeError
         If an argument is outside its range, naming it.
 
+    Warns
+    -----
+    SamplingWarning
+        If the pupil reaches beyond the frequencies of the image, 1/(2·dx), which leave it incomplete.
+
     Examples
     --------
     >>> from odak.wave import point_spread_function, pupil_function
@@ -82,6 +88,17 @@ def pupil_function(
     wavelength = _validate.constant("wavelength", wavelength, positive=True)
     _validate.real("numerical_aperture", numerical_aperture, positive=True)
     _validate.real("obscuration", obscuration)
+    if not _array.is_traced(obscuration) and not all(0 <= one <= 1 for one in _validate.numbers(obscuration)):
+        raise ValueError(f"obscuration must be within 0 … 1, got {obscuration}")
+    if not _array.is_traced(numerical_aperture):
+        widest = max(_validate.numbers(numerical_aperture))
+        whole = wavelength / 2 * min(n * step for n, step in zip((rows, columns), steps, strict=True))
+        if widest > whole * (1 + 1e-9):
+            warn(
+                f"numerical_aperture of {widest:g} reaches beyond the frequencies of the image, which end at "
+                f"{whole:.3g}: give a dx of at most {wavelength / (2 * widest):.3g} m",
+                SamplingWarning,
+            )
     aberrations = {} if aberrations is None else aberrations
     if not isinstance(aberrations, Mapping):
         raise TypeError(f"aberrations must map (n, m) to radians, got {type(aberrations).__name__}")

@@ -231,3 +231,9 @@ def test_numbers_that_require_gradients_are_not_read():
     phase, texts = warned(odak.learn.wave.lens_phase, (N, N), focal, DX, WAVELENGTH)
     assert phase.requires_grad
     assert not texts
+
+
+def test_ring_without_an_area_is_named(as_array):
+    with pytest.raises(ValueError, match="inner_radius must be at most the radius 1e-05, got 2e-05"):
+        circular_aperture((8, 8), 8e-6, as_array(np.asarray(1e-5)), inner_radius=2e-5)
+    assert abs(circular_aperture((8, 8), 8e-6, 1e-5, inner_radius=1e-5)).max() < 1e-12

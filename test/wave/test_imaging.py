@@ -271,3 +271,13 @@ def test_faces_and_gradients_of_a_pupil():
         pupil_function(*arguments, 0.1, [0.3])
     with pytest.raises(ValueError, match="numerical_aperture must be positive"):
         pupil_function(*arguments, -0.1)
+
+
+def test_pupils_that_cannot_be(as_array):
+    with pytest.warns(
+        odak.SamplingWarning, match=r"numerical_aperture of 0\.5 .* end at 0\.133: give a dx of at most 5\.32e-07"
+    ):
+        pupil_function((32, 32), (1e-6, 2e-6), 532e-9, as_array(np.asarray([0.1, 0.5])))
+    for share in (-0.1, 1.2):
+        with pytest.raises(ValueError, match="obscuration must be within 0 … 1"):
+            pupil_function((32, 32), 1e-6, 532e-9, 0.2, obscuration=as_array(np.asarray(share)))

@@ -71,3 +71,9 @@ def test_metres_where_millimetres_are_the_default():
         odak.wave.rotationspeed("532 nm")
     assert odak.wave.rayleigh_resolution(4e-3, wavelength=532e-9) == pytest.approx(1.22 * 532e-9 / 4e-3)
     assert odak.wave.rotationspeed("532 nm", 299792458.0) == pytest.approx(2 * math.pi * 299792458.0 / 532e-9)
+
+
+def test_amplitude_of_the_least_integer_is_positive(as_array):
+    field = as_array(np.asarray([-128, 3], np.int8))
+    assert np.asarray(odak.wave.calculate_amplitude(field)).tolist() == [128, 3]
+    assert np.asarray(odak.wave.calculate_intensity(field)).tolist() == [16384, 9]
