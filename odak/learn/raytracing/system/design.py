@@ -170,7 +170,7 @@ class lens_design:
     solves : sequence of Solve
         Solves, applied in order after the pickups: a solve for the focal length precedes one
         for the image distance.
-    pupil : str or torch.Tensor
+    pupil : str, PupilQuadrature or torch.Tensor
         Pattern of :func:`pupil_samples` for spots and wavefronts, or points ``[P, 2]``, or points for each
         field ``[F, P, 2]``: surfaces of many coefficients then cannot wave between the rays.
     count : int

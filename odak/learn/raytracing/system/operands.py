@@ -22,7 +22,7 @@ from odak.learn.raytracing.system.analysis import (
 )
 from odak.learn.raytracing.system.paraxial import FirstOrder, first_order
 from odak.learn.raytracing.system.prescriptions import Prescription
-from odak.learn.raytracing.system.pupils import launch, pupil_of
+from odak.learn.raytracing.system.pupils import launch, pupil_of, weights_of
 from odak.learn.raytracing.system.surfaces import field_shares, is_break, layout_of, reference_of, wavelength_shares
 from odak.learn.raytracing.system.tracing import Rays, Traced, in_surface_frame, trace
 from odak.learn.raytracing.system.waves import RAYS, chosen_samples, modulation_in_planes
@@ -94,7 +94,7 @@ class View:
         The system.
     prescription : Prescription
         Its numbers, perhaps of a batch of systems.
-    pupil : str or torch.Tensor
+    pupil : str, PupilQuadrature or torch.Tensor
         Pattern of :func:`pupil_samples`, or points ``[P, 2]``, or ``[F, P, 2]`` for points of each field's own.
     count : int
         Count of :func:`pupil_samples`.
@@ -119,6 +119,8 @@ class View:
         self.system, self.prescription, self.heights, self.glass = system, prescription, heights, glass
         self.options: dict[str, Any] = {"prescription": prescription, "aim": aim}
         self.points = pupil_of(pupil, count, system)
+        weights = weights_of(pupil, count, self.points)
+        self.weights: Any = 1.0 if weights is None else weights / weights.mean(-1, keepdim=True)
 
     @cached_property
     def first_order(self) -> FirstOrder:
@@ -281,6 +283,7 @@ def _spot(view: View, fields: Any = None, lost: float | None = None) -> torch.Te
     number = traced.x.shape[-3] * traced.x.shape[-1]
     good = traced.arrived | (lost is None)
     share, own = _shares(view, traced.x)
+    share = share * view.weights
     count = (share * good).sum((-3, -1), keepdim=True).clamp_min(1e-300)
     for value in (traced.x, traced.y):
         value = torch.where(good, value, 0.0)
@@ -297,7 +300,8 @@ def _wavefront(view: View, fields: Any = None) -> torch.Tensor:
     """Path differences from their mean in wavelengths; their squares sum to Σ rms² of all fields and wavelengths."""
     path = view.wavefront.path
     share, own = _shares(view, path)
-    around = (path - path.mean(-1, keepdim=True)) * (share * own).sqrt() / path.shape[-1] ** 0.5
+    around = path - (view.weights * path).mean(-1, keepdim=True)
+    around = around * (share * own * view.weights).sqrt() / path.shape[-1] ** 0.5
     return _weighted(around, fields, -2).flatten(-3)
 
 

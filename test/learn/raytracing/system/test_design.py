@@ -17,6 +17,7 @@ from odak.learn.raytracing.system import (
     lens_design,
     load_system,
     optical_system,
+    pupil_quadrature,
     rms_spot,
     seidel_sums,
     surface,
@@ -63,6 +64,18 @@ def test_the_rear_of_a_plano_convex_lens_becomes_a_hyperboloid(index, conic):
     result = lens_design(lens, "spot", Variable("conic", 1)).optimise(30, tolerance=0.0)
     assert float(lens.surfaces[1].conic) == pytest.approx(conic, rel=1e-8)
     assert result.merit < 1e-18
+
+
+@pytest.mark.parametrize("quadrature", [False, True])
+def test_operands_of_weighted_rays_are_means_over_the_pupil(quadrature):
+    """A slow sphere: the wavefront of path W·r⁴ has the variance 4W²/45, spots at k·r³ the mean square k²/4."""
+    mirror = optical_system([surface(-2000.0, thickness=-1000.0, material="mirror")], 20.0)
+    pupil = pupil_quadrature(mirror, 8) if quadrature else "gauss"
+    design = lens_design(mirror, ["spot", "wavefront"], [Variable("curvature", 0)], pupil=pupil, count=8)
+    spot, lag = (float(values.square().sum()) for _, values, _ in design.report())
+    assert spot == pytest.approx((10.0**3 / (2 * 2000.0**2)) ** 2 / 4, rel=1e-3)
+    path = 10.0**4 / (4 * 2000.0**3) / mirror.wavelengths[0]
+    assert lag == pytest.approx(4 * path**2 / 45, rel=1e-3)
 
 
 def test_a_mirror_becomes_a_paraboloid_by_its_wavefront():
