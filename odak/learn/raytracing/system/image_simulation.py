@@ -23,6 +23,8 @@ KINDS = ("rays", "waves")
 PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 # Chief rays along each side of the sensor, and the degree of the polynomials through them.
 LINE, DEGREE = 13, 7
+# Share of the light of a point that its kernel should hold.
+HELD = 0.9
 
 
 class PointSpreadMap(NamedTuple):
@@ -122,6 +124,11 @@ def point_spread_map(
     ValueError, TypeError
         If an argument is outside its range, naming it, or no ray arrives at a point of the grid.
 
+    Warns
+    -----
+    odak.AccuracyWarning
+        If more than a tenth of the light of a point of the grid falls beside its kernel.
+
     Notes
     -----
     A bundle of rays evenly spread over the entrance pupil holds the power ∝ cos⁴θ of a Lambertian object per area of
@@ -165,6 +172,13 @@ def point_spread_map(
     images = images / total[..., None, None]
     spread = weights[:, :, None] * power[0] / torch.einsum("cw,wf->cf", weights, middle[0])[:, None, :]
     kernels = torch.einsum("cwf,wfij->cfij", spread, images)
+    held = (kernels.sum((-2, -1)) / lit).detach().nan_to_num(1.0)
+    if is_readable(held) and float(held.min()) < HELD:
+        warn(
+            f"kernels of {kernel} x {kernel} pixels hold {100 * float(held.min()):.2g} % of the light of a point, and "
+            "pictures lose the rest: take a larger kernel",
+            AccuracyWarning,
+        )
     parts = (kernels.reshape(-1, *grid, kernel, kernel), lit.reshape(-1, *grid), ideal, real.reshape(*grid, 2))
     return PointSpreadMap(*parts, undistort, pitch, (rows, columns))
 

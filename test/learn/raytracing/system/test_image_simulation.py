@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from odak import AccuracyWarning
 from odak.learn.raytracing.system import (
     Coating,
     demosaic,
@@ -135,6 +136,17 @@ def test_vignetting_and_losses_dim_the_picture():
     power = polarized_trace(glass, launch(glass, torch.zeros(1, 2, dtype=F64), fields=fields)).transmittance[0, :, 0]
     ratio = float(lossy.illumination[0, 0, 0] / plain.illumination[0, 0, 0])
     assert abs(ratio - float(power[1] / power[0])) < 3e-4
+
+
+@pytest.mark.parametrize("kind", ["rays", "waves"])
+def test_kernels_that_lose_light_are_told(kind):
+    """Half a millimetre out of focus at f/5, a point is a disc of 0.1 mm: 20 pixels wide."""
+    options = {"grid": (2, 2), "kind": kind, "count": 6}
+    with pytest.warns(AccuracyWarning, match="larger kernel"):
+        small = point_spread_map(ideal_lens(0.5), (5, 5), 0.005, kernel=5, **options)
+    large = point_spread_map(ideal_lens(0.5), (5, 5), 0.005, kernel=41, **options)
+    assert float(small.kernels.sum((-2, -1)).max()) < 0.3
+    assert float((large.kernels.sum((-2, -1)) / large.illumination).min()) > 0.95
 
 
 def test_gradients_reach_the_lens_and_the_picture():
