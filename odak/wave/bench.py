@@ -419,6 +419,9 @@ class FreeSpace:
     offset: Any = (0.0, 0.0)
     index: Any = 1.0
 
+    def __post_init__(self):
+        _validate.real("index", self.index, positive=True)
+
     def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
@@ -488,6 +491,11 @@ class ThinLens:
 
     focal: Any
     offset: Any = (0.0, 0.0)
+
+    def __post_init__(self):
+        # Infinity is a lens without power.
+        if not (isinstance(self.focal, float) and math.isinf(self.focal)):
+            _validate.real("focal", self.focal, nonzero=True)
 
     def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
@@ -566,6 +574,9 @@ class CircularAperture:
     radius: Any
     offset: Any = (0.0, 0.0)
 
+    def __post_init__(self):
+        _validate.real("radius", self.radius, positive=True)
+
     def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.
 
@@ -617,6 +628,10 @@ class RectangularAperture:
     height: Any
     width: Any
     offset: Any = (0.0, 0.0)
+
+    def __post_init__(self):
+        _validate.real("height", self.height, positive=True)
+        _validate.real("width", self.width, positive=True)
 
     def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
         """Return the field behind the element and its pixel pitch.

@@ -469,3 +469,19 @@ def test_a_vortex_sends_the_light_of_a_disc_out_of_it(xp):
     same = np.asarray(wave.filter_in_focal_plane(field, lambda y, x: 1 + 0 * y * x, 1.0, 1e-4, 1e-6))
     turned = np.roll(disc[::-1, ::-1], 1, (0, 1)) * np.exp(2j * np.pi * 4 / 1e-6) * -1
     np.testing.assert_allclose(same, turned, atol=2e-5)
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: CircularAperture(-1e-4), "radius must be positive and finite, got -0.0001"),
+        (lambda: RectangularAperture(1e-4, 0.0), "width must be positive"),
+        (lambda: RectangularAperture(np.asarray([1e-4, -1e-4]), 1e-4), "height must be positive"),
+        (lambda: ThinLens(torch.tensor([0.1, 0.0])), "focal must be finite and not zero, got 0"),
+        (lambda: FreeSpace(1e-3, index=-1.5), "index must be positive"),
+    ],
+)
+def test_elements_that_cannot_be_are_named(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+    assert ThinLens(np.inf).matrix() == [[1.0, 0.0], [0.0, 1.0]]
