@@ -477,10 +477,12 @@ def warnings_outside_range(method: Method, shape: tuple[int, int], request: Requ
             rows, columns = report.shape
             pitch = " x ".join(f"{value:.3g}" for value in dict.fromkeys(pitches(report.dx)))
             axes = axes_of(shape, pitches(report.dx), report.wavelength, report.distance)
+            remedy = f"Use {recommend((axes,), request.tolerance)[0]}, or 'auto'."
+            if method.of_intensities:
+                remedy = "Surround the intensity by more zeros; the other methods propagate fields."
             yield (
                 f"{method.name} is outside its range on a {rows} x {columns} grid (dx = {pitch} m, "
-                f"wavelength = {report.wavelength:.4g} m): {failure}. Use {recommend((axes,), request.tolerance)[0]}, "
-                "or 'auto'."
+                f"wavelength = {report.wavelength:.4g} m): {failure}. {remedy}"
             )
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from odak import _array, _validate
 from odak._array import Array
-from odak._warnings import SamplingWarning, warn
+from odak._warnings import ArgumentWarning, SamplingWarning, warn
 from odak.tools.matrix import crop_center, zero_pad
 from odak.wave.fields import budgets, note_loss, power_of
 from odak.wave.linear_kernels import TOLERANCE
@@ -88,7 +88,7 @@ def propagate_beam(
         holds (see :func:`odak.wave.sampling_report`), linear convolution wherever that is possible. Tensors on a
         GPU or transformed by torch.func as lengths take "Linear Angular Spectrum" without a prediction of its error.
     kernel : array, optional
-        Transfer function for "custom", centred (zero frequency at index n // 2).
+        Transfer function for "custom", centred (zero frequency at index n // 2); ones by default, at any distance.
     zero_padding : sequence of bool
         Pad the field to twice its size; pad the spectrum to twice its size (half the output pitch; no effect with
         Fraunhofer); crop the centre half at the end.
@@ -1039,6 +1039,9 @@ def _check_aperture(aperture) -> None:
 def _check_method(method, request: Request) -> None:
     if request.kernel is not None and not method.takes_kernel:
         raise ValueError(f"kernel is for propagation_type 'custom' only, got it with {method.name!r}")
+    kernelless = request.kernel is None and method.takes_kernel
+    if kernelless and _array.is_readable(request.distance) and any(_validate.numbers(request.distance)):
+        warn(f"{method.name!r} without a kernel ignores the distance: light stays where it is", ArgumentWarning)
     if request.scale != 1 and not method.scalable:
         raise ValueError(f"scale is for the impulse-response methods only, got {request.scale} with {method.name!r}")
     if not method.windowed and (_array.is_array(request.aperture) or request.aperture != 1):

@@ -266,6 +266,21 @@ def test_a_warning_outside_the_range_names_the_better_method():
         odak.wave.propagate_beam(field, None, 0.5, (8e-6, 6e-6), WAVELENGTH, "Angular Spectrum")
 
 
+def test_advice_on_intensities_is_not_a_method_of_fields():
+    with pytest.warns(
+        odak.SamplingWarning, match=r"Incoherent Angular Spectrum is outside .* more zeros; the other"
+    ) as said:
+        odak.wave.propagate_beam(np.ones((64, 64)), None, 0.5, DX, WAVELENGTH, "Incoherent Angular Spectrum")
+    assert not any("Use " in str(one.message) for one in said)
+
+
+def test_custom_without_a_kernel_says_that_it_does_not_propagate():
+    field = np.ones((8, 8), complex)
+    with pytest.warns(odak.ArgumentWarning, match="'custom' without a kernel ignores the distance"):
+        odak.wave.propagate_beam(field, None, 1e-3, DX, WAVELENGTH, "custom")
+    np.testing.assert_allclose(odak.wave.custom(field, None, aperture=0.5), 0.5 * field)
+
+
 def test_warnings_are_shown_once_for_each_line_and_text():
     field = torch.ones(64, 64, dtype=torch.complex64)
     with warnings.catch_warnings(record=True) as caught:
