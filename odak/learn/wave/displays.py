@@ -857,7 +857,7 @@ class Display(Prepared, torch.nn.Module):
         return down.mH @ there @ across.conj()
 
     def _of_eye(self, colour, eye, part, dtype):
-        made = self._sight(colour, eye).parts(self.samples)[part]
+        made = self._sight(colour, eye).part(part, self.samples)
         return torch.from_numpy(made).to(self.powers.device, dtype)
 
     def _sight(self, colour, eye) -> Sight:
@@ -999,36 +999,56 @@ class Display(Prepared, torch.nn.Module):
         return torch.fft.fftshift(field) * passed
 
     def _on_retina(self, light, sight: Sight):
-        """Return the field that an eye sees, by transforms to the whole plane of its pupil and back, and its samples.
+        """Return the field that an eye sees, over an area of twice the extent of the panel, and its samples per pixel.
 
-        The field has several samples in each pixel of an area of twice the extent of the panel.
+        Along each axis the light of square pixels passes the stop, and is transformed to the plane of the pupil with
+        the curvature that the path gives it, and back.
         """
-        (a, b, _), (middle, halves), sizes = sight.ray_matrix(), sight.pupil(), light.shape
-        boxes = [sight.box(axis) for axis in (0, 1)]
-        # All orders that reach the pupil, from the rim of the panel too.
-        reach = [abs(m) + h + box / 2 for m, h, box in zip(middle, halves, boxes, strict=True)]
-        finer = max(math.ceil(2 * r / box) for r, box in zip(reach, boxes, strict=True))
-        passed = 1.0 if self.iris is None else self._passed(finer, sight.wavelength, self.iris, light.device)
-        field = self._sampled(light, finer, self.modulator.fill, passed)
+        (a, b, _), kind = sight.ray_matrix(), {"dtype": torch.float64, "device": light.device}
+        boxes, lengths, places, spacing = [sight.box(axis) for axis in (0, 1)], [], [], []
+        axes = list(zip((-2, -1), light.shape, sight.pitches, boxes, *sight.pupil(), strict=True))
         # Zeros around a small panel bring the points of the pupil nearer to each other.
-        wide = max(1, *(math.ceil(16 * box / (n * h)) for n, h, box in zip(sizes, halves, boxes, strict=True)))
-        more = [(wide - 1) * n * finer for n in sizes]
-        field = torch.nn.functional.pad(field, (more[1], more[1], more[0], more[0]))
-        (down, y, fine), (across, x, more_fine) = (
-            (
-                torch.fft.fftfreq(n, pitch / finer, dtype=torch.float64) * sight.wavelength * b - place,
-                ((torch.arange(n, dtype=torch.float64) - n // 2) * pitch / finer) ** 2,
-                sight.wavelength * abs(b) * finer / (n * pitch * half),
-            )
-            for n, pitch, half, place in zip(field.shape, sight.pitches, halves, middle, strict=True)
-        )
-        bend = a / (2 * sight.wavelength * b) * (y[:, None] + x)
-        blur = sight.defocus() / (2 * sight.wavelength) * (down[:, None] ** 2 + across**2)
-        passed = covered(torch, down[:, None] / halves[0], across / halves[1], [fine, more_fine]).to(field.device)
-        before, behind = (_array.phasor_of_cycles(c.to(field.device), field.dtype) for c in (bend, blur))
-        there = torch.fft.fft2(torch.fft.ifftshift(field * before)) * (passed * behind)
-        shown = torch.fft.fftshift(torch.fft.ifft2(there))
-        return shown[more[0] : len(shown) - more[0], more[1] : shown.shape[1] - more[1]], finer
+        wide = max(math.ceil(16 * box / (n * half)) for _, n, _, box, _, half in axes)
+        for axis, n, pitch, box, middle, half in axes:
+            # All orders that reach the pupil, from the rim of the panel too.
+            finer = math.ceil(2 * (abs(middle) + half) / box + 1)
+            count, step = 2 * n * finer * wide, pitch / finer
+            comb = light.new_zeros(*(count if k == axis else light.shape[k] for k in (-2, -1)))
+            first = count // 2 - n // 2 * finer
+            comb.narrow(axis, first, n * finer).unfold(axis, finer, finer)[..., 0].copy_(light)
+            f = torch.fft.fftfreq(count, step, **kind)
+            passed = torch.sinc(math.sqrt(self.modulator.fill) * pitch * f) * finer
+            if self.iris is not None:
+                # Half of the last frequency, which is rounded.
+                passed = passed * sum(0.5 * (f.abs() < (0.5 + shift) / pitch) for shift in (-1e-6, 1e-6))
+            x = (torch.arange(count, **kind) - count // 2) * step
+            bent = torch.fft.ifftshift(_array.phasor_of_cycles(a / (2 * sight.wavelength * b) * x**2))
+
+            passed, bent = (v.to(light.dtype)[:, None] if axis == -2 else v.to(light.dtype) for v in (passed, bent))
+            spectrum = torch.fft.fft(torch.fft.ifftshift(comb, axis), dim=axis) * passed
+            there = torch.fft.fft(torch.fft.ifft(spectrum, dim=axis) * bent, dim=axis)
+            u = f * sight.wavelength * b - middle
+            inside = torch.nonzero(u.abs() < half + sight.wavelength * abs(b) / (count * step))[:, 0]
+            inside = inside[f[inside].argsort()]
+            light = there.index_select(axis, inside)
+            places.append(u[inside] / half)
+            spacing.append(sight.wavelength * abs(b) / (count * step * half))
+            lengths.append(count)
+        down, across = places[0][:, None], places[1]
+        halves = sight.pupil()[1]
+        blur = sight.defocus() / (2 * sight.wavelength) * ((halves[0] * down) ** 2 + (halves[1] * across) ** 2)
+        light = light * (covered(torch, down, across, spacing) * _array.phasor_of_cycles(blur)).to(light.dtype)
+        # Tilts of the light as a whole have no effect on the image.
+        finer = max(math.ceil(len(p) / (2 * n * wide)) for p, (_, n, *_) in zip(places, axes, strict=True))
+        for count, (axis, n, *_) in zip(lengths, axes, strict=True):
+            size = 2 * n * finer * wide
+            more = size - light.shape[axis]
+            around = (more // 2, more - more // 2)
+            light = torch.nn.functional.pad(light, (0, 0, *around) if axis == -2 else around)
+            shown = torch.fft.ifft(torch.fft.ifftshift(light, axis), dim=axis) * (size / count)
+            light = torch.fft.fftshift(shown, axis)
+            light = light.narrow(axis, (size - 2 * n * finer) // 2, 2 * n * finer)
+        return light, finer
 
     def _sampled(self, light, samples, fill, passed: torch.Tensor | float = 1.0):
         """Return the field of square pixels on a grid of twice its extent, with several samples in each pixel.

@@ -186,10 +186,11 @@ class Sight:
         turn = _array.phasor_of_cycles(self._places(axis, samples)[:, None] * there / (self.wavelength * b))
         return turn * (step / self.box(axis))
 
-    def parts(self, samples: int = 1) -> list[np.ndarray]:
-        """Return the five arguments of :func:`seen_by_eye` after the light."""
-        back = [self.to_retina(axis, samples) for axis in (0, 1)]
-        return [self.to_pupil(0), self.to_pupil(1), self.through_pupil(), *back]
+    def part(self, which: int, samples: int) -> np.ndarray:
+        """Return one of the five arguments of :func:`seen_by_eye` after the light."""
+        if which == 2:
+            return self.through_pupil()
+        return self.to_pupil(which) if which < 2 else self.to_retina(which - 3, samples)
 
     def _places(self, axis: int, samples: int = 1) -> np.ndarray:
         n, pitch = self.sizes[axis], self.pitches[axis]

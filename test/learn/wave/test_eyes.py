@@ -115,7 +115,14 @@ def test_eyepiece_shows_the_panel_at_its_image():
     assert relative(at_image.abs(), seen.abs()) < 1e-9 < 0.1 < relative(nearer.abs(), seen.abs())
 
 
-@pytest.mark.parametrize("eyes", [Eyes(DISTANCE, PLACES, 1.5e-3, 0.075), Eyes(Lens(0.04, 0.035, 0.025), PLACES, 2e-3)])
+@pytest.mark.parametrize(
+    "eyes",
+    [
+        Eyes(DISTANCE, PLACES, 1.5e-3, 0.075),
+        Eyes(Lens(0.04, 0.035, 0.025), PLACES, 2e-3),
+        Eyes(Lens(0.04, 0.1, 0.1), PLACES, 1.5e-3, rotation=(0.0, 4.0)),
+    ],
+)
 @pytest.mark.parametrize(("iris", "n", "bound"), [(None, N, 0.01), ("order", 120, 0.03)])
 def test_judge_agrees(eyes, iris, n, bound):
     # The judge's stop ends at one of 2n frequencies, 1.6 mm from the axis in the middle of the pupil of an eye.
