@@ -311,7 +311,7 @@ def convolve2d(field: ArrayT, kernel: Array) -> ArrayT:
     -------
     array
         ``[..., H, W]``: Σ_j field[n + c − j]·kernel[j] with c = (h // 2, w // 2). Real when both are real, complex
-        otherwise, in the widest precision given (float64 from integers). Differentiable in both.
+        otherwise, in the widest precision given (float64 from integers, single from half). Differentiable in both.
 
     Raises
     ------
@@ -476,6 +476,9 @@ def _factors(smooth_factor) -> tuple[float | None, float | None]:
 
 def _floating(value):
     xp = _array.namespace(value)
+    if "float16" in str(value.dtype):
+        # torch has no transforms of these on a CPU.
+        return xp.astype(value, xp.float32)
     if xp.isdtype(value.dtype, ("real floating", "complex floating")):
         return value
     return xp.astype(value, xp.float64)

@@ -169,7 +169,7 @@ def calculate_amplitude(field: ArrayT) -> ArrayT:
     Returns
     -------
     array
-        Real, not negative, of the field's shape and precision; float32 from integers.
+        Real, not negative, of the field's shape and precision; floating from integers.
 
     Examples
     --------
@@ -196,7 +196,7 @@ def calculate_intensity(field: ArrayT) -> ArrayT:
     Returns
     -------
     array
-        Real, not negative, of the field's shape and precision; float32 from integers.
+        Real, not negative, of the field's shape and precision; floating from integers.
 
     Examples
     --------

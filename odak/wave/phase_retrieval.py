@@ -515,6 +515,7 @@ def weighted_gerchberg_saxton(
     True
     """
     target = calculate_amplitude(_validate.image("field", field))
+    target = _array.namespace(target).astype(target, _array.real_dtype(target))
     if _array.is_readable(target) and not 0 < float(_array.namespace(target).max(target)) < math.inf:
         raise ValueError("field must be finite and not zero everywhere, got NaN, infinite or only zeros")
     n_iterations = _validate.integer("n_iterations", n_iterations, minimum=1)
@@ -575,6 +576,8 @@ def uniformity(intensities: Array, axis: int = -1) -> Array:
     if not -len(shape) <= axis < len(shape) or 0 in shape:
         raise ValueError(f"intensities must contain spots along the axis {axis}, got {shape}")
     xp = _array.namespace(intensities)
+    # Sums of the levels of a camera leave the range of their type.
+    intensities = xp.astype(intensities, _array.real_dtype(intensities))
     most, least = xp.max(intensities, axis=axis), xp.min(intensities, axis=axis)
     return 1 - (most - least) / (most + least)
 

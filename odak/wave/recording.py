@@ -323,6 +323,8 @@ def unwrap_phase(phase: Array, mask: Array | None = None, seed: int | None = 0) 
     """
     phase = _validate.image("phase", _real("phase", phase))
     _validate.real("phase", phase)
+    if not _array.namespace(phase).isdtype(phase.dtype, "real floating"):
+        phase = _array.namespace(phase).astype(phase, _array.real_dtype(phase))
     if phase.ndim != 2:
         raise ValueError(f"phase must be [rows, columns], got {tuple(phase.shape)}")
     try:

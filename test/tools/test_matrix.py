@@ -142,3 +142,11 @@ def test_steep_windows_are_steps():
     assert np.array_equal(
         smooth_pad(field, [8, 8], smooth_factor=[1e3, 1e3]), smooth_pad(field, [8, 8], smooth_factor=[50, 50])
     )
+
+
+def test_half_precision_is_convolved_in_single():
+    field, kernel = np.arange(20, dtype=np.float16).reshape(4, 5), np.ones((3, 3), np.float16)
+    expected = odak.tools.convolve2d(field.astype(np.float32), kernel.astype(np.float32))
+    for dtype in (torch.float16, torch.bfloat16):
+        found = odak.tools.convolve2d(*(torch.from_numpy(one).to(dtype) for one in (field, kernel)))
+        np.testing.assert_allclose(found, expected, rtol=1e-5)

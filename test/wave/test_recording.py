@@ -171,3 +171,8 @@ def test_unwrapping_without_its_package_says_what_to_install(monkeypatch):
 def test_bad_arguments_are_named(call, error, message):
     with pytest.raises(error, match=message):
         call(periodic_reference((18, 24))[0])
+
+
+def test_phases_that_are_integers_are_unwrapped():
+    turns = np.asarray([[0, 3, 6, 2], [1, 4, 0, 3]], np.uint8)
+    np.testing.assert_allclose(wave.unwrap_phase(turns), wave.unwrap_phase(turns.astype(float)), rtol=1e-6)

@@ -293,3 +293,15 @@ def test_phases_and_intensities_under_uneven_light_in_a_batch(random):
     np.testing.assert_allclose(same.numpy(), spots, atol=1e-10)
     with pytest.raises(ValueError, match="phases"):
         spot_hologram(points, (80, 96), WAVELENGTH, DX, 1, FOCAL, phases=phases[:, :5])
+
+
+def test_uniformity_of_the_levels_of_a_camera(as_array):
+    levels = np.asarray([200, 150, 100], np.uint8)
+    assert float(uniformity(as_array(levels))) == pytest.approx(2 / 3, rel=1e-6)
+
+
+def test_spots_of_half_precision_are_computed_in_single():
+    target = np.zeros((16, 16), np.float32)
+    target[[3, 8, 12], [4, 11, 5]] = 250
+    half, single = (weighted_gerchberg_saxton(target.astype(t), 5, seed=1)[1] for t in (np.float16, np.float32))
+    np.testing.assert_array_equal(half, single)

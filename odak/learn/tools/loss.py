@@ -298,6 +298,7 @@ def wrapped_mean_squared_error(
     """
     reduction = _validate.one_of("reduction", reduction, ("mean", "sum"))
     _same_shape("image", image, "ground_truth", ground_truth)
+    image, ground_truth = floating("image", image), floating("ground_truth", ground_truth)
     # 2 − 2·cos δ = 4·sin²(δ/2), which keeps its digits at small δ.
     squared = 4 * torch.sin((image - ground_truth) / 2) ** 2
     return squared.mean() if reduction == "mean" else squared.sum()

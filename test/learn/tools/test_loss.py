@@ -171,3 +171,9 @@ def test_circular_mask():
     assert columns.double().mean().item() == pytest.approx(49.5, abs=0.1)
     assert large.sum().item() == pytest.approx(math.pi * 400 * (199 / 200) * (99 / 100), rel=0.02)
     assert tools.circular_binary_mask(1, 1, 0.1).item() == 1
+
+
+def test_wrapped_error_of_integers():
+    angles, others = torch.tensor([3, 250, 7], dtype=torch.uint8), torch.tensor([5, 2, 7], dtype=torch.uint8)
+    expected = tools.wrapped_mean_squared_error(angles.double(), others.double())
+    torch.testing.assert_close(tools.wrapped_mean_squared_error(angles, others).double(), expected, rtol=1e-5, atol=0)
