@@ -281,11 +281,13 @@ def _check_reach(place, turns, radius, squeeze, half) -> None:
 
 
 def _check_blur(shape, steps, vergence, distance, diameter) -> None:
-    if not all(_array.is_readable(value) for value in (vergence, distance, diameter)):
-        return
-    most = (
-        max(map(abs, _validate.numbers(vergence))) * max(_validate.numbers(distance)) * max(_validate.numbers(diameter))
-    )
+    if all(_array.is_readable(value) for value in (vergence, distance, diameter)):
+        parts = [_validate.numbers(value) for value in (vergence, distance, diameter)]
+        check_blur(max(map(abs, parts[0])) * max(parts[1]) * max(parts[2]), shape, steps)
+
+
+def check_blur(blur: float, shape: Sequence[int], steps: Sequence[float]) -> None:
+    """Warn where the blur of an eye that is focused elsewhere is wider than the field or the panel it looks at."""
     width = min(n * step for n, step in zip(shape, steps, strict=True))
-    if most > width:
-        warn(f"the blur of the focus is {most:.3g} m wide, more than the field of {width:.3g} m", SamplingWarning)
+    if blur > width:
+        warn(f"the blur of the focus is {blur:.3g} m wide, more than the field of {width:.3g} m", SamplingWarning)

@@ -46,7 +46,7 @@ from odak.wave.transfer_functions import (
     pitches,
     plane_wave_transfer,
 )
-from odak.wave.viewing import covered
+from odak.wave.viewing import check_blur, covered
 
 # Diffraction orders along each axis that are computed without an iris: the zeroth and its neighbours.
 _ORDERS = 3
@@ -879,6 +879,7 @@ class Display(Prepared, torch.nn.Module):
                 f"({place}) mm at {1e9 * worst.wavelength:.4g} nm: one order is {wide:.3g} mm wide there",
                 SamplingWarning,
             )
+        check_blur(max(map(Sight.blur, sights)), worst.sizes, worst.pitches)
         return max(map(Sight.samples, sights))
 
     def _focused(self, light, colour, beside=(0.0, 0.0)):

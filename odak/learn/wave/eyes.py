@@ -137,6 +137,10 @@ class Sight:
         (_, b, d), focus = self.ray_matrix(), self.eyes.focus
         return 0.0 if focus is None else d / b - 1 / focus[self.eye]  # type: ignore[index]
 
+    def blur(self) -> float:
+        """Return how wide the image of a point is by the defocus, in metres on the panel."""
+        return abs(self.defocus() * self.ray_matrix()[1]) * 2 * max(self.pupil()[1])
+
     def box(self, axis: int) -> float:
         """Return how wide one diffraction order of a pixel is in the plane of the pupil, in metres."""
         return self.wavelength * abs(self.ray_matrix()[1]) / self.pitches[axis]

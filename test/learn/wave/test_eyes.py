@@ -218,3 +218,7 @@ def test_what_eyes_cannot_be_asked_for():
             Eyes(*given)
     with pytest.warns(SamplingWarning, match="passes by the pupil"):
         Display(Modulator((64, 8), PITCH), WAVELENGTH, Eyes(2e-3, diameter=1e-5))
+    # 1 mm of pupil, seen at 80 mm with a focus of 40 mm, is a disc of 1 mm on the panel.
+    wide = Modulator((64, 140), PITCH)
+    with pytest.warns(SamplingWarning, match=r"blur of the focus is 0\.001 m wide, more than the field of 0\.000512 m"):
+        Display(wide, WAVELENGTH, Eyes(DISTANCE, diameter=1e-3, focus=0.04))
