@@ -378,9 +378,9 @@ def fresnel_coefficients(
 
 def fresnel_zone_plate(
     shape: collections.abc.Sequence[int],
-    focal: float,
+    focal: float | torch.Tensor,
     dx: float | collections.abc.Sequence[float],
-    wavelength: float,
+    wavelength: float | torch.Tensor,
     kind: str = 'amplitude',
     offset: collections.abc.Sequence[float] = (0.0, 0.0),
     *,
@@ -554,9 +554,9 @@ def laguerre_gaussian_beam(
 
 def lens_phase(
     shape: collections.abc.Sequence[int],
-    focal: float,
+    focal: float | torch.Tensor,
     dx: float | collections.abc.Sequence[float],
-    wavelength: float,
+    wavelength: float | torch.Tensor,
     offset: collections.abc.Sequence[float] = (0.0, 0.0),
     *,
     device: torch.device | str | None = None,

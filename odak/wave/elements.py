@@ -19,9 +19,9 @@ from odak.wave.transfer_functions import pitches
 @_validate.takes_units("focal", "dx", "wavelength", "offset")
 def lens_phase(
     shape: Sequence[int],
-    focal: float,
+    focal: float | Array,
     dx: float | Sequence[float],
-    wavelength: float,
+    wavelength: float | Array,
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
@@ -33,16 +33,16 @@ def lens_phase(
     ----------
     shape : sequence of int
         Rows and columns.
-    focal : float
+    focal : float or array
         Focal length in metres; positive converges.
     dx : float or sequence of float
         Pixel pitch in metres, one number or (rows, columns).
-    wavelength : float
+    wavelength : float or array
         Wavelength in metres.
     offset : sequence of float
         Position of the lens's axis (rows, columns) in metres.
     xp : module, optional
-        Array namespace of the result, NumPy by default.
+        Array namespace of the result; by default the library of the focal length or the wavelength, else NumPy.
     device : optional
         Device of the result.
 
@@ -68,7 +68,7 @@ def lens_phase(
     _validate.number("focal", _validate.real("focal", focal, nonzero=True))
     _validate.number("wavelength", wavelength, positive=True)
     numbers = {"focal": focal, "wavelength": wavelength}
-    return _sampled("lens_phase", thin_lens, shape, dx, offset, _LONGER, numbers, _validate.library("xp", xp), device)
+    return _sampled("lens_phase", thin_lens, shape, dx, offset, _LONGER, numbers, xp, device)
 
 
 def thin_lens(y, x, focal, wavelength):
@@ -958,9 +958,9 @@ def hyperbolic_lens(y, x, focal, wavelength):
 @_validate.takes_units("focal", "dx", "wavelength", "offset")
 def fresnel_zone_plate(
     shape: Sequence[int],
-    focal: float,
+    focal: float | Array,
     dx: float | Sequence[float],
-    wavelength: float,
+    wavelength: float | Array,
     kind: str = "amplitude",
     offset: Sequence[float] = (0.0, 0.0),
     *,
@@ -973,18 +973,18 @@ def fresnel_zone_plate(
     ----------
     shape : sequence of int
         Rows and columns.
-    focal : float
+    focal : float or array
         Focal length of the first order in metres, positive.
     dx : float or sequence of float
         Pitch in metres, one number or (rows, columns).
-    wavelength : float
+    wavelength : float or array
         Wavelength in metres.
     kind : str
         "amplitude" (zones transmit 1 and 0; 10.1 % of the power goes to the focus) or "phase" (1 and −1; 40.5 %).
     offset : sequence of float
         Position of the axis (rows, columns) in metres.
     xp : optional
-        Array namespace, NumPy by default.
+        Array namespace; by default the library of the focal length or the wavelength, else NumPy.
     device : optional
         Device of the result.
 
@@ -1009,13 +1009,13 @@ def fresnel_zone_plate(
     """
     kind = _validate.one_of("kind", kind, ("amplitude", "phase"))
     _validate.number("focal", focal, positive=True)
-    xp = _validate.library("xp", xp)
     _validate.number("wavelength", wavelength, positive=True)
     xp, device, values = single_numbers(xp, device, focal=focal, wavelength=wavelength)
     steps, (y, x) = grid_positions(shape, dx, offset, xp, device)
     phase = hyperbolic_lens(y, x, *values)
     edge = float(xp.max(xp.sqrt(y**2 + x**2)))
-    zone = float(wavelength) / 2 * math.hypot(edge, float(focal)) / max(edge, 1e-300)
+    length, wave = (float(value) for value in values)
+    zone = wave / 2 * math.hypot(edge, length) / max(edge, 1e-300)
     if zone < max(steps):
         warn(f"the outermost zone is {zone:.3g} m wide, narrower than a pixel of {max(steps):.3g} m", SamplingWarning)
     odd = xp.floor(-phase / math.pi) % 2

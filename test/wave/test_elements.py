@@ -237,3 +237,14 @@ def test_ring_without_an_area_is_named(as_array):
     with pytest.raises(ValueError, match="inner_radius must be at most the radius 1e-05, got 2e-05"):
         circular_aperture((8, 8), 8e-6, as_array(np.asarray(1e-5)), inner_radius=2e-5)
     assert abs(circular_aperture((8, 8), 8e-6, 1e-5, inner_radius=1e-5)).max() < 1e-12
+
+
+@pytest.mark.parametrize("element", [odak.wave.lens_phase, odak.wave.fresnel_zone_plate])
+@pytest.mark.parametrize("place", [1, 3])
+def test_lengths_of_a_lens_may_be_arrays(element, place, as_array):
+    lengths = [(16, 20), 0.5, 8e-6, WAVELENGTH]
+    expected = element(*lengths)
+    lengths[place] = as_array(np.asarray(lengths[place]))
+    found = element(*lengths)
+    assert type(found) is type(lengths[place])
+    np.testing.assert_allclose(np.asarray(found), expected, rtol=1e-12)
