@@ -57,7 +57,7 @@ REASONS = {
         raytracing/system/surfaces: _any _image _optional is_off_axis vary
         raytracing/system/waves: _derivatives _exit_pupil _length _sign exit_field
         raytracing/mesh: _checked_faces _checked_vertices components
-        raytracing/nonsequential: __post_init__ _plain _reach polarized system_elements trace
+        raytracing/nonsequential: __post_init__ _plain _reach polarized result system_elements trace
         tools/matrix: quantize slice_rgbd_targets
         tools/transformation: quaternion_to_rotation_matrix
         wave/displays: _amplitudes _checked_target _frames_lit optimise starting_phases

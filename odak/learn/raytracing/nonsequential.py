@@ -17,6 +17,7 @@ import torch
 from odak import _validate
 from odak._threads import each
 from odak._torch_private import in_own_precision
+from odak._warnings import AccuracyWarning, warn
 from odak.catalog.materials import MICROMETRES, Material, absorption_coefficient, extinction_of, refractive_index
 from odak.catalog.materials import material as find_material
 from odak.learn._tensors import reals_of, tensor
@@ -50,6 +51,10 @@ __all__ = [
 BLOCK = 1 << 15
 LIMITS = (Aperture, CombinedAperture)
 SOURCES = ("collimated", "lambertian", "point")
+# Difference of indices below which they are those of one medium.
+SAME_MEDIUM = 1e-5
+# Share of the light above which media that do not agree are told.
+MIXED = 0.1
 # Rounding errors of sources that lie on an element, over those of places that are computed along rays.
 STARTING = 1 / 256
 # Samples of a radial distribution, between which its sum is inverted linearly in r².
@@ -260,6 +265,10 @@ def _plain(name: str, value) -> float:
     """Return a fraction, of at least 0, without its graph."""
     value = _validate.number(name, value, least=0)
     return float(value.detach()) if isinstance(value, torch.Tensor) else float(value)
+
+
+def _is_open(transmittance) -> bool:
+    return isinstance(transmittance, torch.Tensor) or transmittance != 0
 
 
 def _checked_share(name: str, value) -> None:
@@ -842,7 +851,11 @@ class SceneLight(NamedTuple):
 
 
 class _State(NamedTuple):
-    """Rays on their way: points, directions, fields, power, optical path, number, element and triangle they leave."""
+    """Rays on their way.
+
+    Points, directions, fields, power, optical path, number, element and triangle they leave, and the index of the
+    medium that they are in, NaN where they start.
+    """
 
     point: tuple
     direction: tuple
@@ -852,6 +865,7 @@ class _State(NamedTuple):
     ray: torch.Tensor
     left: torch.Tensor
     face: torch.Tensor
+    medium: torch.Tensor
 
     def take(self, index) -> "_State":
         vectors: Any = self[:3]
@@ -959,6 +973,11 @@ class Scene:
         TypeError, ValueError
             If an argument is of another form, naming it.
 
+        Warns
+        -----
+        odak.AccuracyWarning
+            If more than a tenth of the light meets an element from another medium than the one that it came through.
+
         Notes
         -----
         All rays of a block take a step together; the elements are sorted by what was met, for which one reading of the
@@ -1042,19 +1061,23 @@ class _Walk:
         zero = torch.zeros_like(wavelength)
         self.absorbed = [zero for _ in scene.elements]
         self.media = self.escaped = self.cut = zero
+        # Power that meets an element from another medium than the one that it came through.
+        self.mixed = [zero for _ in scene.elements]
         self.arrived: dict[int, list] = {i: [] for i, item in enumerate(scene.elements) if item.detects}
         self.pieces: list | None = [] if paths else None
 
     def begin(self, rays, power, number, field, seed: int, bounces: int) -> "_Walk":
         """Return a walk of its own that has followed a block of rays to their ends."""
         walk = copy(self)
-        walk.absorbed, walk.arrived = list(self.absorbed), {i: [] for i in self.arrived}
+        walk.absorbed, walk.mixed, walk.arrived = list(self.absorbed), list(self.mixed), {i: [] for i in self.arrived}
         walk.pieces = None if self.pieces is None else []
         walk.random = torch.Generator(rays.device).manual_seed(seed)
         start, way = rays.unbind(1)
         none = torch.full_like(number, -1)
         held = () if field is None else vec.split(field)
-        state = _State(vec.split(start), vec.split(way), held, power, torch.zeros_like(power), number, none, none)
+        nowhere = torch.full_like(power, torch.nan)
+        path = torch.zeros_like(power)
+        state = _State(vec.split(start), vec.split(way), held, power, path, number, none, none, nowhere)
         walk.follow(state, bounces)
         return walk
 
@@ -1131,8 +1154,14 @@ class _Walk:
         distance, place, normal, face = item._meet(point, way, left, state.face, self.margin)
         cosine = vec.dot(way, normal)
         forwards = cosine > 0
-        n1, n2 = (torch.where(forwards, *pair) for pair in (self._spread(i, cosine), self._spread(i, cosine)[::-1]))
+        sides = self._spread(i, cosine)
+        indices: Any = [torch.where(forwards, *pair) for pair in (sides, sides[::-1])]
+        n1, n2 = indices
         power, path = state.power, state.path + n1 * distance
+        if interface.transmittance is None or interface.phase is not None or _is_open(interface.transmittance):
+            # A number that is not known, that of a start, is no other one.
+            other = (n1 - state.medium).abs().detach() > SAME_MEDIUM
+            self.mixed[i] = self.mixed[i] + torch.where(other, power.detach(), 0.0).sum()
         if any(value is not None for value in self.loss[i]):
             losses: list[Any] = [(0.0 if value is None else value) + 0 * cosine for value in self.loss[i]]
             rate = torch.where(forwards, losses[0], losses[1])
@@ -1155,10 +1184,14 @@ class _Walk:
             left=torch.full_like(state.left, i),
             face=state.face if face is None else face,
         )
-        return [
-            state._replace(direction=item._leave(out), power=share, field=item._leave(field) if field else (), path=far)
-            for out, share, field, far in options
-        ]
+        following = []
+        for out, share, field, far in options:
+            medium = torch.where((vec.dot(out, normal) > 0) == forwards, n2, n1).detach()
+            wave = item._leave(field) if field else ()
+            following.append(
+                state._replace(direction=item._leave(out), power=share, field=wave, path=far, medium=medium)
+            )
+        return following
 
     def _spread(self, i: int, like) -> tuple:
         return tuple(torch.as_tensor(value, dtype=like.dtype, device=like.device) + 0 * like for value in self.index[i])
@@ -1309,6 +1342,18 @@ class _Walk:
         if self.pieces is not None:
             held = [piece for walk in walks for piece in walk.pieces or ()]
             pieces = (torch.cat(part) for part in zip(*held, strict=True))
-        absorbed = torch.stack([torch.stack(walk.absorbed) for walk in walks]).sum(0)
+        absorbed, mixed = (
+            torch.stack([torch.stack(getattr(w, n)) for w in walks]).sum(0) for n in ("absorbed", "mixed")
+        )
+        # What leaves a lens through its edge, which is no element, and meets the next lens is little.
+        shares = (mixed / emitted.detach()).tolist()
+        wrong = {name: share for name, share in zip(self.scene.names, shares, strict=True) if share > MIXED}
+        if wrong:
+            found = ", ".join(f"{name!r} ({100 * share:.0f} % of the light)" for name, share in wrong.items())
+            warn(
+                f"light meets {found} in another medium than the one in which it left the element before: media of "
+                "adjoining elements must agree",
+                AccuracyWarning,
+            )
         media, escaped, cut = (torch.stack([getattr(w, n) for w in walks]).sum() for n in ("media", "escaped", "cut"))
         return SceneLight(emitted, absorbed, media, escaped, cut, received, *pieces)

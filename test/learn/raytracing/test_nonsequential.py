@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from odak import AccuracyWarning
 from odak.catalog import internal_transmittance, refractive_index
 from odak.learn.raytracing import (
     Conic,
@@ -535,6 +536,17 @@ def test_thin_films_of_glass_end_at_their_second_face(dtype):
     light = light_source("collimated", 50, size=5.0, center=tensor([0, 0, -100.0]).to(dtype))
     found = Scene(faces).trace(light, WAVE, split=True)
     assert float(found.absorbed[1]) == pytest.approx(0.96, abs=1e-3)
+
+
+@pytest.mark.parametrize("split", [True, False])
+def test_media_that_do_not_agree_are_told(split, recwarn):
+    light = light_source("collimated", 100, size=1.0, center=(0, 0, -1))
+    parts = [Element(Plane(), (1.0, 1.5)), Element(Plane(), (1.0, 1.5), center=(0, 0, 3), name="rear"), screen(9)]
+    with pytest.warns(AccuracyWarning, match=r"meets 'rear' \(9\d % of the light\)"):
+        Scene(parts).trace(light, WAVE, split=split, seed=5)
+    recwarn.clear()
+    Scene([*plate(), screen(9)]).trace(light, WAVE, split=split)
+    assert not recwarn.list
 
 
 def test_directions_may_be_of_any_length():
