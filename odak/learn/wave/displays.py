@@ -690,7 +690,7 @@ class Display(Prepared, torch.nn.Module):
             axes in front are a batch of patterns, each of which is shown by itself.
         powers : torch.Tensor, optional
             Powers ``[F, C]`` of the sources, in place of the display's own; differentiable. A source that is off in a
-            frame of the display stays off.
+            frame of the display stays off, of which an ArgumentWarning tells; :meth:`lit_by` lights it.
         amplitudes : torch.Tensor, optional
             Amplitudes 0 … 1 of the panel that the modulator is lit through, of the shape of the phases; differentiable.
             One by default.
@@ -702,7 +702,7 @@ class Display(Prepared, torch.nn.Module):
             light on the modulator times the square of its `fill`, and of the `fill` of a panel before it.
         """
         light, amplitudes = self._light(phases), self._amplitudes(amplitudes)
-        powers = self.powers if powers is None else self._fitting(powers)
+        powers = self.powers if powers is None else self._in_its_frames(self._fitting(powers))
         if self._parts:
             return self._in_parts(light, powers)
         parts = [_Part(colour, None, frames) for colour, frames in enumerate(self._lit_frames)]
@@ -791,6 +791,18 @@ class Display(Prepared, torch.nn.Module):
         powers, shape = floating("powers", powers), [self.frames, len(self.wavelengths)]
         if list(powers.shape) != shape:
             raise ValueError(f"powers must be [frames, wavelengths] = {shape}, got {list(powers.shape)}")
+        return powers
+
+    def _in_its_frames(self, powers):
+        """Return powers after a warning where they light a source in a frame in which it stays off."""
+        if powers.requires_grad or torch.compiler.is_compiling() or not _array.is_readable(powers):
+            return powers
+        if any(set(given) - set(own) for given, own in zip(_frames_lit(powers), self._lit_frames, strict=True)):
+            warn(
+                "powers light a source in a frame in which it is off in this display, and where it stays off: "
+                "make a display of these powers by lit_by(powers)",
+                ArgumentWarning,
+            )
         return powers
 
     def _lit(self, light, colour):

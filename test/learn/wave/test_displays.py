@@ -404,6 +404,16 @@ def test_displays_that_cannot_be_are_named():
         Modulator((16, 16), PITCH, response=spatial_light_modulator(fill_factor=0.9))
 
 
+def test_powers_that_do_not_fit_the_frames_of_a_display_are_named():
+    display, phases = Display(Modulator((16, 16), PITCH), [639e-9, 515e-9], 2e-3), torch.zeros(2, 16, 16)
+    others = torch.tensor([[0.0, 1.0], [1.0, 0.0]])
+    with pytest.warns(ArgumentWarning, match=r"where it stays off: make a display of these powers by lit_by"):
+        assert not display(phases, others).any()
+    assert display.lit_by(others)(phases).min() > 0
+    with pytest.raises(ValueError, match="powers must light each wavelength"):
+        display(phases, torch.tensor([[1.0, 0.0], [0.0, 0.0]]))
+
+
 def test_powers_of_the_sources_are_found(disc):
     target = torch.stack([disc.roll(-9, 1), 0.5 * disc.roll(9, 1), disc.roll(9, 0)])
     display = Display(Modulator(disc.shape, PITCH), [639e-9, 515e-9, 473e-9], 2e-3, frames=3, powers=torch.ones(3, 3))
