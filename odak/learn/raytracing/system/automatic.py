@@ -1084,14 +1084,24 @@ def _optimised(
                 kept = torch.isfinite(design.heights).all(-1)
                 values, design.heights = values[kept], design.heights[kept]
                 damping = damping[kept] if isinstance(damping, torch.Tensor) else damping
-                if not len(values) or not bool(torch.isfinite(design.residuals(values)).all(-1).any()):
-                    return None
-        basis = _slope_basis(design) if aspheres else None
+            basis = _slope_basis(design) if aspheres else None
+            if steep and not (len(values) and _can_begin(design, values, basis)):
+                return None
         found = design._minimised(
             values, max(1, iterations // parts), damping=damping, basis=basis, floor=least_diagonal
         )
         values, damping = found.x, found.damping if aspheres else damping
     return values, found.loss, found.damping
+
+
+def _can_begin(design: lens_design, values: torch.Tensor, basis: torch.Tensor) -> bool:
+    """Return whether a design has a finite merit at its values, as they are after a change to the basis and back.
+
+    A ray that is nearly lost may intersect a surface far from the axis. High powers of this height leave no digit of
+    the values that the basis gives back, and the rays are lost.
+    """
+    returned = (torch.linalg.solve(basis, values)[:, None] @ basis.mT)[:, 0]
+    return bool(torch.isfinite(design.residuals(returned).square().sum(-1)).any())
 
 
 def _slope_basis(design: lens_design) -> torch.Tensor:

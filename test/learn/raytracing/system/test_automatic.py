@@ -30,6 +30,7 @@ from odak.learn.raytracing.system import (
     system_to_dict,
     trace_fields,
 )
+from odak.learn.raytracing.system.automatic import _optimised
 
 F64 = torch.float64
 
@@ -180,3 +181,28 @@ def test_aspheres_are_designed_without_running_away():
     for item in lens.surfaces[1:]:
         y = torch.linspace(0.0, 1.1 * item.semi_diameter, 50, dtype=F64)
         assert float(item.shape.sag(0 * y, y).slope_y.abs().max()) < 1.4
+
+
+@pytest.mark.parametrize(("height", "lost"), [(0.9, False), (67.0, True)])
+def test_designs_with_a_ray_far_from_the_axis_are_dropped(height, lost):
+    """A ray that is nearly lost intersects at 67, whose powers leave no digit of the values: rays are lost.
+
+    Growing aspheres take a shorter step then.
+    """
+    shape = {"conic": -1.0, "coefficients": [0.0] + [0.01] * 6}
+    rows = [
+        surface(thickness=1.0, stop=True),
+        surface(curvature=0.5, material=1.5, thickness=1.0, **shape),
+        surface(thickness=1.0, **shape),
+    ]
+    system = optical_system(rows, 0.1, fields=[0.0, 30.0], wavelengths=[5e-4])
+    operands = [Operand("spot", options={"lost": 0.1}), Operand("distortion", lower=-0.1, upper=0.1)]
+    coefficients = [Variable("coefficients", [1, 2], terms=[k]) for k in range(1, 7)]
+    design = lens_design(system, operands, [Variable("curvature", [1, 2]), *coefficients])
+    design.clear_heights = lambda values: torch.full((len(values), 3), height, dtype=F64)
+    values = design.values[None]
+    assert bool(torch.isfinite(design.residuals(values)).all())
+    assert (_optimised(design, values, 1, steep=True) is None) == lost
+    # A design of which no height is known is dropped as well.
+    design.clear_heights = lambda values: torch.full((len(values), 3), torch.nan, dtype=F64)
+    assert _optimised(design, values, 1, steep=True) is None
