@@ -1072,36 +1072,32 @@ def _optimised(
     """Return optimised values of several starts, their merits and dampings; None if rays are lost in all of them.
 
     The run is divided into parts, before each of which the radii of the beam are computed anew. Starts with
-    steep aspheres often lose all rays on their way: such starts are dropped.
+    steep aspheres often lose all rays on their way: such starts are dropped. Where no start is left after a part, the
+    values before it are returned.
     """
     aspheres = "coefficients" in design.places
     parts = max(1, iterations // 3) if aspheres else 2
+    last = None
     for _ in range(parts):
         with torch.no_grad():
             design.heights = design.clear_heights(values)
-            if steep:
-                # Designs that no ray passes are dropped.
-                kept = torch.isfinite(design.heights).all(-1)
-                values, design.heights = values[kept], design.heights[kept]
-                damping = damping[kept] if isinstance(damping, torch.Tensor) else damping
             basis = _slope_basis(design) if aspheres else None
-            if steep and not (len(values) and _can_begin(design, values, basis)):
-                return None
+            if steep:
+                # Designs that no ray passes are dropped, as are those of which the basis gives no digit back: rays that
+                # are nearly lost intersect far from the axis, and the high powers of this distance swamp the values.
+                returned = (torch.linalg.solve(basis, values)[:, None] @ basis.mT)[:, 0]
+                kept = torch.isfinite(design.heights).all(-1) & torch.isfinite(returned).all(-1)
+                values, design.heights, basis = values[kept], design.heights[kept], basis[kept]
+                damping = damping[kept] if isinstance(damping, torch.Tensor) else damping
+                merit = 0.5 * design.residuals(returned[kept]).square().sum(-1) if bool(kept.any()) else None
+                if merit is None or not bool(torch.isfinite(merit).any()):
+                    return last
+                last = values, merit.nan_to_num(math.inf, math.inf), torch.as_tensor(damping).expand(len(values))
         found = design._minimised(
             values, max(1, iterations // parts), damping=damping, basis=basis, floor=least_diagonal
         )
         values, damping = found.x, found.damping if aspheres else damping
     return values, found.loss, found.damping
-
-
-def _can_begin(design: lens_design, values: torch.Tensor, basis: torch.Tensor) -> bool:
-    """Return whether a design has a finite merit at its values, as they are after a change to the basis and back.
-
-    A ray that is nearly lost may intersect a surface far from the axis. High powers of this height leave no digit of
-    the values that the basis gives back, and the rays are lost.
-    """
-    returned = (torch.linalg.solve(basis, values)[:, None] @ basis.mT)[:, 0]
-    return bool(torch.isfinite(design.residuals(returned).square().sum(-1)).any())
 
 
 def _slope_basis(design: lens_design) -> torch.Tensor:
