@@ -10,12 +10,15 @@ from odak import _validate
 from odak._array import Array, cast, device_of, is_array, is_readable, is_torch, namespace
 from odak.raytracing import arguments, intersections
 from odak.raytracing import components as vec
-from odak.raytracing.batches import in_pieces
+from odak.raytracing.batches import CHUNK, in_pieces
 from odak.raytracing.components import terms
 from odak.raytracing.geometry import epsilon
 from odak.raytracing.intersections import Hit, RayStatus, as_hit, conic_status, status_array
 from odak.tools.transformation import apply_matrix, rotation_matrix
 from odak.tools.zernike import jacobi, noll_to_nm, zernike_norm
+
+# Rays at which it no longer pays to set the ones aside that are done.
+FEW = 256
 
 
 class Sag(NamedTuple):
@@ -861,8 +864,9 @@ def polynomial_in(s, coefficients):
     """Return Σ a_i·s^(i + 1) and its derivative, by Horner's rule."""
     value = slope = 0 * s
     for coefficient in reversed(terms(coefficients)):
-        slope = slope * s + value + coefficient
-        value = (value + coefficient) * s
+        value = value + coefficient
+        slope = slope * s + value
+        value = value * s
     return value, slope
 
 
@@ -1060,7 +1064,9 @@ def intersection(start, direction, shape: Shape, aperture=None, select: str = "a
     start = tuple(xp.where(kept, value, 0.0) for value in start)
     direction = tuple(xp.where(kept, value, dummy) for value, dummy in zip(direction, (0.0, 0.0, 1.0), strict=True))
     with _without_graph(*start, *direction, *shape.parameters()):
-        distance, status = _solve(start, direction, shape, aperture, select)
+        distance, status = _solved_by_numpy(start, direction, shape, aperture, select) or _solve(
+            start, direction, shape, aperture, select
+        )
     status = xp.where(kept, status, xp.ones_like(status) * int(RayStatus.MISS))
     hit = status == int(RayStatus.HIT)
     distance = xp.where(hit, distance, 0.0)
@@ -1082,6 +1088,73 @@ def _without_graph(*values):
         return torch.no_grad()
     # NaN marks failed rays; NumPy's warnings about it are suppressed.
     return np.errstate(all="ignore")
+
+
+def _solved_by_numpy(start, direction, shape: Shape, aperture, select: str):
+    """Return what :func:`_solve` returns for few tensors of the CPU, computed by NumPy; None for anything else.
+
+    The iteration consists of hundreds of operations, each of which takes NumPy less time to begin than torch.
+    """
+    given = (start, direction, aperture, shape.parameters())
+    tensors = [value for value in _leaves(given) if is_torch(value)]
+    # A user's own shape may call functions of torch.
+    if not tensors or type(shape).__module__ != __name__:
+        return None
+    import torch
+
+    from odak import _torch_private
+
+    dtype = tensors[0].dtype
+    plain = dtype in (torch.float32, torch.float64) and all(
+        value.dtype == dtype and value.device.type == "cpu" and is_readable(value) and value.numel() <= CHUNK
+        for value in tensors
+    )
+    if not plain or _torch_private.is_transformed(*tensors):
+        return None
+    start, direction, aperture, parameters = _mapped(lambda value: value.detach().resolve_neg().numpy(), given)
+    ranks = (0, *type(shape).ranks_of_parameters())
+    one = _of_one_surface((aperture, *parameters), ranks)
+    with np.errstate(all="ignore"):
+        if one is None:
+            found = _solve(start, direction, type(shape)(*parameters), aperture, select)
+        else:
+            (aperture, *parameters), batch = one
+            rays = np.broadcast_arrays(*start, *direction, np.empty(batch))[:-1]
+            flat = [value.ravel() for value in rays]
+            found = _solve(tuple(flat[:3]), tuple(flat[3:]), type(shape)(*parameters), aperture, select)
+            found = [np.reshape(value, rays[0].shape) for value in found]
+    return tuple(torch.from_numpy(np.asarray(value)) for value in found)
+
+
+def _of_one_surface(parameters, ranks):
+    """Return parameters without the axes of a batch, and its shape of ones; None if there are several surfaces."""
+    found, axes = [], 0
+    for value, rank in zip(parameters, ranks, strict=True):
+        if isinstance(value, np.ndarray):
+            axes = max(axes, value.ndim - rank)
+            if any(length != 1 for length in value.shape[: value.ndim - rank]):
+                return None
+            value = value.reshape(value.shape[value.ndim - rank :])[()]
+        elif any(np.ndim(part) for part in _leaves(value)):
+            return None
+        found.append(value)
+    return found, (1,) * axes
+
+
+def _leaves(value):
+    """Yield the numbers and arrays of nested tuples and lists."""
+    if isinstance(value, (tuple, list)):
+        for part in value:
+            yield from _leaves(part)
+    else:
+        yield value
+
+
+def _mapped(function, value):
+    """Return nested tuples and lists as tuples, with a function of each tensor."""
+    if isinstance(value, (tuple, list)):
+        return tuple(_mapped(function, part) for part in value)
+    return function(value) if is_torch(value) else value
 
 
 def _level(start, direction, shape: Shape, distance, where):
@@ -1169,6 +1242,11 @@ def newton(start, direction, shape: Shape, guess, limit: int = 64):
         from odak import _torch_private
 
         transformed = _torch_private.is_transformed(t)
+    # NumPy continues with the rays that are left when half of them are done; `whole` holds those of all.
+    whole = places = None
+    separable = isinstance(t, np.ndarray) and all(value.shape == t.shape for value in (*start, *direction))
+    separable = separable and t.ndim == 1
+    separable = separable and _of_one_surface(shape.parameters(), shape.ranks_of_parameters()) is not None
     for step in range(min(limit, 32) if transformed else limit):
         x, y, z = vec.along(start, t, direction)
         here = shape.sag(x, y)
@@ -1196,4 +1274,21 @@ def newton(start, direction, shape: Shape, guess, limit: int = 64):
         over = done if step < 24 else done | ~crossed
         if not transformed and (step % 4 == 3 or is_readable(t)) and bool(xp.all(over)):
             break
-    return t, done, crossed
+        if separable and t.size > FEW and 2 * np.count_nonzero(done) > t.size:
+            rest = np.flatnonzero(~done)
+            whole, places = _written(whole, places, (t, done, crossed)), rest if places is None else places[rest]
+            t, best, smallest, low, high, done, crossed = (
+                value[rest] for value in (t, best, smallest, low, high, done, crossed)
+            )
+            start, direction = tuple(value[rest] for value in start), tuple(value[rest] for value in direction)
+            dx, dy, dz = direction
+    return _written(whole, places, (t, done, crossed))
+
+
+def _written(whole, places, parts):
+    """Return whole arrays with parts of them at their places; the parts themselves where there are no whole ones."""
+    if whole is None:
+        return parts
+    for array, part in zip(whole, parts, strict=True):
+        array[places] = part
+    return whole

@@ -149,6 +149,27 @@ def test_many_rays_all_converge(name, dtype, random):
     assert (hit.status == 0).all() and hit.distance.dtype == dtype
 
 
+@pytest.mark.parametrize("batch", [(), (1, 1), (2, 1)])
+@pytest.mark.parametrize("name", QUICK[1:])
+def test_the_iteration_is_the_same_by_numpy_and_by_torch(name, batch, random):
+    """Few tensors are iterated by NumPy, which sets rays aside that are done; the shape of a user by torch."""
+    surface = _surfaces(core)[name]
+    kind = type(surface)
+    values = [torch.as_tensor(value, dtype=F64) for value in surface.parameters()]
+    if "size" not in kind.ranks:
+        values = [
+            value.expand((*batch, *value.shape[value.ndim - rank :])).contiguous()
+            for value, rank in zip(values, kind.ranks_of_parameters(), strict=True)
+        ]
+    start = torch.from_numpy(random.normal(size=(600, 3)) * 3.0 - np.asarray([0.0, 0.0, 5.0])).unbind(-1)
+    aim = torch.from_numpy(random.normal(size=(600, 3)) * [0.3, 0.3, 0.0] + [0.0, 0.0, 1.0]).unbind(-1)
+    found, states = surfaces.intersection(start, aim, kind(*values))
+    own, same = surfaces.intersection(start, aim, type("Own", (kind,), {"__module__": __name__})(*values))
+    assert found.distance.shape == own.distance.shape and found.distance.dtype == own.distance.dtype
+    assert torch.equal(states, same) and 0 < int((states == 0).sum()) < states.numel()
+    torch.testing.assert_close(found.distance, own.distance, rtol=1e-11, atol=1e-11, equal_nan=True)
+
+
 def test_heights_whose_terms_cancel_are_met():
     """Every ray ends at the rounding of the terms, far above that of the height: 1 + T14(r/25), terms of 1e5."""
     powers = np.polynomial.chebyshev.cheb2poly([0.0] * 14 + [1.0])[2::2]

@@ -1082,7 +1082,7 @@ def _optimised(
         with torch.no_grad():
             design.heights = design.clear_heights(values)
             basis = _slope_basis(design) if aspheres else None
-            if steep:
+            if steep and basis is not None:
                 # Designs that no ray passes are dropped, as are those of which the basis gives no digit back: rays that
                 # are nearly lost intersect far from the axis, and the high powers of this distance swamp the values.
                 returned = (torch.linalg.solve(basis, values)[:, None] @ basis.mT)[:, 0]
