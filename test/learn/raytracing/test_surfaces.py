@@ -161,8 +161,8 @@ def test_the_iteration_is_the_same_by_numpy_and_by_torch(name, batch, random):
             value.expand((*batch, *value.shape[value.ndim - rank :])).contiguous()
             for value, rank in zip(values, kind.ranks_of_parameters(), strict=True)
         ]
-    start = torch.from_numpy(random.normal(size=(600, 3)) * 3.0 - np.asarray([0.0, 0.0, 5.0])).unbind(-1)
-    aim = torch.from_numpy(random.normal(size=(600, 3)) * [0.3, 0.3, 0.0] + [0.0, 0.0, 1.0]).unbind(-1)
+    start = torch.from_numpy(random.normal(size=(5000, 3)) * 3.0 - np.asarray([0.0, 0.0, 5.0])).unbind(-1)
+    aim = torch.from_numpy(random.normal(size=(5000, 3)) * [0.3, 0.3, 0.0] + [0.0, 0.0, 1.0]).unbind(-1)
     found, states = surfaces.intersection(start, aim, kind(*values))
     own, same = surfaces.intersection(start, aim, type("Own", (kind,), {"__module__": __name__})(*values))
     assert found.distance.shape == own.distance.shape and found.distance.dtype == own.distance.dtype
