@@ -208,16 +208,16 @@ class TestInterrupted:
         assert all(torch.equal(one, other) for one, other in zip(unbroken, resumed, strict=True))
 
     def test_the_command_says_so_and_leaves_nothing_that_looks_whole(self, tmp_path, monkeypatch):
-        from odak.cli import hologram
+        from odak.cli import report
 
-        tick = hologram._Clock.tick
+        tick = report.Clock.tick
 
         def interrupted(clock, *arguments):
             tick(clock, *arguments)
             if clock.ticks == 2:
                 raise KeyboardInterrupt
 
-        monkeypatch.setattr(hologram._Clock, "tick", interrupted)
+        monkeypatch.setattr(report.Clock, "tick", interrupted)
         options = ["--resolution", "32", "48", "--distance", "3e-3", "--iterations", "5", "--device", "cpu", "--quiet"]
         for method in ("sgd", "gs", "multi-color"):
             place = tmp_path / method

@@ -76,6 +76,9 @@ LEAST_DIAGONAL = 5e-9
 DAMPING_RANGE = (1e-5, 1e-1)
 # Root mean square of the spots of the result, in focal lengths, above which a warning is issued: 11 um for 4.55 mm.
 ACCEPTED_SPOT = 1 / 400
+# Merit over the best one of a run from which on the run has spoilt its designs: beams that are computed anew change it
+# less.
+SPOILT = 100.0
 
 
 class Stage(NamedTuple):
@@ -1072,12 +1075,12 @@ def _optimised(
     """Return optimised values of several starts, their merits and dampings; None if rays are lost in all of them.
 
     The run is divided into parts, before each of which the radii of the beam are computed anew. Starts with
-    steep aspheres often lose all rays on their way: such starts are dropped. Where no start is left after a part, the
-    values before it are returned.
+    steep aspheres often lose all rays on their way: such starts are dropped. Where no start is left after a part, or
+    rays that are nearly lost spoil all of them, the values before the part that began best are returned.
     """
     aspheres = "coefficients" in design.places
     parts = max(1, iterations // 3) if aspheres else 2
-    last = None
+    best: Any = None
     for _ in range(parts):
         with torch.no_grad():
             design.heights = design.clear_heights(values)
@@ -1091,12 +1094,16 @@ def _optimised(
                 damping = damping[kept] if isinstance(damping, torch.Tensor) else damping
                 merit = 0.5 * design.residuals(returned[kept]).square().sum(-1) if bool(kept.any()) else None
                 if merit is None or not bool(torch.isfinite(merit).any()):
-                    return last
-                last = values, merit.nan_to_num(math.inf, math.inf), torch.as_tensor(damping).expand(len(values))
+                    return best
+                merit = merit.nan_to_num(math.inf, math.inf)
+                if best is None or merit.min() < best[1].min():
+                    best = values, merit, torch.as_tensor(damping).expand(len(values))
         found = design._minimised(
             values, max(1, iterations // parts), damping=damping, basis=basis, floor=least_diagonal
         )
         values, damping = found.x, found.damping if aspheres else damping
+    if best is not None and bool(found.loss.min() > SPOILT * best[1].min()):
+        return best
     return values, found.loss, found.damping
 
 
