@@ -69,18 +69,20 @@ class Eyes:
         def keep(name, values):
             object.__setattr__(self, name, values)
 
+        given = {name: getattr(self, name) for name in ("positions", "diameter", "focus", "rotation")}
+        positions, diameter, focus, rotation = _validate.constants(**given)
         if not isinstance(self.distance, Lens):
             keep("distance", _validate.constant("distance", self.distance, positive=True))
         elif self.distance.block:
             raise ValueError(f"distance must be a lens without a block before an eye, got {self.distance!r:.80}")
-        places = tensor("positions", self.positions, torch.float64)
+        places = tensor("positions", positions, torch.float64)
         if places.ndim != 2 or places.shape[1] != 2 or not len(places):
             raise ValueError(f"positions must be [K, 2] with K at least 1, got {list(places.shape)}")
         keep("positions", tuple(map(tuple, _validate.real("positions", places).tolist())))
-        keep("diameter", tuple(of_each("diameter", self.diameter, places).tolist()))
+        keep("diameter", tuple(of_each("diameter", diameter, places).tolist()))
         if self.focus is not None:
-            keep("focus", tuple(of_each("focus", self.focus, places).tolist()))
-        keep("rotation", tuple(map(tuple, angles_of_each(self.rotation, len(places)).tolist())))
+            keep("focus", tuple(of_each("focus", focus, places).tolist()))
+        keep("rotation", tuple(map(tuple, angles_of_each(rotation, len(places)).tolist())))
 
     def __len__(self) -> int:
         return len(self.positions)

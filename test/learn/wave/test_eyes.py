@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from odak import SamplingWarning
+from odak import AccuracyWarning, SamplingWarning
 from odak.instruments import Lens
 from odak.learn.wave import AmplitudePanel, Display, Eyes, Iris, Modulator, Run, optimise
 from odak.wave import eye_image
@@ -222,3 +222,21 @@ def test_what_eyes_cannot_be_asked_for():
     wide = Modulator((64, 140), PITCH)
     with pytest.warns(SamplingWarning, match=r"blur of the focus is 0\.001 m wide, more than the field of 0\.000512 m"):
         Display(wide, WAVELENGTH, Eyes(DISTANCE, diameter=1e-3, focus=0.04))
+
+
+@pytest.mark.parametrize("place", range(5))
+def test_gradients_of_eyes_are_lost_with_a_word(place):
+    given = [torch.tensor(value) for value in (0.1, [[0.0, 1e-4]], 1e-3, 0.2, [0.0, 1.0])]
+    given[place].requires_grad_()
+    with pytest.warns(AccuracyWarning, match="requires a gradient, which is lost here"):
+        eyes = Eyes(*given)
+    assert eyes.positions[0] == pytest.approx((0.0, 1e-4))
+
+
+@pytest.mark.slow
+def test_judge_agrees_on_a_whole_panel():
+    eyes = Eyes(0.3, [(1e-3, -3e-3)], 3e-3, 0.32)
+    display = Display(Modulator((1080, 1920), 8e-6), WAVELENGTH, eyes)
+    phases = random_phase(1, 1080, 1920).float()
+    inner = slice(None), slice(None), slice(4, -4), slice(4, -4)
+    assert relative(display(phases)[inner], display.judge(phases)[0][inner]) < 0.01
