@@ -338,8 +338,8 @@ def alike(**arrays) -> None:
 
 
 def flag(name: str, value) -> bool:
-    """Return `value` as a bool after checking that it is one (NumPy's and 0 or 1 count)."""
-    if isinstance(value, (bool, numpy.bool_)) or (isinstance(value, Integral) and value in (0, 1)):
+    """Return `value` as a bool after checking that it is one (NumPy's count, and numbers equal to 0 or 1)."""
+    if isinstance(value, (bool, numpy.bool_)) or (isinstance(value, Real) and value in (0, 1)):
         return bool(value)
     raise TypeError(f"{name} must be True or False, got {value!r:.100}")
 

@@ -306,7 +306,7 @@ def save_dictionary(settings: Any, filename: str | os.PathLike[str]) -> Any:
     settings : dict
         What to write. NumPy and PyTorch numbers are written as numbers, arrays and tensors as lists, paths as texts.
     filename : str or os.PathLike
-        A ``.json`` file; an older one stays as it was until the new one is complete.
+        File of any name, whatever its extension; an older one stays as it was until the new one is complete.
 
     Returns
     -------
@@ -331,7 +331,7 @@ def save_dictionary(settings: Any, filename: str | os.PathLike[str]) -> Any:
     ...     load_dictionary(name)
     {'pitch': 8e-06, 'shape': [2, 3]}
     """
-    path = validate_path(filename, [".json"])
+    path = validate_path(filename)
     content = json.dumps(settings, ensure_ascii=False, indent=4, default=_plain).encode()
     with replacing(path) as stream:
         stream.write(content)
@@ -353,7 +353,7 @@ def load_dictionary(filename: str | os.PathLike[str]) -> Any:
     Parameters
     ----------
     filename : str or os.PathLike
-        A ``.json`` file.
+        File of any name that holds JSON, for example ``settings.json`` or ``settings.txt``.
 
     Returns
     -------
@@ -377,7 +377,7 @@ def load_dictionary(filename: str | os.PathLike[str]) -> Any:
     ...     load_dictionary(name)["wavelength"]
     5.32e-07
     """
-    path = validate_path(filename, [".json"])
+    path = validate_path(filename)
     with open(path, "rb") as stream:
         content = stream.read()
     try:

@@ -349,9 +349,15 @@ class TestDocuments:
                 files.save_dictionary({"a": 2, "b": value}, tmp_path / "a.json")
         assert files.load_dictionary(tmp_path / "a.json") == {"a": 1}
 
+    @pytest.mark.parametrize("name", ["experiment.txt", "experiment", "lab.settings", "a.JSON"])
+    def test_settings_have_any_name(self, tmp_path, name):
+        settings = {"slm": {"pitch": 8e-6, "resolution": [1080, 1920]}}
+        (tmp_path / name).write_text('{"slm": {"pitch": 8e-6, "resolution": [1080, 1920]}}')
+        assert files.load_dictionary(str(tmp_path / name)) == settings
+        files.save_dictionary({"other": settings}, tmp_path / name)
+        assert files.load_dictionary(tmp_path / name) == {"other": settings}
+
     def test_refused(self, tmp_path):
-        with pytest.raises(ValueError, match="not allowed"):
-            files.save_dictionary({}, tmp_path / "a.txt")
         with pytest.raises(ValueError, match=r"Folder .*none' does not exist"):
             files.save_dictionary({}, tmp_path / "none" / "a.json")
         with pytest.raises(FileNotFoundError, match=r"none\.json"):

@@ -3,6 +3,7 @@
 import math
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
 import torch
 
@@ -31,6 +32,16 @@ def test_custom_without_a_kernel_is_refused():
     ):
         with pytest.raises(ValueError, match="'custom' needs a kernel"):
             call()
+
+
+@pytest.mark.parametrize("kind", [float, np.float32, np.int64, bool])
+def test_numbers_equal_to_zero_or_one_are_flags(kind):
+    for number in (0, 1):
+        display = wave.propagator(SIZE, vaccination=kind(number))
+        assert display.vaccination is bool(number)
+    for other in (0.5, 2.0, math.nan, "1.0", 1j):
+        with pytest.raises(TypeError, match="vaccination must be True or False"):
+            wave.propagator(SIZE, vaccination=other)
 
 
 def colour_phases(seed, loss=None):
