@@ -1,9 +1,10 @@
-"""Write odak/learn/_faces.pyi: what editors and type checkers know of the torch functions that the core is made into.
+"""Write odak/learn/_faces: what editors and type checkers know of the torch functions that the core is made into.
 
     PYTHONPATH=. python scripts/make_face_stubs.py
 
 A type checker cannot follow how :func:`odak.learn._face.torch_face` changes a signature: other defaults, tensors for
-arrays, no `xp`. This writes the signatures that the functions have at run time. test/learn/test_face.py compares.
+arrays, no `xp`. This writes the signatures that the functions have at run time, a stub for each module that makes such
+functions, which it imports for type checkers. test/learn/test_face.py compares.
 """
 
 import importlib
@@ -14,7 +15,7 @@ import typing
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-STUB = ROOT / "odak" / "learn" / "_faces.pyi"
+STUBS = ROOT / "odak" / "learn" / "_faces"
 HEAD = '''"""Signatures of the functions made by torch_face, written by scripts/make_face_stubs.py: do not edit."""
 
 import collections.abc
@@ -25,24 +26,32 @@ import torch
 '''
 
 
-def faces() -> dict[str, tuple[str, types.FunctionType]]:
-    """Return the functions that torch_face made, with their modules, by the names of their variables."""
+def faces() -> dict[str, dict[str, types.FunctionType]]:
+    """Return the functions that torch_face made, by modules and by the names of their variables."""
     found = {}
     for path in sorted((ROOT / "odak" / "learn").rglob("*.py")):
         if "torch_face(" in path.read_text(encoding="utf-8") and path.name != "_face.py":
             name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
-            for variable, value in sorted(vars(importlib.import_module(name)).items()):
-                if getattr(value, "__is_face__", False) and value.__module__ == name:
-                    if variable in found:
-                        raise ValueError(f"{variable} is the name of a function in {found[variable][0]} and in {name}")
-                    found[variable] = (name, value)
+            found[name] = {
+                variable: value
+                for variable, value in sorted(vars(importlib.import_module(name)).items())
+                if getattr(value, "__is_face__", False) and value.__module__ == name
+            }
     return found
 
 
-def stub_text() -> str:
-    """Return the text of the stub."""
+def stub_texts() -> dict[Path, str]:
+    """Return the texts of the stubs by their files."""
+    return {
+        STUBS / f"{module.removeprefix('odak.learn.').replace('.', '_')}.pyi": _stub_text(functions)
+        for module, functions in faces().items()
+    }
+
+
+def _stub_text(functions: dict[str, types.FunctionType]) -> str:
+    """Return the text of the stub of a module."""
     written = [HEAD]
-    for variable, (_, face) in sorted(faces().items()):
+    for variable, face in functions.items():
         signature = inspect.signature(face)
         parameters, before = [], None
         for parameter in signature.parameters.values():
@@ -91,4 +100,5 @@ def _default(parameter) -> str:
 
 
 if __name__ == "__main__":
-    STUB.write_text(stub_text(), encoding="utf-8")
+    for file, text in stub_texts().items():
+        file.write_text(text, encoding="utf-8")

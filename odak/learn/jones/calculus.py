@@ -19,16 +19,7 @@ from odak.jones.calculus import (
 from odak.learn._face import torch_face
 
 if TYPE_CHECKING:
-    from odak.learn._faces import circular_polarizer as circular_polarizer
-    from odak.learn._faces import depolarizer as depolarizer
-    from odak.learn._faces import diattenuator as diattenuator
-    from odak.learn._faces import electricfield as electricfield
-    from odak.learn._faces import half_wave_plate as half_wave_plate
-    from odak.learn._faces import mirror as mirror
-    from odak.learn._faces import polarizer as polarizer
-    from odak.learn._faces import quarter_wave_plate as quarter_wave_plate
-    from odak.learn._faces import retarder as retarder
-    from odak.learn._faces import rotator as rotator
+    from odak.learn._faces.jones_calculus import *  # noqa: F403
 
 __all__ = [
     "PolarizationEllipse",

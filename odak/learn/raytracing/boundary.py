@@ -16,16 +16,7 @@ from odak.raytracing import boundary as core
 from odak.tools.transformation import apply_matrix, rotation_matrix
 
 if TYPE_CHECKING:
-    from odak.learn._faces import fresnel_coefficients as fresnel_coefficients
-    from odak.learn._faces import get_cylinder_normal as get_cylinder_normal
-    from odak.learn._faces import get_sphere_normal_torch as get_sphere_normal_torch
-    from odak.learn._faces import get_triangle_normal as get_triangle_normal
-    from odak.learn._faces import intersect_w_circle as intersect_w_circle
-    from odak.learn._faces import intersect_w_cylinder as intersect_w_cylinder
-    from odak.learn._faces import intersect_w_surface as intersect_w_surface
-    from odak.learn._faces import intersect_w_triangle as intersect_w_triangle
-    from odak.learn._faces import reflect as reflect
-    from odak.learn._faces import refract as refract
+    from odak.learn._faces.raytracing_boundary import *  # noqa: F403
 
 __all__ = [
     "detector",

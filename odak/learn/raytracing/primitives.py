@@ -14,14 +14,7 @@ from odak.raytracing.intersections import within
 from odak.tools.transformation import apply_matrix, rotation_matrix
 
 if TYPE_CHECKING:
-    from odak.learn._faces import bring_plane_to_origin as bring_plane_to_origin
-    from odak.learn._faces import center_of_triangle as center_of_triangle
-    from odak.learn._faces import cylinder_function as cylinder_function
-    from odak.learn._faces import define_circle as define_circle
-    from odak.learn._faces import define_cylinder as define_cylinder
-    from odak.learn._faces import define_plane as define_plane
-    from odak.learn._faces import define_sphere as define_sphere
-    from odak.learn._faces import sphere_function as sphere_function
+    from odak.learn._faces.raytracing_primitives import *  # noqa: F403
 
 __all__ = [
     "bring_plane_to_origin",

@@ -14,14 +14,7 @@ from odak.raytracing import ray as core
 from odak.tools.transformation import apply_matrix, rotation_matrix
 
 if TYPE_CHECKING:
-    from odak.learn._faces import calculate_intersection_of_two_rays as calculate_intersection_of_two_rays
-    from odak.learn._faces import create_ray_from_all_pairs as create_ray_from_all_pairs
-    from odak.learn._faces import create_ray_from_angles as create_ray_from_angles
-    from odak.learn._faces import create_ray_from_two_points as create_ray_from_two_points
-    from odak.learn._faces import find_nearest_points as find_nearest_points
-    from odak.learn._faces import get_points_along_a_ray_segment as get_points_along_a_ray_segment
-    from odak.learn._faces import propagate_a_ray as propagate_a_ray
-    from odak.learn._faces import propagate_ray as propagate_ray
+    from odak.learn._faces.raytracing_ray import *  # noqa: F403
 
 __all__ = [
     "calculate_intersection_of_two_rays",

@@ -28,8 +28,7 @@ from odak.raytracing.surfaces import (
 )
 
 if TYPE_CHECKING:
-    from odak.learn._faces import intersect_parametric as intersect_parametric
-    from odak.learn._faces import intersect_w_sag as intersect_w_sag
+    from odak.learn._faces.raytracing_surfaces import *  # noqa: F403
 
 __all__ = [
     "Biconic",

@@ -14,9 +14,7 @@ from odak.tools import matrix
 from odak.tools.matrix import convolve2d, correlation_2d
 
 if TYPE_CHECKING:
-    from odak.learn._faces import crop_center as crop_center
-    from odak.learn._faces import smooth_pad as smooth_pad
-    from odak.learn._faces import zero_pad as zero_pad
+    from odak.learn._faces.tools_matrix import *  # noqa: F403
 
 __all__ = [
     "blur_gaussian",

@@ -12,12 +12,7 @@ from odak.tools.sample import batch_of_rays, random_sample_point_cloud
 from odak.tools.transformation import axis_rotation
 
 if TYPE_CHECKING:
-    from odak.learn._faces import box_volume_sample as box_volume_sample
-    from odak.learn._faces import circular_sample as circular_sample
-    from odak.learn._faces import circular_uniform_random_sample as circular_uniform_random_sample
-    from odak.learn._faces import circular_uniform_sample as circular_uniform_sample
-    from odak.learn._faces import sphere_sample as sphere_sample
-    from odak.learn._faces import sphere_sample_uniform as sphere_sample_uniform
+    from odak.learn._faces.tools_sample import *  # noqa: F403
 
 __all__ = [
     "batch_of_rays",

@@ -17,12 +17,7 @@ from odak.tools.paths import validate_path
 from odak.tools.transformation import ROTATION_MODES, apply_matrix, axis_rotation, rotation_matrix, tilt_towards
 
 if TYPE_CHECKING:
-    from odak.learn._faces import cross_product as cross_product
-    from odak.learn._faces import distance_between_two_points as distance_between_two_points
-    from odak.learn._faces import rotmatx as rotmatx
-    from odak.learn._faces import rotmaty as rotmaty
-    from odak.learn._faces import rotmatz as rotmatz
-    from odak.learn._faces import same_side as same_side
+    from odak.learn._faces.tools_transformation import *  # noqa: F403
 
 __all__ = [
     "PerspectiveCamera",

@@ -13,38 +13,7 @@ from odak.wave import beams, elements, imaging, polarized, recording
 from odak.wave.transfer_functions import pitches
 
 if TYPE_CHECKING:
-    from odak.learn._faces import airy_beam as airy_beam
-    from odak.learn._faces import aspheric_lens_phase as aspheric_lens_phase
-    from odak.learn._faces import axicon_phase as axicon_phase
-    from odak.learn._faces import beam_quality as beam_quality
-    from odak.learn._faces import beam_width as beam_width
-    from odak.learn._faces import bessel_beam as bessel_beam
-    from odak.learn._faces import blazed_grating as blazed_grating
-    from odak.learn._faces import circular_aperture as circular_aperture
-    from odak.learn._faces import cylindrical_lens_phase as cylindrical_lens_phase
-    from odak.learn._faces import dammann_grating as dammann_grating
-    from odak.learn._faces import double_convergence as double_convergence
-    from odak.learn._faces import fibre_coupling as fibre_coupling
-    from odak.learn._faces import flat_top_beam as flat_top_beam
-    from odak.learn._faces import fresnel_zone_plate as fresnel_zone_plate
-    from odak.learn._faces import gaussian_beam as gaussian_beam
-    from odak.learn._faces import hermite_gaussian_beam as hermite_gaussian_beam
-    from odak.learn._faces import laguerre_gaussian_beam as laguerre_gaussian_beam
-    from odak.learn._faces import lens_phase as lens_phase
-    from odak.learn._faces import linear_grating as linear_grating
-    from odak.learn._faces import metalens_phase as metalens_phase
-    from odak.learn._faces import mode_overlap as mode_overlap
-    from odak.learn._faces import power_in_bucket as power_in_bucket
-    from odak.learn._faces import prism_grating as prism_grating
-    from odak.learn._faces import prism_phase_function as prism_phase_function
-    from odak.learn._faces import pupil_function as pupil_function
-    from odak.learn._faces import q_plate as q_plate
-    from odak.learn._faces import rectangular_aperture as rectangular_aperture
-    from odak.learn._faces import reference_wave as reference_wave
-    from odak.learn._faces import spiral_phase as spiral_phase
-    from odak.learn._faces import thin_film_transfer as thin_film_transfer
-    from odak.learn._faces import zernike_basis as zernike_basis
-    from odak.learn._faces import zernike_phase as zernike_phase
+    from odak.learn._faces.wave_elements import *  # noqa: F403
 
 _SINGLE = {"Returns": "torch.Tensor\n    complex64 ``[nx, ny]``."}
 

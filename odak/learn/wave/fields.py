@@ -15,10 +15,7 @@ from odak.wave import fields
 from odak.wave.torch_convolution import Workspace, allocate_like
 
 if TYPE_CHECKING:
-    from odak.learn._faces import generate_complex_field as generate_complex_field
-    from odak.learn._faces import normalize_phase as normalize_phase
-    from odak.learn._faces import rotationspeed as rotationspeed
-    from odak.learn._faces import wavenumber as wavenumber
+    from odak.learn._faces.wave_fields import *  # noqa: F403
 
 _HALVES = (torch.float16, torch.bfloat16)
 

@@ -11,12 +11,7 @@ from odak.learn._tensors import trainable
 from odak.wave import coherence, propagation
 
 if TYPE_CHECKING:
-    from odak.learn._faces import disk_source as disk_source
-    from odak.learn._faces import gaussian_spectrum as gaussian_spectrum
-    from odak.learn._faces import impulse_response_fresnel as impulse_response_fresnel
-    from odak.learn._faces import propagate_beam as propagate_beam
-    from odak.learn._faces import propagate_partially_coherent as propagate_partially_coherent
-    from odak.learn._faces import seperable_impulse_response_fresnel as seperable_impulse_response_fresnel
+    from odak.learn._faces.wave_propagation import *  # noqa: F403
 
 APERTURE_SAMPLES = (20, 20, 5, 5)
 
