@@ -65,6 +65,9 @@ BEAM_FRACTIONS = (0.5, 0.7, 0.85, 1.0, 1.1)
 SOFT_EDGES, FIRM_EDGES, SOFT_DISTORTION = 0.4, 4.0, 0.044
 # Steepest slope of a surface, tan 50°, which can still be moulded.
 LARGEST_SLOPE = 1.2
+# Slope of a single term of an asphere at the radius of the beam from which on a design is dropped: sums of such terms
+# keep half of the digits of double precision at most. Terms of designs that succeed stay far below.
+LARGEST_TERM = 1e8
 # Largest sine of the angle between a ray and the normal, of 53 degrees: 1 is total reflection.
 LARGEST_SINE = 0.8
 # Distance from the centroid, in focal lengths, at which a lost ray counts: large beside any spot.
@@ -1086,13 +1089,13 @@ def _optimised(
             design.heights = design.clear_heights(values)
             basis = _slope_basis(design) if aspheres else None
             if steep and basis is not None:
-                # Designs that no ray passes are dropped, as are those of which the basis gives no digit back: rays that
-                # are nearly lost intersect far from the axis, and the high powers of this distance swamp the values.
-                returned = (torch.linalg.solve(basis, values)[:, None] @ basis.mT)[:, 0]
-                kept = torch.isfinite(design.heights).all(-1) & torch.isfinite(returned).all(-1)
+                # Designs that no ray passes are dropped, as are those whose terms leave few digits of each other: rays
+                # that are nearly lost intersect far from the axis, where high powers of this distance swamp the others.
+                steepest = _steepest_term(design, values)
+                kept = torch.isfinite(design.heights).all(-1) & (steepest < LARGEST_TERM)
                 values, design.heights, basis = values[kept], design.heights[kept], basis[kept]
                 damping = damping[kept] if isinstance(damping, torch.Tensor) else damping
-                merit = 0.5 * design.residuals(returned[kept]).square().sum(-1) if bool(kept.any()) else None
+                merit = 0.5 * design.residuals(values).square().sum(-1) if bool(kept.any()) else None
                 if merit is None or not bool(torch.isfinite(merit).any()):
                     return best
                 merit = merit.nan_to_num(math.inf, math.inf)
@@ -1107,15 +1110,12 @@ def _optimised(
     return values, found.loss, found.damping
 
 
-def _slope_basis(design: lens_design) -> torch.Tensor:
-    """Return matrices ``[N, V, V]`` from coefficients of functions with orthonormal slopes to variables of N designs.
+def _terms_of_surfaces(design: lens_design):
+    """Yield, for each surface with variable terms, columns, powers and the scale of the terms' slopes, of N designs.
 
-    The functions of a surface are combinations of r², r⁴, … up to increasing powers; the mean over the beam of the
-    product of the slopes of two of them is 1 or 0. Variables other than curvatures and coefficients remain as they are.
+    The slope of a term at the beam's radius is the value of its column times its power over its scale ``[N, terms]``.
     """
     heights: Any = torch.where(torch.isfinite(design.heights), design.heights, 1.0)  # type: ignore[arg-type]
-    count = len(design.values)
-    found = torch.eye(count, dtype=torch.float64).expand(len(heights), count, count).clone()
     held: dict[int, list[tuple[int, int]]] = {}
     for name in ("curvature", "coefficients"):
         for (place, term), column in zip(design.places[name], design.columns[name], strict=True):
@@ -1123,9 +1123,26 @@ def _slope_basis(design: lens_design) -> torch.Tensor:
     for place, entries in held.items():
         terms, columns = (torch.tensor(value) for value in zip(*entries, strict=True))
         powers = 2.0 * (terms.double() + 1)
+        # The term of r² is half the curvature.
+        yield columns, powers, heights[:, place, None] ** (1 - powers) * torch.where(terms == 0, 2.0, 1.0)
+
+
+def _steepest_term(design: lens_design, values: torch.Tensor) -> torch.Tensor:
+    """Return the largest slope ``[N]`` of a single term, r², r⁴, …, of a surface at the radius of the beam."""
+    slopes = [values[:, columns] * powers / scale for columns, powers, scale in _terms_of_surfaces(design)]
+    return torch.cat(slopes, -1).abs().amax(-1)
+
+
+def _slope_basis(design: lens_design) -> torch.Tensor:
+    """Return matrices ``[N, V, V]`` from coefficients of functions with orthonormal slopes to variables of N designs.
+
+    The functions of a surface are combinations of r², r⁴, … up to increasing powers; the mean over the beam of the
+    product of the slopes of two of them is 1 or 0. Variables other than curvatures and coefficients remain as they are.
+    """
+    designs, count = len(design.heights), len(design.values)  # type: ignore[arg-type]
+    found = torch.eye(count, dtype=torch.float64).expand(designs, count, count).clone()
+    for columns, powers, scale in _terms_of_surfaces(design):
         gram = 2 * powers[:, None] * powers / (powers[:, None] + powers)
         functions = torch.linalg.inv(torch.linalg.cholesky(gram)).mT
-        # The term of r² is half the curvature.
-        scale = heights[:, place, None] ** (1 - powers) * torch.where(terms == 0, 2.0, 1.0)
         found[:, columns[:, None], columns] = scale[..., None] * functions
     return found
