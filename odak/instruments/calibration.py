@@ -30,8 +30,6 @@ from odak.instruments.spots import DEFOCUS, Part, aberration_modes, deflected, i
 from odak.instruments.tables import OpticalTable, parts_of
 from odak.instruments.wavefronts import UNSETTLED, wavefront_with_uncertainty
 
-__all__ = ["Calibration", "calibrate_table"]
-
 UNITS = {
     "wavelength": "m",
     "pitch": "m",

@@ -16,8 +16,6 @@ from odak.instruments.mapping import Lens, Registration
 from odak.tools.file import read_npz
 from odak.tools.paths import replacing, validate_path
 
-__all__ = ["load_calibration", "save_calibration"]
-
 FORMAT, VERSION = "odak calibration", 1
 
 

@@ -11,8 +11,6 @@ from odak import _show, _validate
 from odak.instruments.array_files import checked_array, checked_number, read_hdf5, write_hdf5
 from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera, checked_dark
 
-__all__ = ["Captures", "load_captures", "record_captures", "save_captures"]
-
 CAPTURES, CAPTURES_VERSION = "odak captures", 1
 CAPTURE_UNITS = {
     "levels": "level",

@@ -16,16 +16,6 @@ from odak import _show, _validate
 from odak._warnings import ArgumentWarning, warn
 from odak.tools.paths import replacing, validate_path
 
-__all__ = [
-    "FileCamera",
-    "FileModulator",
-    "GenICamCamera",
-    "MicroManagerCamera",
-    "MicroManagerModulator",
-    "ScreenModulator",
-    "VideoCamera",
-]
-
 # Value of OpenCV's property CAP_PROP_AUTO_EXPOSURE that switches automatic exposure off.
 _MANUAL_EXPOSURE = 1.0
 

@@ -12,16 +12,6 @@ from odak import _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.instruments.protocols import Camera, CheckedCamera, Laser, Modulator, Rotator, checked_camera, checked_dark
 
-__all__ = [
-    "PolarisationResult",
-    "SettlingResult",
-    "capture_hdr",
-    "measure_dark",
-    "measure_polarisation",
-    "measure_settling",
-    "set_exposure",
-]
-
 # Share of the range of a camera that its brightest pixel should reach.
 EXPOSED = 0.6
 # Counts of this share of the range are taken as saturated.

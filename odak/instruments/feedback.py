@@ -15,8 +15,6 @@ from odak.instruments.protocols import Camera
 from odak.instruments.tables import OpticalTable, parts_of
 from odak.wave import spot_hologram, uniformity
 
-__all__ = ["SpotFeedback", "equalise_spots"]
-
 # Samples of the camera's image for one of its pixels, by which the disc around a spot is filled.
 _FINER = 4
 _TURNS = 30

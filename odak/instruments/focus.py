@@ -26,8 +26,6 @@ from odak.instruments.spots import (
 )
 from odak.instruments.tables import OpticalTable, parts_of
 
-__all__ = ["measure_distance"]
-
 # Range of the astigmatism that is tried on either side, in radians (root mean square).
 ASTIGMATISM = 2 * np.pi * 0.1
 # Step of defocus and astigmatism near the sharpest focus, too.

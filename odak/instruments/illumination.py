@@ -16,8 +16,6 @@ from odak.instruments.phase_response import nearest_levels
 from odak.instruments.spots import averaged, lens_phase, pixel_axes, read_around
 from odak.instruments.tables import OpticalTable, parts_of
 
-__all__ = ["measure_illumination"]
-
 # Points at which the illumination is measured, as a share of the farthest that a pixel reaches, and phases of parts.
 ASIDE = 0.3
 # Mean share of the light that is missing in dark parts, above which a root mean square of about 1 % is missing.

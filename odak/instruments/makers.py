@@ -15,8 +15,6 @@ from odak import _show, _validate
 from odak.instruments.drivers import _imported, checked_levels
 from odak.tools.paths import validate_path
 
-__all__ = ["HoloeyeModulator", "MeadowlarkModulator", "RaspberryPiCamera", "ThorlabsCamera"]
-
 
 class RaspberryPiCamera:
     """Camera of a Raspberry Pi, whose raw frames are read by picamera2.

@@ -7,8 +7,6 @@ import numpy as np
 from odak import _array, _show, _validate
 from odak._array import Array, ArrayT
 
-__all__ = ["Lens", "Registration", "plane_points"]
-
 
 @_validate.takes_units("focal_length", "before", "after", "block")
 @dataclass(frozen=True)

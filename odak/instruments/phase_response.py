@@ -18,8 +18,6 @@ from odak.instruments.protocols import Camera, Modulator
 from odak.instruments.spots import averaged, brightest, deflected, lens_phase, pixel_axes, read_around
 from odak.instruments.tables import OpticalTable, parts_of
 
-__all__ = ["measure_phase_response", "measure_regional_response"]
-
 # Part of the circle in radians that the phases of levels may leave out.
 LARGEST_GAP = 0.15 * np.pi
 # Columns of other levels beside the border of the two halves, and rows and columns of pixels evaluated at most.

@@ -7,8 +7,6 @@ import numpy as np
 
 from odak import _validate
 
-__all__ = ["Camera", "Laser", "Modulator", "Rotator", "Stage", "open_instrument"]
-
 # Group of entry points of packages that hold drivers: name → class or function that opens an instrument.
 ENTRY_POINTS = "odak.instruments"
 

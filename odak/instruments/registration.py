@@ -17,8 +17,6 @@ from odak.instruments.protocols import Camera
 from odak.instruments.spots import Part, averaged, brightest, centroid, lenslets, pixel_axes, spots_phase
 from odak.instruments.tables import OpticalTable, parts_of
 
-__all__ = ["register_camera"]
-
 # Half of the extent of the spots of a registration at most, as a share of the farthest point that a pixel reaches.
 SPREAD = 0.6
 # Largest error of a mapping among the spots in units of the standard deviation at one of them.

@@ -11,8 +11,6 @@ from odak import _validate
 from odak.instruments.protocols import Camera, Laser, Modulator, Rotator, Stage, open_instrument
 from odak.manager.server import check_transport, load_security, require_dask
 
-__all__ = ["open_remote"]
-
 _KINDS: dict[type, tuple[str, ...]] = {
     Modulator: ("show",),
     Camera: ("capture",),

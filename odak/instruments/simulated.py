@@ -16,8 +16,6 @@ from odak.instruments.mapping import Lens, plane_points, ray_matrix
 from odak.tools.zernike import zernike_polynomial
 from odak.wave.linear_kernels import orders_reaching, pixels_spectrum, taper
 
-__all__ = ["SimulatedTable", "Truth"]
-
 # Zernike polynomials (n, m) of the hidden aberration, without piston, tilt and defocus.
 ABERRATIONS = ((2, -2), (2, 2), (3, -3), (3, -1), (3, 1), (3, 3), (4, 0))
 FULL_WELL = 20_000.0

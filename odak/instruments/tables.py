@@ -9,8 +9,6 @@ from odak import _show, _validate
 from odak.instruments.mapping import Lens, Registration, ray_matrix
 from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
 
-__all__ = ["OpticalTable"]
-
 
 @_validate.takes_units("wavelength", "distance")
 @dataclass(frozen=True)

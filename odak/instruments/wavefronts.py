@@ -26,8 +26,6 @@ from odak.instruments.spots import (
 )
 from odak.instruments.tables import OpticalTable, parts_of
 
-__all__ = ["measure_wavefront"]
-
 # Width and height of the field of the spots of lenslets behind a lens, as a share of the image of the camera.
 FIELD = 0.75
 # Radius of the disc around the axis, behind a lens, that is left out, as a share of the spots' distance.

@@ -21,8 +21,6 @@ from odak.manager.server import LOOPBACK
 from odak.manager.tasks import HERE, Outcome
 from odak.tools import validate_path
 
-__all__ = ["Failure", "TaskError", "agent"]
-
 ON_FAILURE = ("raise", "return")
 _SHOWN = 3
 # A task fails once its process has ended so many times, or once it was lost with so many workers.

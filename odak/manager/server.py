@@ -34,8 +34,6 @@ from odak.manager.tasks import thread_variables
 from odak.tools.file import check_directory
 from odak.tools.paths import replacing
 
-__all__ = ["Server", "make_certificates", "start_server"]
-
 LOOPBACK = "127.0.0.1"
 GPU = "GPU"
 _ENCRYPTED = ("tls", "wss")

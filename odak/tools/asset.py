@@ -11,8 +11,6 @@ from odak.tools.matrix import convert_to_numpy
 from odak.tools.paths import replacing, validate_path
 from odak.tools.transformation import rotate_points
 
-__all__ = ["read_PLY", "read_PLY_point_cloud", "write_PLY", "write_PLY_from_points"]
-
 
 def read_PLY(
     fn: str | os.PathLike[str],

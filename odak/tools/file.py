@@ -29,39 +29,11 @@ from odak import _validate
 from odak._validate import one_of
 from odak._warnings import AccuracyWarning, warn
 from odak.log import logger
-from odak.tools.paths import (
-    expanduser,
-    extension_of,
-    get_base_filename,
-    replacing,
-    temporary_name,
-    validate_cwd,
-    validate_path,
-)
-
-__all__ = [
-    "ALLOWED_COMMANDS",
-    "DANGEROUS_PATTERNS",
-    "check_directory",
-    "convert_bytes",
-    "copy_file",
-    "expanduser",
-    "get_base_filename",
-    "list_directories",
-    "list_files",
-    "load_dictionary",
-    "load_image",
-    "read_text_file",
-    "resize_image",
-    "save_dictionary",
-    "save_image",
-    "shell_command",
-    "size_of_a_file",
-    "validate_cwd",
-    "validate_path",
-    "validate_shell_command",
-    "write_to_text_file",
-]
+from odak.tools.paths import expanduser as expanduser
+from odak.tools.paths import extension_of, replacing, temporary_name
+from odak.tools.paths import get_base_filename as get_base_filename
+from odak.tools.paths import validate_cwd as validate_cwd
+from odak.tools.paths import validate_path as validate_path
 
 _UNITS = ("bytes", "KB", "MB", "GB", "TB", "PB", "EB")
 

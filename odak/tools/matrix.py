@@ -12,23 +12,6 @@ from odak._array import Array, ArrayT
 if TYPE_CHECKING:
     import torch
 
-__all__ = [
-    "blur_gaussian",
-    "convert_to_numpy",
-    "convert_to_torch",
-    "convolve2d",
-    "correlation_2d",
-    "create_empty_list",
-    "crop_center",
-    "generate_2d_gaussian",
-    "generate_bandlimits",
-    "nufft2",
-    "nuifft2",
-    "quantize",
-    "smooth_pad",
-    "zero_pad",
-]
-
 
 def zero_pad(field: ArrayT, size: Sequence[int] | None = None, method: str = "center") -> ArrayT:
     """Pad a field with zeros.

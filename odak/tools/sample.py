@@ -14,18 +14,6 @@ from odak import _array, _validate
 from odak._array import Array, ArrayT
 from odak.tools.transformation import apply_matrix, rotation_matrix
 
-__all__ = [
-    "batch_of_rays",
-    "box_volume_sample",
-    "circular_sample",
-    "circular_uniform_random_sample",
-    "circular_uniform_sample",
-    "grid_sample",
-    "random_sample_point_cloud",
-    "sphere_sample",
-    "sphere_sample_uniform",
-]
-
 _ORIGIN = (0.0, 0.0, 0.0)
 
 

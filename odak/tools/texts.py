@@ -7,8 +7,6 @@ from numbers import Integral
 from odak._validate import texts
 from odak.tools.file import read_text_file
 
-__all__ = ["latex", "markdown"]
-
 
 class LabelledText:
     """Lines of a text file without leading spaces, and a label for each.

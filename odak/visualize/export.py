@@ -13,8 +13,6 @@ from odak.tools.paths import replacing, validate_path
 from odak.visualize import _arrays
 from odak.visualize._arrays import linear_light
 
-__all__ = ["PLY_object"]
-
 VERTEX = np.dtype([(axis, "f4") for axis in "xyz"])
 FACE = np.dtype([("vertex_indices", "i4", (3,)), *((name, "u1") for name in ("red", "green", "blue"))])
 # A square prism: its corners p0, p0 + (k, 0, 0), p0 + (k, k, 0), p0 + (0, k, 0), then the same at p1.

@@ -3,47 +3,21 @@
 from typing import TYPE_CHECKING
 
 from odak.jones import calculus
-from odak.jones.calculus import (
-    PolarizationEllipse,
-    apply_matrix,
-    cascade,
-    degree_of_polarization,
-    field_from_stokes,
-    linearpolarizer,
-    mueller,
-    polarization_ellipse,
-    reverse,
-    stokes,
-    stokes_ellipse,
-)
+from odak.jones.calculus import PolarizationEllipse as PolarizationEllipse
+from odak.jones.calculus import apply_matrix as apply_matrix
+from odak.jones.calculus import cascade as cascade
+from odak.jones.calculus import degree_of_polarization as degree_of_polarization
+from odak.jones.calculus import field_from_stokes as field_from_stokes
+from odak.jones.calculus import linearpolarizer as linearpolarizer
+from odak.jones.calculus import mueller as mueller
+from odak.jones.calculus import polarization_ellipse as polarization_ellipse
+from odak.jones.calculus import reverse as reverse
+from odak.jones.calculus import stokes as stokes
+from odak.jones.calculus import stokes_ellipse as stokes_ellipse
 from odak.learn._face import torch_face
 
 if TYPE_CHECKING:
     from odak.learn._faces.jones_calculus import *  # noqa: F403
-
-__all__ = [
-    "PolarizationEllipse",
-    "apply_matrix",
-    "cascade",
-    "circular_polarizer",
-    "degree_of_polarization",
-    "depolarizer",
-    "diattenuator",
-    "electricfield",
-    "field_from_stokes",
-    "half_wave_plate",
-    "linearpolarizer",
-    "mirror",
-    "mueller",
-    "polarization_ellipse",
-    "polarizer",
-    "quarter_wave_plate",
-    "retarder",
-    "reverse",
-    "rotator",
-    "stokes",
-    "stokes_ellipse",
-]
 
 if not TYPE_CHECKING:
     circular_polarizer = torch_face(calculus.circular_polarizer)

@@ -17,8 +17,6 @@ from odak.learn.tools.file import save_torch_tensor
 from odak.tools.file import check_directory
 from odak.tools.paths import validate_path
 
-__all__ = ["spec_track"]
-
 FRAME = (5, 180, 320)
 _CONVOLUTIONS = ((5, 32, 3), (32, 64, 5), (64, 128, 7))
 _FEATURES = (6400, 2048, 1024, 512, 128, 3)

@@ -23,8 +23,6 @@ from odak.learn.tools.function import evaluate_3d_gaussians
 from odak.log import logger as _log
 from odak.tools.paths import validate_path
 
-__all__ = ["gaussian_2d", "gaussian_3d_volume", "gaussians_2d"]
-
 # Number of Gaussians up to which the default widths are used as they are; more of them are narrower, so that together
 # they cover the same area.
 _FEW = 10

@@ -16,8 +16,6 @@ from odak.learn.models.training import load_weights
 from odak.learn.tools.matrix import plane_indices, plane_masks
 from odak.wave.propagation import propagate_beam, propagate_within_window
 
-__all__ = ["hologram_network"]
-
 # Range of wavelength·distance/pitch² and of wavelength/pitch in training; what lies outside is taken as its end.
 SPREADS, RATIOS = (10.0, 150.0), (0.035, 0.23)
 # Largest spread of light for which the weights included in odak are valid, relative to the shorter side of a picture.

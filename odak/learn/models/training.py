@@ -22,8 +22,6 @@ from odak.learn.tools.file import first_line, read_torch_file
 from odak.learn.tools.iterations import Loop, Run, own_randomness
 from odak.tools.paths import replacing, validate_path
 
-__all__ = ["TrainingHistory", "train"]
-
 
 @dataclass
 class TrainingHistory:

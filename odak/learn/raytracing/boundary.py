@@ -18,23 +18,6 @@ from odak.tools.transformation import apply_matrix, rotation_matrix
 if TYPE_CHECKING:
     from odak.learn._faces.raytracing_boundary import *  # noqa: F403
 
-__all__ = [
-    "detector",
-    "fresnel_coefficients",
-    "get_cylinder_normal",
-    "get_sphere_normal_torch",
-    "get_triangle_normal",
-    "intersect_w_circle",
-    "intersect_w_cylinder",
-    "intersect_w_sphere",
-    "intersect_w_surface",
-    "intersect_w_surface_batch",
-    "intersect_w_triangle",
-    "intersect_w_triangle_batch",
-    "reflect",
-    "refract",
-]
-
 
 def _plane(_, ray, points):
     normal, distance = core.plane_hits(*arguments.rays_and_triangles(ray=ray, points=points))

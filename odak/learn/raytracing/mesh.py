@@ -30,8 +30,6 @@ from odak.tools import asset
 from odak.tools.asset import write_PLY
 from odak.tools.transformation import apply_matrix, rotation_matrix
 
-__all__ = ["MeshHit", "planar_mesh", "triangle_mesh"]
-
 BRANCHES = 8
 LEAF = 4
 # Boxes are in single precision in units of the mesh's radius: the rounding errors of rays and boxes stay below this.

@@ -33,20 +33,6 @@ from odak.raytracing.interfaces import Phase, fresnel_shares, reflected, refract
 from odak.raytracing.surfaces import Plane, Shape, intersection
 from odak.tools.transformation import rotation_matrix
 
-__all__ = [
-    "Element",
-    "GaussianScatter",
-    "Interface",
-    "LambertianScatter",
-    "Light",
-    "MeasuredScatter",
-    "Received",
-    "Scene",
-    "SceneLight",
-    "light_source",
-    "system_elements",
-]
-
 # Rays that are traced together on a CPU: what one step needs of them stays in the cache.
 BLOCK = 1 << 15
 LIMITS = (Aperture, CombinedAperture)

@@ -16,20 +16,6 @@ from odak.tools.transformation import apply_matrix, rotation_matrix
 if TYPE_CHECKING:
     from odak.learn._faces.raytracing_primitives import *  # noqa: F403
 
-__all__ = [
-    "bring_plane_to_origin",
-    "center_of_triangle",
-    "cylinder_function",
-    "define_circle",
-    "define_cylinder",
-    "define_plane",
-    "define_plane_mesh",
-    "define_sphere",
-    "is_it_on_triangle",
-    "is_it_on_triangle_batch",
-    "sphere_function",
-]
-
 _ORIGIN = (0.0, 0.0, 0.0)
 
 

@@ -16,20 +16,6 @@ from odak.tools.transformation import apply_matrix, rotation_matrix
 if TYPE_CHECKING:
     from odak.learn._faces.raytracing_ray import *  # noqa: F403
 
-__all__ = [
-    "calculate_intersection_of_two_rays",
-    "create_ray",
-    "create_ray_from_all_pairs",
-    "create_ray_from_angles",
-    "create_ray_from_grid_w_luminous_angle",
-    "create_ray_from_point_w_luminous_angle",
-    "create_ray_from_two_points",
-    "find_nearest_points",
-    "get_points_along_a_ray_segment",
-    "propagate_a_ray",
-    "propagate_ray",
-]
-
 
 if not TYPE_CHECKING:
     calculate_intersection_of_two_rays = torch_face(

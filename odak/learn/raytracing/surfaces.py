@@ -11,42 +11,22 @@ from odak.learn._face import torch_face
 from odak.learn._tensors import reals_of
 from odak.raytracing import arguments, boundary, surfaces
 from odak.raytracing.geometry import dot, unit
-from odak.raytracing.surfaces import (
-    Biconic,
-    ChebyshevFreeform,
-    Conic,
-    EvenAsphere,
-    OddAsphere,
-    Plane,
-    PolynomialFreeform,
-    QbfsAsphere,
-    QconAsphere,
-    Shape,
-    SplineFreeform,
-    Toroid,
-    ZernikeFreeform,
-)
+from odak.raytracing.surfaces import Biconic as Biconic
+from odak.raytracing.surfaces import ChebyshevFreeform as ChebyshevFreeform
+from odak.raytracing.surfaces import Conic as Conic
+from odak.raytracing.surfaces import EvenAsphere as EvenAsphere
+from odak.raytracing.surfaces import OddAsphere as OddAsphere
+from odak.raytracing.surfaces import Plane as Plane
+from odak.raytracing.surfaces import PolynomialFreeform as PolynomialFreeform
+from odak.raytracing.surfaces import QbfsAsphere as QbfsAsphere
+from odak.raytracing.surfaces import QconAsphere as QconAsphere
+from odak.raytracing.surfaces import Shape as Shape
+from odak.raytracing.surfaces import SplineFreeform as SplineFreeform
+from odak.raytracing.surfaces import Toroid as Toroid
+from odak.raytracing.surfaces import ZernikeFreeform as ZernikeFreeform
 
 if TYPE_CHECKING:
     from odak.learn._faces.raytracing_surfaces import *  # noqa: F403
-
-__all__ = [
-    "Biconic",
-    "ChebyshevFreeform",
-    "Conic",
-    "EvenAsphere",
-    "OddAsphere",
-    "Plane",
-    "PolynomialFreeform",
-    "QbfsAsphere",
-    "QconAsphere",
-    "Shape",
-    "SplineFreeform",
-    "Toroid",
-    "ZernikeFreeform",
-    "intersect_parametric",
-    "intersect_w_sag",
-]
 
 
 if not TYPE_CHECKING:

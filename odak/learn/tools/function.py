@@ -11,22 +11,11 @@ from odak import _array, _validate
 from odak._torch_private import in_own_precision
 from odak.learn._tensors import checked_device, checked_dtype, kind_of
 from odak.tools.transformation import apply_matrix, rotation_matrix
-from odak.tools.zernike import fringe_to_nm, noll_to_nm, osa_to_nm, zernike_norm, zernike_polynomial
-
-__all__ = [
-    "SeparableBasis",
-    "compose_bspline_2d",
-    "decompose_bspline_2d",
-    "decompose_wavelet_like",
-    "evaluate_3d_gaussians",
-    "fringe_to_nm",
-    "generate_bspline_basis_2d",
-    "noll_to_nm",
-    "osa_to_nm",
-    "reconstruct_wavelet_like",
-    "zernike_norm",
-    "zernike_polynomial",
-]
+from odak.tools.zernike import fringe_to_nm as fringe_to_nm
+from odak.tools.zernike import noll_to_nm as noll_to_nm
+from odak.tools.zernike import osa_to_nm as osa_to_nm
+from odak.tools.zernike import zernike_norm as zernike_norm
+from odak.tools.zernike import zernike_polynomial as zernike_polynomial
 
 _ZERO, _ONE, _OPAQUE = torch.zeros(1, 3), torch.ones(1, 3), torch.ones(1, 1)
 

@@ -11,23 +11,11 @@ from odak._torch_private import in_own_precision
 from odak.learn._face import torch_face
 from odak.learn._tensors import checked_device, checked_dtype, kind_of, tensor
 from odak.tools import matrix
-from odak.tools.matrix import convolve2d, correlation_2d
+from odak.tools.matrix import convolve2d as convolve2d
+from odak.tools.matrix import correlation_2d as correlation_2d
 
 if TYPE_CHECKING:
     from odak.learn._faces.tools_matrix import *  # noqa: F403
-
-__all__ = [
-    "blur_gaussian",
-    "convolve2d",
-    "correlation_2d",
-    "crop_center",
-    "generate_2d_dirac_delta",
-    "generate_2d_gaussian",
-    "quantize",
-    "slice_rgbd_targets",
-    "smooth_pad",
-    "zero_pad",
-]
 
 _MOST_BITS = 30
 _SMALLEST_SIGMA = 1e-5

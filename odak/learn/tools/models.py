@@ -12,8 +12,6 @@ from odak.learn._tensors import floating, trainable
 from odak.learn.tools.file import torch_load
 from odak.tools.paths import replacing, validate_path
 
-__all__ = ["multi_layer_perceptron"]
-
 
 def freeze(model: torch.nn.Module) -> None:
     """Exclude all parameters of a model from the computation of gradients.

@@ -8,23 +8,12 @@ import torch
 from odak.learn._face import torch_face
 from odak.learn._tensors import checked_device, tensors_of
 from odak.tools import sample
-from odak.tools.sample import batch_of_rays, random_sample_point_cloud
+from odak.tools.sample import batch_of_rays as batch_of_rays
+from odak.tools.sample import random_sample_point_cloud as random_sample_point_cloud
 from odak.tools.transformation import axis_rotation
 
 if TYPE_CHECKING:
     from odak.learn._faces.tools_sample import *  # noqa: F403
-
-__all__ = [
-    "batch_of_rays",
-    "box_volume_sample",
-    "circular_sample",
-    "circular_uniform_random_sample",
-    "circular_uniform_sample",
-    "grid_sample",
-    "random_sample_point_cloud",
-    "sphere_sample",
-    "sphere_sample_uniform",
-]
 
 _ORIGIN = (0.0, 0.0, 0.0)
 

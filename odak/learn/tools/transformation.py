@@ -14,26 +14,11 @@ from odak.learn._tensors import checked_device, floating, tensor, tensors_of
 from odak.tools import transformation
 from odak.tools.asset import read_PLY
 from odak.tools.paths import validate_path
-from odak.tools.transformation import ROTATION_MODES, apply_matrix, axis_rotation, rotation_matrix, tilt_towards
+from odak.tools.transformation import ROTATION_MODES, apply_matrix, axis_rotation, rotation_matrix
+from odak.tools.transformation import tilt_towards as tilt_towards
 
 if TYPE_CHECKING:
     from odak.learn._faces.tools_transformation import *  # noqa: F403
-
-__all__ = [
-    "PerspectiveCamera",
-    "cross_product",
-    "distance_between_two_points",
-    "get_rotation_matrix",
-    "load_voxelized_PLY",
-    "point_cloud_to_voxel",
-    "quaternion_to_rotation_matrix",
-    "rotate_points",
-    "rotmatx",
-    "rotmaty",
-    "rotmatz",
-    "same_side",
-    "tilt_towards",
-]
 
 _NONE = torch.zeros(1, 3)
 # Cells of a cloud of points, whose centres take 3 GB.

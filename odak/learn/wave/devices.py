@@ -13,8 +13,6 @@ import torch.distributed as dist
 
 from odak.learn._tensors import checked_device
 
-__all__ = ["across_devices", "across_ranks"]
-
 Tensors = torch.Tensor | tuple[torch.Tensor, ...]
 
 

@@ -46,8 +46,6 @@ from odak.visualize.blender.items import (
 )
 from odak.visualize.blender.shapes import Lenses, Lines, Shapes
 
-__all__ = ["Blender", "BlenderError", "BlenderNotFoundError", "find_blender", "scene"]
-
 PYTHON_VARIABLE = "ODAK_BLENDER_PYTHON"
 PROGRAM_VARIABLE = "ODAK_BLENDER"
 INSTALL = f"""\

@@ -18,8 +18,6 @@ from odak.visualize._arrays import image, real_array, to_numpy
 from odak.visualize.plotly import figures
 from odak.visualize.plotly.figures import Figure, graph, make_subplots
 
-__all__ = ["detectorshow", "field_show", "plot2dshow", "plotshow", "surfaceshow"]
-
 MAXIMUM_SIDE = 1024
 SPECTRUM_FLOOR = -60.0  # dB
 _UNITS = (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6), ("nm", 1e-9))

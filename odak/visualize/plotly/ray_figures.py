@@ -14,8 +14,6 @@ from odak.visualize.plotly import figures
 from odak.visualize.plotly.field_figures import surface_grid
 from odak.visualize.plotly.figures import Figure, graph, make_subplots
 
-__all__ = ["rayshow", "system_show"]
-
 SCENE_SIZE = (800, 700)
 AXES = ("x", "y", "z")
 # Samples of a surface of a lens along its radius and around its axis.
