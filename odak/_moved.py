@@ -7,7 +7,6 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.catalog.dispersion": "odak.catalog.materials",
     "odak.catalog.lenses": "odak.catalog.optics",
     "odak.catalog.material_files": "odak.catalog.materials",
-    "odak.cli.options": "odak.cli.app",
     "odak.cli.pictures": "odak.cli.report",
     "odak.fit.descent": "odak.fit.regression",
     "odak.fit.line": "odak.fit.regression",

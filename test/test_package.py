@@ -245,6 +245,7 @@ TESTED_IN = {
     "odak.cli.eyebox_views": "cli/test_eyebox.py",
     "odak.cli.job": "cli/test_hologram.py",
     "odak.cli.report": "cli/test_hologram.py",
+    "odak.cli.settings": "cli/test_options.py",
     "odak.cli.target": "cli/test_hologram.py",
     "odak.instruments.array_files": "instruments/test_captures.py",
     "odak.instruments.mapping": "instruments/test_registration.py",

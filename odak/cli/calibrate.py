@@ -4,7 +4,7 @@ import dataclasses
 import importlib.util
 import inspect
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,10 +12,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from odak import instruments
-from odak._validate import parse_length
+from odak._validate import did_you_mean, parse_length
 from odak.cli.files import REPORT, SILENT, Notices, announce, claim, claiming, writable_folder, write_json
-from odak.cli.job import InputError, did_you_mean, is_length
+from odak.cli.job import is_length
+from odak.cli.options import InputError
 from odak.cli.report import collected_warnings, versions
+from odak.cli.settings import CalibrateSettings, TableSettings
 from odak.instruments import Calibration, Lens
 from odak.instruments.calibration import UNITS
 from odak.instruments.exposures import set_exposure
@@ -93,19 +95,21 @@ def faults_of(step: str, faults: str) -> dict[str, Any]:
     return {**(REALISTIC if faults == "all" else {}), **measured.get(step, {})}
 
 
-def open_table(names: dict[str, str | None], options: Sequence[str], seed: int, twin: dict[str, Any]) -> Table:
-    """Return the instruments of a table.
+def reach_of(job: TableSettings) -> float | Lens:
+    """Return the distance of a table in metres, or its lens."""
+    return job.distance if job.lens is None else parse_lens(job.lens)
+
+
+def open_table(job: TableSettings, step: str) -> Table:
+    """Return the instruments of a table; of a simulated one with the fault that a step measures.
 
     Parameters
     ----------
-    names : dict
-        Entry points by "modulator", "camera" and "polariser", "simulated" for a table of one's own.
-    options : sequence of str
-        ``instrument.option=value``, values as JSON or plain text.
-    seed : int
-        Seed of the simulated table.
-    twin : dict
-        Parameters of the simulated table, in place of which options may give others.
+    job : TableSettings
+        Settings of the table: entry points of drivers, "simulated" for a table of one's own, and their options,
+        ``instrument.option=value``, with values as JSON or plain text.
+    step : str
+        What is measured.
 
     Returns
     -------
@@ -117,8 +121,10 @@ def open_table(names: dict[str, str | None], options: Sequence[str], seed: int, 
     InputError
         If an instrument cannot be opened.
     """
+    names: dict[str, str | None] = {"modulator": job.modulator, "camera": job.camera}
+    names |= {"polariser": job.polariser} if isinstance(job, CalibrateSettings) else {}
     given: dict[str, dict[str, Any]] = {name: {} for name in (*names, SIMULATED)}
-    for text in options:
+    for text in job.option:
         key, equals, value = text.partition("=")
         place, dot, option = key.partition(".")
         if not equals or not dot or place not in given:
@@ -139,7 +145,8 @@ def open_table(names: dict[str, str | None], options: Sequence[str], seed: int, 
                         f"--option: {SIMULATED} has no option {option!r}; it has {', '.join(known)}."
                         f"{did_you_mean(option, known)}"
                     )
-            made = instruments.SimulatedTable(seed, **{**twin, **given[SIMULATED]})
+            twin = {"wavelength": job.wavelength, "distance": reach_of(job), **faults_of(step, job.faults)}
+            made = instruments.SimulatedTable(job.seed, **{**twin, **given[SIMULATED]})
             return Table(made.modulator, made.camera, made.polariser)
         opened = {
             name: None if entry is None else instruments.open_instrument(entry, **given[name])
@@ -151,32 +158,17 @@ def open_table(names: dict[str, str | None], options: Sequence[str], seed: int, 
 
 
 @claiming
-def run(
-    step: str,
-    table: Table,
-    output: Path,
-    wavelength: float,
-    distance: float | Lens,
-    results: Path | None = None,
-    notices: Notices = SILENT,
-) -> dict:
+def run(job: CalibrateSettings, notices: Notices = SILENT) -> dict:
     """Calibrate a table by one step, and write its results, a picture and a report.
+
+    What the file of the results holds, ``calibration.h5`` in the folder by default, is taken as known, and the step
+    adds to it; where it does not exist, a file of the same name that ends in ``.npz``, as earlier versions wrote, is
+    read instead.
 
     Parameters
     ----------
-    step : str
-        One of `STEPS`.
-    table : Table
-        The instruments.
-    output : Path
-        Folder to write to: ``STEP.png``, ``report.json`` and the results, which the next step takes.
-    wavelength : float
-        Of the light in metres.
-    distance : float or Lens
-        From the modulator to the camera in metres, or the lens between them.
-    results : Path, optional
-        HDF5 file of the results, ``calibration.h5`` in the folder by default. What it holds is taken as known; where it
-        does not exist, a file of the same name that ends in ``.npz``, as earlier versions wrote, is read instead.
+    job : CalibrateSettings
+        Settings of the run.
     notices : Notices
         What to do about the picture of an earlier run of the step.
 
@@ -188,15 +180,17 @@ def run(
     Raises
     ------
     InputError
-        If the step is unknown or a file cannot be used.
+        If the step is unknown, or an instrument or a file cannot be used.
     """
+    step, results = job.step, job.results
+    table, distance = open_table(job, step), reach_of(job)
     if step not in STEPS:
         raise InputError(f"STEP must be one of {', '.join(STEPS)}; got {step!r}.{did_you_mean(step, STEPS)}")
     try:
         table = table._replace(camera=checked_camera(table.camera))
     except (TypeError, ValueError) as error:
         raise InputError(f"the camera cannot be used: {error}") from None
-    folder = writable_folder(output)
+    folder = writable_folder(job.output)
     path = folder / f"{RESULTS}.h5" if results is None else Path(results).expanduser()
     if path.suffix.lower() not in (".npz", ".h5", ".hdf5"):
         raise InputError(f"--results must end in .h5, or in .npz for results of earlier versions, got {str(path)!r}")
@@ -207,7 +201,7 @@ def run(
     # Steps add to the results: nobody else may write between reading and writing.
     claim(folder)
     claim(writable_folder(path.parent, "--results"), "--results")
-    known = known_table(table, path if path.exists() or not earlier.exists() else earlier, wavelength, distance)
+    known = known_table(table, path if path.exists() or not earlier.exists() else earlier, job.wavelength, distance)
     # What a second run of the same step replaces.
     announce(folder, [f"{step}.png"], notices)
     with collected_warnings() as texts:

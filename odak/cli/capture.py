@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from odak.cli import report as sheets
-from odak.cli.calibrate import Table, known_table
+from odak.cli.calibrate import Table, known_table, open_table, reach_of
 from odak.cli.files import (
     REPORT,
     SILENT,
@@ -22,7 +22,8 @@ from odak.cli.files import (
     write_json,
     write_png,
 )
-from odak.cli.job import InputError
+from odak.cli.options import InputError
+from odak.cli.settings import CaptureSettings
 from odak.instruments import Calibration, Lens, record_captures, save_captures, set_exposure
 from odak.instruments.calibration import predicted_capture
 from odak.tools.file import read_levels
@@ -44,35 +45,16 @@ DEFINITIONS = {
 
 
 @claiming
-def run(
-    pattern: Path,
-    table: Table,
-    output: Path,
-    wavelength: float,
-    distance: float | Lens,
-    *,
-    calibration: Path | None = None,
-    captures: int = 4,
-    notices: Notices = SILENT,
-) -> dict:
+def run(job: CaptureSettings, notices: Notices = SILENT) -> dict:
     """Show patterns, capture each, and write the captures beside their predictions.
+
+    Of a folder of `odak hologram` all patterns are shown. Written are ``capture_NAME.png`` for each pattern,
+    ``captures.h5`` and ``report.json``. Wavelength and distance are those of the calibration where there is one.
 
     Parameters
     ----------
-    pattern : Path
-        Grey picture of a pattern, or folder of `odak hologram`, all of whose patterns are shown.
-    table : Table
-        The instruments, see :func:`odak.cli.calibrate.open_table`.
-    output : Path
-        Folder to write to: ``capture_NAME.png`` for each pattern, ``captures.h5`` and ``report.json``.
-    wavelength : float
-        Of the light in metres; taken from the calibration where there is one.
-    distance : float or Lens
-        From the modulator to the camera in metres, or the lens between them; likewise.
-    calibration : Path, optional
-        Results of `odak calibrate`; nominal values by default.
-    captures : int
-        Number of captures of each pattern.
+    job : CaptureSettings
+        Settings of the run.
     notices : Notices
         What to do about files of earlier runs.
 
@@ -84,13 +66,14 @@ def run(
     Raises
     ------
     InputError
-        If a pattern or the calibration cannot be used.
+        If an instrument, a pattern or the calibration cannot be used.
     """
-    folder = writable_folder(output)
-    paths = pattern_files(pattern)
+    table, calibration = open_table(job, "capture"), job.calibration
+    folder = writable_folder(job.output)
+    paths = pattern_files(job.pattern)
     levels = np.stack([read_pattern(path, table.modulator.shape, table.modulator.bits) for path in paths])
     if calibration is None:
-        known = Calibration.nominal(table.modulator, table.camera, wavelength, distance)
+        known = Calibration.nominal(table.modulator, table.camera, job.wavelength, reach_of(job))
     else:
         known = read_calibration(str(calibration))
         known = known_table(table, Path(calibration).expanduser(), known.wavelength, known.distance, "--calibration")
@@ -105,7 +88,7 @@ def run(
     with sheets.collected_warnings() as texts:
         table.modulator.show(levels[0])
         set_exposure(table.camera)
-        found = record_captures(table.modulator, table.camera, levels, known.wavelength, captures=captures)
+        found = record_captures(table.modulator, table.camera, levels, known.wavelength, captures=job.captures)
         save_captures(folder / CAPTURES, found)
         results = []
         for number, name in enumerate(names):

@@ -7,8 +7,8 @@ picture holds its report only once all else is there, so that a run that was cut
 import os
 import signal
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -29,9 +29,11 @@ from odak.cli.files import (
     writable_folder,
     write_json,
 )
-from odak.cli.job import SHIPPED_IMAGES, InputError, Job, image_path
+from odak.cli.job import SHIPPED_IMAGES, Job, image_path
+from odak.cli.options import InputError, option_name
+from odak.cli.settings import SpreadSettings, WorkerSettings
 from odak.manager import Failure, agent
-from odak.manager.server import Server, require_dask, start_server, tls_security
+from odak.manager.server import Server, start_server
 from odak.tools.paths import replacing
 
 SUMMARY = "summary.json"
@@ -56,44 +58,15 @@ class Frame:
 
 
 @claiming
-def run(
-    images: Sequence[str],
-    values: dict[str, Any],
-    cluster: str | None,
-    workers: int | None = None,
-    retries: int = 1,
-    again: bool = False,
-    timeout: float = 60.0,
-    trusted_network: bool = False,
-    security: Any = None,
-    given: Collection[str] = (),
-    notices: Notices = SILENT,
-) -> dict:
+def run(spread: SpreadSettings, values: dict[str, Any], notices: Notices = SILENT) -> dict:
     """Compute the holograms of many pictures.
 
     Parameters
     ----------
-    images : sequence of str
-        Pictures, folders of pictures, or names of shipped ones.
+    spread : SpreadSettings
+        The pictures, folders of pictures, or names of shipped ones, and where they are computed.
     values : dict
-        Parameters of :class:`odak.cli.job.Job` for all of them; ``depth_map`` may be a folder of files of the same
-        names.
-    cluster : str, optional
-        "local" or the address of a scheduler; by default one picture after another in this process.
-    workers : int, optional
-        Worker processes on this machine.
-    retries : int
-        How often a picture that failed is tried again.
-    again : bool
-        Compute also what is done already.
-    timeout : float
-        Seconds that the scheduler and a first worker may take to be there.
-    trusted_network : bool
-        Accept plain TCP beyond this machine.
-    security : distributed.Security, optional
-        TLS certificates.
-    given : collection of str
-        Parameters that were given by name, which must have an effect.
+        Settings of :class:`odak.cli.job.Job` for all of them; ``depth_map`` may be a folder of files of the same names.
     notices : Notices
         What to do about results of other parameters, which are replaced.
 
@@ -111,9 +84,8 @@ def run(
         If the cluster is not there.
     """
     start = time.perf_counter()
-    frames = find_frames(images, values)
-    for frame in frames:
-        frame.job.check_effect(given)
+    security = spread.security()
+    frames = find_frames(spread.images, values)
     folder = writable_folder(Path(values["output"]))
     for frame in frames:
         if frame.job.output.exists() and not frame.job.output.is_dir():
@@ -125,24 +97,16 @@ def run(
             f"--output {str(folder)!r} must not contain a folder named {SUMMARY}, which is the name of a result file"
         )
     claim(folder)
-    waiting = [frame for frame in frames if again or not finished_report(frame.job.output, fingerprint_of(frame.job))]
+    waiting = [
+        frame for frame in frames if values["again"] or not finished_report(frame.job.output, fingerprint_of(frame.job))
+    ]
     replaced = [f"{frame.job.output.name}/{REPORT}" for frame in waiting if (frame.job.output / REPORT).exists()]
     if replaced:
         notices.replaces(folder, replaced)
     failed: dict[str, str] = {}
     busy: set[str] = set()
     if waiting:
-        busy = _compute(
-            waiting,
-            failed,
-            values,
-            cluster,
-            workers=workers,
-            retries=retries,
-            timeout=timeout,
-            trusted_network=trusted_network,
-            security=security,
-        )
+        busy = _compute(waiting, failed, values, spread, security)
     computed = {frame.name for frame in waiting} - set(failed)
     summary = {
         "computed": [frame.name for frame in frames if frame.name in computed],
@@ -155,11 +119,14 @@ def run(
     return summary
 
 
-def _compute(frames, failed, values, cluster, **options) -> set[str]:
+def _compute(frames, failed, values, spread: SpreadSettings, security) -> set[str]:
     """Compute frames, write the results, collect the failures, and return the workers that took part."""
-    gpu = cluster is not None and str(values.get("device")).startswith("cuda")
+    gpu = spread.cluster is not None and str(values.get("device")).startswith("cuda")
+    options = {name: getattr(spread, name) for name in ("workers", "retries", "timeout", "trusted_network")}
     try:
-        work = agent(hologram, cluster or False, gpu=gpu, verbose=not values.get("quiet"), **options)
+        work = agent(
+            hologram, spread.cluster or False, gpu=gpu, verbose=not values["quiet"], security=security, **options
+        )
     except ImportError as error:
         raise InputError(str(error)) from None
     except (TypeError, ValueError) as error:
@@ -184,17 +151,15 @@ def _compute(frames, failed, values, cluster, **options) -> set[str]:
         return {record["worker"] for record in work.records}
 
 
-def watched(images: Sequence[str], values: dict[str, Any], spread: dict[str, Any]) -> Iterator[dict]:
-    """Yield the summary of each round of new and changed pictures, until Ctrl-C.
+def watched(spread: SpreadSettings, values: dict[str, Any]) -> Iterator[dict]:
+    """Yield the summary of each round of new and changed pictures in folders, which may be empty, until Ctrl-C.
 
     Parameters
     ----------
-    images : sequence of str
-        Folders, which may be empty at first.
-    values, spread : dict
-        Parameters of the holograms, and of :func:`run` besides.
+    spread, values : SpreadSettings, dict
+        As in :func:`run`.
     """
-    folders = [Path(os.path.expanduser(image)) for image in images]
+    folders = [Path(os.path.expanduser(image)) for image in spread.images]
     for folder in folders:
         if not folder.is_dir():
             raise InputError(f"--watch needs folders, but IMAGE {str(folder)!r} is not a folder")
@@ -206,7 +171,7 @@ def watched(images: Sequence[str], values: dict[str, Any], spread: dict[str, Any
             # A file that still grows is taken when it has stopped.
             ready = [path for path, state in now.items() if seen.get(path) == state != done.get(path)]
             if ready:
-                yield run(list(map(str, ready)), values, **spread)
+                yield run(replace(spread, images=tuple(map(str, ready))), values)
                 done |= {path: now[path] for path in ready}
             seen = now
             time.sleep(_LOOK)
@@ -338,7 +303,7 @@ class Arrived:
 
 def parameters(job: Job) -> dict[str, Any]:
     """Return the parameters that are sent, without those that name files of this machine."""
-    return {name: value for name, value in vars(job).items() if name not in ("image", "depth_map", "output", "quiet")}
+    return job.values("image", "depth_map")
 
 
 def hologram(
@@ -398,59 +363,15 @@ def _write(frame: Frame, result: tuple[dict, dict[str, bytes]]) -> None:
 # --- odak worker
 
 
-@dataclass(frozen=True)
-class Certificates:
-    """Files of TLS certificates in PEM format, all of them or none.
-
-    Attributes
-    ----------
-    ca_file, cert, key : str, optional
-        The authority's certificate, this machine's certificate, and its key.
-    """
-
-    ca_file: str | None = None
-    cert: str | None = None
-    key: str | None = None
-
-    def security(self):
-        """Return Dask's form of them, None without any."""
-        given = [self.ca_file, self.cert, self.key]
-        if not any(given):
-            return None
-        if not all(given):
-            raise InputError("--tls-ca-file, --tls-cert and --tls-key must be given together")
-        for name, file in zip(("--tls-ca-file", "--tls-cert", "--tls-key"), given, strict=True):
-            if not os.path.isfile(str(file)):
-                raise InputError(f"{name} is not a file: {file!r}")
-        try:
-            require_dask("A cluster")
-        except ImportError as error:
-            raise InputError(str(error)) from None
-        return tls_security(str(self.ca_file), str(self.cert), str(self.key))
-
-
-def join(
-    address: str,
-    certificates: Certificates,
-    say: Callable[[str], None],
-    *,
-    memory_limit: float | None = None,
-    **settings,
-) -> None:
+def join(settings: WorkerSettings, say: Callable[[str], None]) -> None:
     """Work for a scheduler until it ends or a signal arrives.
 
     Parameters
     ----------
-    address : str
-        Address of the scheduler, such as "tls://10.0.0.1:8786".
-    certificates : Certificates
-        For TLS.
+    settings : WorkerSettings
+        The scheduler and the workers.
     say : callable
         Called with a line of text when the workers have joined and when they leave.
-    memory_limit : float, optional
-        Memory of each worker in GiB.
-    **settings
-        `workers`, `threads`, `name`, `trusted_network` and `timeout` of :func:`odak.manager.start_server`.
 
     Raises
     ------
@@ -459,13 +380,16 @@ def join(
     OSError
         If the scheduler is not there.
     """
+    address = settings.address
     if ":" not in address:
         raise InputError(f"ADDRESS must be the address of a scheduler, such as tls://10.0.0.1:8786; got {address!r}")
-    security = certificates.security()
+    options = {name: getattr(settings, name) for name in ("workers", "threads", "name", "trusted_network", "timeout")}
+    options["security"] = settings.security()
     try:
-        if memory_limit is not None:
-            settings["memory_limit"] = int(2**30 * _validate.real("memory_limit", memory_limit, positive=True))
-        server = start_server(address, security=security, **settings)
+        if settings.memory_limit is not None:
+            limit = _validate.real("memory_limit", settings.memory_limit, positive=True)
+            options["memory_limit"] = int(2**30 * limit)
+        server = start_server(address, **options)
     except (TypeError, ValueError, ImportError) as error:
         raise InputError(in_options(str(error))) from None
     with server:
@@ -492,7 +416,7 @@ def in_options(message: str) -> str:
     first, _, rest = message.partition(" ")
     if first in ("A", "start_server"):
         return message
-    return f"ADDRESS {rest}" if first == "address" else f"--{first.replace('_', '-')} {rest}"
+    return f"ADDRESS {rest}" if first == "address" else f"{option_name(first)} {rest}"
 
 
 def _described(server: Server) -> str:

@@ -22,7 +22,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar
 
 from odak._warnings import ArgumentWarning, warn
-from odak.cli.job import InputError, Job, depth_map_path, image_path
+from odak.cli.job import Job, depth_map_path, find_preset, image_path
+from odak.cli.options import InputError, option_name
 from odak.tools import check_directory
 from odak.tools.paths import replacing, validate_path
 
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 REPORT, FINGERPRINT, DIGESTS = "report.json", "fingerprint", "sha256"
 LOCK = ".odak.lock"
 # Parameters without effect on the result: the device and the printed output.
-_IRRELEVANT = ("image", "depth_map", "output", "device", "quiet", "preset")
+_IRRELEVANT = ("image", "depth_map", "device", "preset")
 
 
 def writable_folder(folder: Path, name: str = "--output") -> Path:
@@ -266,8 +267,7 @@ def fingerprint(values: Mapping[str, Any], paths: Iterable[Path] = ()) -> str:
 
 def fingerprint_of(job: Job) -> str:
     """Return the fingerprint of a run of `odak hologram`, with its picture and its depth map."""
-    values = {name: value for name, value in job.to_dict().items() if name not in _IRRELEVANT}
-    return fingerprint(values, sources(job))
+    return fingerprint(job.values(*_IRRELEVANT), sources(job))
 
 
 def digests(folder: Path, names: Iterable[str]) -> dict[str, str]:
@@ -511,6 +511,20 @@ def read_calibration(path: str) -> "Calibration":
         raise InputError(f"--calibration: {error}") from None
 
 
+def completed(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings of a job with those that its modulator determines: by --preset, --calibration or --lut."""
+    given, values = values["given"], dict(values)
+    if "preset" in values:
+        modulator = find_preset(values["preset"])
+        values["preset"] = values["preset"].casefold()
+        values |= {name: getattr(modulator, name) for name in {"pixel_pitch", "resolution", "bits"} - given}
+    if "calibration" in values:
+        values |= calibrated(values["calibration"], values, given)
+    if "lut" in values:
+        values["lut"] = str(Path(values["lut"]).expanduser().absolute())
+    return values
+
+
 def calibrated(path: str, values: Mapping[str, Any], given: Collection[str]) -> dict[str, Any]:
     """Return the parameters of a job that a calibration determines.
 
@@ -543,13 +557,12 @@ def calibrated(path: str, values: Mapping[str, Any], given: Collection[str]) -> 
     }
     if found.phases.size != 1 << bits:
         raise InputError(f"--calibration {path!r} has {found.phases.size} levels, which is no power of two")
-    names = {"wavelengths": "wavelength"}
     for name, value in known.items():
-        option = names.get(name, name)
-        same = values[name] == value or (name in ("wavelengths", "pixel_pitch") and _close(values[name], value))
-        if option in given and name != "distance" and not same:
+        found_value = values.get(name, getattr(Job, name))
+        same = found_value == value or (name in ("wavelengths", "pixel_pitch") and _close(found_value, value))
+        if name in given and name != "distance" and not same:
             raise InputError(
-                f"--{option.replace('_', '-')} must agree with --calibration, {value!r}, got {values[name]!r}"
+                f"{option_name(name).removesuffix('s')} must agree with --calibration, {value!r}, got {values[name]!r}"
             )
     if "preset" in given:
         raise InputError("--preset has no effect with --calibration, which states the modulator")

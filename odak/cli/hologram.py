@@ -24,10 +24,10 @@ from odak.cli.job import (
     NOISE,
     SOLVERS,
     VOLUME_METHODS,
-    InputError,
     Job,
     pattern_name,
 )
+from odak.cli.options import InputError
 from odak.cli.target import Target, Volume, load_target, load_volume
 from odak.instruments import Lens
 from odak.learn import wave

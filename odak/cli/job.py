@@ -1,15 +1,27 @@
 """Parameters of `odak hologram`: defaults, checks, units of length, and modulators known by name."""
 
+# Fields are made by functions.
+
 import math
 import os
-from collections.abc import Collection
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from odak import _validate
 from odak._validate import did_you_mean, likely_length, parse_length
 from odak._warnings import ArgumentWarning, warn
+from odak.cli.options import (
+    DeviceSettings,
+    InputError,
+    at_least,
+    between,
+    in_units,
+    length,
+    option,
+    option_name,
+    positive,
+)
 
 NOISE = {"slight": 0.3, "normal": 1.0}  # standard deviation in radians
 RANDOM_PHASES = (*NOISE, "uniform")
@@ -36,17 +48,15 @@ TILES_PHASE = "weak lens"
 GREY_WAVELENGTH = 532e-9
 COLOUR_WAVELENGTHS = (638e-9, 520e-9, 450e-9)
 MOST_PLANES = 1024
+_COLOURS = ", ".join(map(str, map(in_units, COLOUR_WAVELENGTHS)))
 SMALLEST_SIDE = 16
 SHIPPED_IMAGES = {"chart": "chart.png", "photo": "photo.png", "scene": "scene.png"}
 SHIPPED_DEPTH_MAPS = {"scene": "scene_depth.png"}
+PITCH = "LENGTH[,LENGTH]"
 LARGEST_PITCH, LARGEST_RANGE = 1e-3, 100.0
 LONGEST_WAVELENGTH = 2e-5
 # Points across the longer side of the picture below which a distance is taken for a mistake.
 FEWEST_POINTS = 16
-
-
-class InputError(Exception):
-    """An argument of the command line is not valid; the message states what is accepted."""
 
 
 class Modulator(NamedTuple):
@@ -72,131 +82,180 @@ PRESETS = {
 }
 
 
-@dataclass(frozen=True)
-class Job:
-    """Parameters of one run of `odak hologram`; lengths in metres.
+def check_wavelength(name: str, value: float) -> None:
+    """Raise InputError for what cannot be a wavelength of light in metres."""
+    if not math.isfinite(value) or value <= 0:
+        raise InputError(f"{name} must be positive and finite, in metres, got {value!r}")
+    if value > 1e-3:
+        raise InputError(
+            f"{name} {value:g} is {value:g} metres, which is not a wavelength of light: did you mean {value:g}nm?"
+        )
+
+
+def parse_pitch(text: str | float) -> float | tuple[float, float]:
+    """Return a pixel pitch in metres from one length, or from two for rows and columns, such as ``8um,6.4um``."""
+    if not isinstance(text, str):
+        return text
+    parts = text.split(",")
+    if len(parts) > 2 or len({is_length(part) for part in parts}) > 1:
+        raise ValueError(f"{text!r} is not a pixel pitch; write it as 8um, or 8um,6.4um for rows and columns")
+    pitch = tuple(parse_length(part) for part in parts)
+    return pitch[0] if pitch[0] == pitch[-1] else (pitch[0], pitch[1])
+
+
+def is_length(text: str) -> bool:
+    """Return whether a text is a number with a unit of length."""
+    try:
+        parse_length(text)
+    except ValueError:
+        return False
+    return text.strip()[-1:].isalpha()
+
+
+def pitch_pair(pitch: float | tuple[float, float]) -> tuple[float, float]:
+    """Return a pixel pitch along rows and columns."""
+    return pitch if isinstance(pitch, tuple) else (pitch, pitch)
+
+
+def _propagation_types() -> tuple[str, ...]:
+    from odak.wave.methods import PROPAGATION_TYPES
+
+    return (*PROPAGATION_TYPES, "auto")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job(DeviceSettings):
+    """Settings of `odak hologram` for one picture.
 
     Attributes
     ----------
     image : str
-        Path of the picture, or the name of a shipped one: "photo", "chart", "scene".
-    output : Path
-        Folder to write to.
+        Picture, or the name of one that comes with odak; one of those that the command names.
     wavelengths : tuple of float
-        None for the defaults, one for a single hologram, or three for the red, green and blue of the picture.
+        Wavelength, in metres or with a unit (532nm); give it three times for red, green and blue. If it is given once,
+        or with --grey, one hologram of the picture's brightness is computed.
     grey : bool
-        Compute one hologram of the picture's brightness.
+        Compute one hologram of the brightness of a colour picture.
     pixel_pitch : float or tuple of float
-        Pixel pitch of the modulator, one number or (rows, columns).
-    distance : float
-        Distance from it to the picture.
+        Pixel pitch of the modulator, in metres or with a unit (8um); two of them, with a comma, where rows and columns
+        have different pitches (8um,6.4um).
     resolution : tuple of int
-        Rows and columns of the modulator.
+        Resolution of the modulator in pixels: rows and columns, or width x height in one word (1920x1080).
+    distance : float
+        Distance from modulator to picture, in metres or with a unit (15cm).
     planes : int
-        Planes that the picture is spread over by its depth.
+        Number of depth planes, to which the depth map assigns the pixels.
     depth_map : str, optional
-        Path of a grey picture of the depth, 0 the first plane and 1 the last; "scene" names that picture's own.
+        Grey picture of the depth: 0 (black) is the first plane, nearest to the modulator, 1 the last.
     volume_depth : float
-        Distance from the first plane to the last, about `distance`.
+        Distance from the first plane to the last, centred at --distance.
     frames : int, optional
-        Patterns shown one after another: for each colour with "sgd", 1 by default; for all colours with the method
-        "multi-color", as many as colours by default.
+        Number of patterns shown in rapid sequence, whose images the eye averages: for each colour (sgd) or for all
+        colours together (multi-color).
     method : str, optional
-        One of `METHODS`; by default "sgd", or "multiplane" for more than one plane.
+        sgd: gradient descent; gs: Gerchberg-Saxton; double-phase: no iterations, verified through the half-band Fourier
+        filter that such holograms need; network: one pass of a trained network, for planes at distances at which the
+        light of a pixel covers 5 to 75 pixels; multiplane: one pattern for each colour, for all planes; multi-color:
+        patterns that are each lit by all colours, with source powers that are optimised too.
     propagation_type : str
-        Propagation type, see :func:`odak.learn.wave.propagate_beam`.
+        Propagation method of the computation, or 'auto'.
     iterations : int
-        Number of iterations, for the methods that iterate.
+        Number of iterations (all methods except double-phase and network).
     learning_rate : float, optional
-        Step size in radians of gradient descent by Adam, 0.2 by default. None with L-BFGS, which has none.
+        Step size in radians of Adam (sgd, multiplane, multi-color).
     optimizer : str, optional
-        One of `SOLVERS`, of the method "sgd" and where areas are optimised: "lbfgs" by default, "adam" where a learning
-        rate is given or in tiles.
+        Solver of the method sgd. L-BFGS reaches the quality of Adam in half as many iterations or fewer.
     scale : bool
-        Let gradient descent choose the picture's brightness.
+        Optimise the brightness of the image as well (methods with a step size) instead of reproducing the stored
+        values: 10 dB better on the picture 'photo', because less light must be directed outside the image.
     initial_phase : str, optional
-        One of `INITIAL_PHASES`; by default the one that serves the method best. None with the method "network".
+        Initial phase of the hologram, or of the picture with the method double-phase: zero (flat), normal noise of 0.3
+        rad (slight), a lens whose focal length is twice the distance (quadratic), normal noise of 1 rad (normal),
+        uniform noise over 2 pi (uniform). With sgd also the double phase of the picture, or ten accelerated iterations
+        of Gerchberg-Saxton (gs).
     seed : int
         Seed of the random initial phases.
     grating : bool
-        Add a binary grating of π to the pattern.
+        Add a binary grating (pi on every second column) to the pattern that is saved.
     bits : int
-        Bits per pixel of the modulator, 1 to 16.
+        Bits per pixel of the modulator, 1 to 16; above 8 the file is a 16-bit PNG.
     fill_factor : float, optional
-        Share of the area of a square pixel that emits, 0.9 by default; the holograms are computed for such pixels,
-        except by the network, and pictures are means over the areas of pixels. 0 computes and reports points, as runs
-        in tiles and other propagation types do by default.
-    device : str
-        "auto", "cpu", "cuda", "cuda:1", …
-    quiet : bool
-        Show no progress and no summary.
+        Fill factor of the square pixels, the emitting share of their area. The holograms are computed for such pixels
+        and an aperture that passes one diffraction order; images and report are averages over pixel areas. 0: pixels
+        are points, and images are sampled at points.
     preset : str, optional
-        Name of the modulator that pitch, resolution and bits were taken from, one of `PRESETS`.
-    tiles : bool
-        Read, compute and evaluate in chunks stored on disk, for pictures larger than memory.
+        Commercial modulator that sets pixel pitch, resolution and bits unless these options are given.
     calibration : str, optional
-        File of a calibration, whose response, aberration and illumination are used.
+        Results of `odak calibrate` (calibration.h5): pixel pitch, resolution, bits, wavelength and, unless it is given,
+        distance are taken from it; levels follow the measured phase response, the aberration is corrected, and the
+        image is computed with the measured illumination, for which the method sgd optimises.
     lut : str, optional
-        Text file of the phase of each level in radians.
+        Text file of the phase in radians that each level shows at the wavelength: a line for each of the 2^bits levels,
+        with the phase, or level and phase.
     slm_range : float, optional
-        Phase in radians over which the levels are spread evenly.
+        Phase range of the modulator at the wavelength, over which its 2^bits levels are spread evenly.
+    tiles : bool
+        Read, compute and evaluate in chunks stored on disk, for pictures larger than memory: TIFF, .npy and Zarr, with
+        one modulator pixel per picture pixel unless --resolution is given. An interrupted run is resumed. With
+        --cluster local, worker processes write to disk what does not fit in memory.
     """
 
-    image: str = "photo"
-    output: Path = Path("output")
-    wavelengths: tuple[float, ...] = ()
-    grey: bool = False
-    pixel_pitch: float | tuple[float, float] = 8e-6
-    resolution: tuple[int, int] = (1080, 1920)
-    distance: float = 0.15
-    planes: int = 1
-    depth_map: str | None = None
-    volume_depth: float = 4e-3
-    frames: int | None = None
-    method: str | None = None
-    propagation_type: str = "Bandlimited Angular Spectrum"
-    iterations: int = 200
-    learning_rate: float | None = None
-    optimizer: str | None = None
-    scale: bool = True
-    initial_phase: str | None = None
-    seed: int = 0
-    grating: bool = False
-    bits: int = 8
-    fill_factor: float | None = None
-    device: str = "auto"
-    quiet: bool = False
-    preset: str | None = None
-    tiles: bool = False
-    calibration: str | None = None
-    lut: str | None = None
-    slm_range: float | None = None
+    deferred: ClassVar[bool] = True
 
-    def __post_init__(self) -> None:
-        """Check every parameter; the messages name the option of the command line."""
-        try:
-            _validate.several("--pixel-pitch", self.pitches, 2, positive=True)
-            _validate.real("--distance", self.distance, positive=True)
-            if self.learning_rate is not None:
-                _validate.real("--learning-rate", self.learning_rate, positive=True)
-            _validate.integer("--iterations", self.iterations, minimum=1)
-            _validate.integer("--seed", self.seed)
-            for side in self.resolution:
-                _validate.integer("--resolution", side, minimum=SMALLEST_SIDE)
-            chosen = self.method or ("multiplane" if self.planes > 1 else "sgd")
-            self._set("method", _validate.one_of("--method", chosen, METHODS))
-            self._set_volume()
-            if self.tiles:
-                self._check_tiles()
-            self._set_fill_factor()
-            self._set_initial_phase()
-            self._set_optimizer()
-        except (TypeError, ValueError) as error:
-            raise InputError(str(error)) from None
-        if not 1 <= self.bits <= 16:
-            raise InputError(f"--bits must be from 1 to 16, got {self.bits}")
+    image: str = "photo"
+    wavelengths: tuple[float, ...] = length(
+        (),
+        "--wavelength",
+        "-w",
+        shown=f"{in_units(GREY_WAVELENGTH)}; colour pictures: {_COLOURS}",
+        check=check_wavelength,
+    )
+    grey: bool = option(False)
+    pixel_pitch: float | tuple[float, float] = length(8e-6, parse=parse_pitch, metavar=PITCH)
+    resolution: tuple[int, int] = option((1080, 1920), metavar="ROWS COLUMNS", check=at_least(SMALLEST_SIDE))
+    distance: float = length(0.15, "-d")
+    planes: int = option(1, metavar="COUNT", check=at_least(1))
+    depth_map: str | None = option(None, metavar="PICTURE", shown="its own for the picture 'scene'")
+    volume_depth: float = length(4e-3)
+    frames: int | None = option(
+        None, metavar="COUNT", shown="sgd: 1; multi-color: one for each colour", check=at_least(1)
+    )
+    method: str | None = option(None, of=METHODS, shown="sgd; multiplane for more than one plane")
+    propagation_type: str = option("Bandlimited Angular Spectrum", metavar="NAME", listed=_propagation_types)
+    iterations: int = option(200, metavar="COUNT", check=at_least(1))
+    learning_rate: float | None = option(None, metavar="RADIANS", shown=str(LEARNING_RATE), check=positive)
+    optimizer: str | None = option(None, of=SOLVERS, shown="lbfgs; adam with --learning-rate or --tiles")
+    scale: bool = option(True)
+    initial_phase: str | None = option(
+        None,
+        of=INITIAL_PHASES,
+        shown="gs with sgd, flat with the method double-phase, uniform with the method gs, none with the method "
+        "network, otherwise slight",
+    )
+    seed: int = option(0, check=at_least(0))
+    grating: bool = option(False)
+    bits: int = option(8, check=between(1, 16))
+    fill_factor: float | None = option(
+        None, metavar="RATIO", shown=f"{USUAL_FILL}; 0 with --tiles and other propagation types"
+    )
+    preset: str | None = option(None, metavar="NAME", listed=PRESETS)
+    calibration: str | None = option(None, metavar="FILE")
+    lut: str | None = option(None, metavar="FILE", shown="phases spread evenly over 2 pi")
+    slm_range: float | None = option(None, metavar="RADIANS", shown="2 pi")
+    tiles: bool = option(False)
+
+    def check(self) -> None:
+        """Set what depends on other settings, and check what they say together."""
+        self._set("method", self.method or ("multiplane" if self.planes > 1 else "sgd"))
+        self._set_volume()
+        if self.tiles:
+            self._check_tiles()
+        self._set_fill_factor()
+        self._set_initial_phase()
+        self._set_optimizer()
         self._check_wavelengths()
         self._check_response()
+        self._check_effects()
 
     def _set_fill_factor(self) -> None:
         """Set the usual fill factor of panels, but for what is computed for points alone."""
@@ -217,7 +276,7 @@ class Job:
     def _check_response(self) -> None:
         """Check the options that state the modulator's response, which is that at one wavelength."""
         names = ("calibration", "lut", "slm_range")
-        chosen = [option(name) for name in names if getattr(self, name) is not None]
+        chosen = [option_name(name) for name in names if getattr(self, name) is not None]
         if len(chosen) > 1:
             raise InputError(f"{' and '.join(chosen)} all state the modulator's response: give one of them")
         if chosen and self.tiles:
@@ -227,23 +286,16 @@ class Job:
         if self.slm_range is not None and not 0 < self.slm_range <= LARGEST_RANGE:
             raise InputError(f"--slm-range must be above 0 and at most {LARGEST_RANGE} radians, got {self.slm_range}")
 
-    def _set(self, name: str, value) -> None:
-        object.__setattr__(self, name, value)
-
     def _set_volume(self) -> None:
-        """Check the options of planes and frames: lengths and counts first, then their combinations."""
-        _validate.integer("--planes", self.planes, minimum=1)
+        """Check the options of planes and frames."""
         if max(self.planes, self.frames or 1) > MOST_PLANES:
             raise InputError(
                 f"--planes and --frames must be at most {MOST_PLANES}, got {self.planes} and {self.frames}"
             )
-        _validate.real("--volume-depth", self.volume_depth, positive=True)
-        if self.frames is not None:
-            _validate.integer("--frames", self.frames, minimum=1)
-            if self.method not in ("sgd", "multi-color"):
-                raise InputError(
-                    "--frames needs --method sgd or multi-color: other methods compute one frame for each colour"
-                )
+        if self.frames is not None and self.method not in ("sgd", "multi-color"):
+            raise InputError(
+                "--frames needs --method sgd or multi-color: other methods compute one frame for each colour"
+            )
         if self.planes == 1:
             if self.depth_map is not None:
                 raise InputError("--depth-map needs --planes of at least 2")
@@ -290,7 +342,7 @@ class Job:
             return
         if chosen is None:
             chosen = "gs" if self.over_areas else DEFAULT_INITIAL_PHASE[str(self.method)]
-        self._set("initial_phase", _validate.one_of("--initial-phase", chosen, INITIAL_PHASES))
+        self._set("initial_phase", chosen)
         if chosen in COMPUTED_PHASES and self.method != "sgd" and not self.over_areas:
             raise InputError(
                 f"--initial-phase {chosen} needs --method sgd, or one for areas of pixels; got {self.method!r}"
@@ -299,7 +351,7 @@ class Job:
     def _set_optimizer(self) -> None:
         if self.method == "sgd" or self.over_areas:
             usual = "adam" if self.tiles or self.learning_rate is not None else "lbfgs"
-            self._set("optimizer", _validate.one_of("--optimizer", self.optimizer or usual, SOLVERS))
+            self._set("optimizer", self.optimizer or usual)
             if self.optimizer == "lbfgs":
                 if self.learning_rate is not None:
                     raise InputError(
@@ -317,13 +369,11 @@ class Job:
             raise InputError(f"--wavelength must be given once, or three times (red, green, blue); got {count}")
         if self.grey and count == 3:
             raise InputError("--grey makes one hologram: give --wavelength once, not three times")
-        for value in self.wavelengths:
-            check_wavelength("--wavelength", value)
         if len({pattern_name(value) for value in self.wavelengths}) < count:
             raise InputError(f"--wavelength must be three different values, got {list(self.wavelengths)}")
 
-    def check_effect(self, given: Collection[str]) -> None:
-        """Raise InputError if a parameter that was given by name has no effect on this run."""
+    def _check_effects(self) -> None:
+        """Raise InputError if an option of the command line has no effect on this run."""
         random = self.initial_phase in RANDOM_PHASES or self.method in VOLUME_METHODS or (self.frames or 1) > 1
         descends = self.method not in ("gs", "double-phase", "network")
         effects = {
@@ -333,13 +383,13 @@ class Job:
             "propagation_type": (self.method != "network", "which was trained with Angular Spectrum"),
             "seed": (self.method != "network", "which draws no random numbers"),
         }
-        for name in given:
+        for name in self.given:
             effective, reason = effects.get(name, (True, ""))
             if not effective:
-                raise InputError(f"{option(name)} has no effect with --method {self.method}, {reason}")
-        if "volume_depth" in given and self.planes == 1:
+                raise InputError(f"{option_name(name)} has no effect with --method {self.method}, {reason}")
+        if "volume_depth" in self.given and self.planes == 1:
             raise InputError("--volume-depth has no effect without --planes of at least 2")
-        if "seed" in given and not random:
+        if "seed" in self.given and not random:
             raise InputError(
                 f"--seed has no effect with --initial-phase {self.initial_phase}; "
                 f"the random ones are {', '.join(RANDOM_PHASES)}"
@@ -375,7 +425,7 @@ class Job:
     @property
     def pitches(self) -> tuple[float, float]:
         """Pixel pitch along rows and columns."""
-        return self.pixel_pitch if isinstance(self.pixel_pitch, tuple) else (self.pixel_pitch, self.pixel_pitch)
+        return pitch_pair(self.pixel_pitch)
 
     @property
     def iterates(self) -> bool:
@@ -384,18 +434,8 @@ class Job:
 
     def to_dict(self) -> dict:
         """Return all parameters as plain JSON values."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        values = {**self.values(), "output": self.output, "quiet": self.quiet}
         return {name: str(value) if isinstance(value, Path) else value for name, value in values.items()}
-
-
-def check_wavelength(name: str, value: float) -> None:
-    """Raise InputError for what cannot be a wavelength of light in metres."""
-    if not math.isfinite(value) or value <= 0:
-        raise InputError(f"{name} must be positive and finite, in metres, got {value!r}")
-    if value > 1e-3:
-        raise InputError(
-            f"{name} {value:g} is {value:g} metres, which is not a wavelength of light: did you mean {value:g}nm?"
-        )
 
 
 def warn_of_samples(name: str, wavelength: float, pitch_name: str, pitch: float, finest: float = 0.0) -> bool:
@@ -416,31 +456,6 @@ def warn_of_samples(name: str, wavelength: float, pitch_name: str, pitch: float,
         warn(message, ArgumentWarning)
         return True
     return False
-
-
-def option(name: str) -> str:
-    """Return the command-line option of a parameter."""
-    return "--" + name.replace("_", "-")
-
-
-def parse_pitch(text: str | float) -> float | tuple[float, float]:
-    """Return a pixel pitch in metres from one length, or from two for rows and columns, such as ``8um,6.4um``."""
-    if not isinstance(text, str):
-        return text
-    parts = text.split(",")
-    if len(parts) > 2 or len({is_length(part) for part in parts}) > 1:
-        raise ValueError(f"{text!r} is not a pixel pitch; write it as 8um, or 8um,6.4um for rows and columns")
-    pitch = tuple(parse_length(part) for part in parts)
-    return pitch[0] if pitch[0] == pitch[-1] else (pitch[0], pitch[1])
-
-
-def is_length(text: str) -> bool:
-    """Return whether a text is a number with a unit of length."""
-    try:
-        parse_length(text)
-    except ValueError:
-        return False
-    return text.strip()[-1:].isalpha()
 
 
 def find_preset(name: str) -> Modulator:

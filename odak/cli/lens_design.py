@@ -1,24 +1,22 @@
 """Design of lenses for `odak design`: from a starting lens by least squares, or from flat plates by a curriculum."""
 
 import copy
-import functools
 import math
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import torch
 from tqdm import tqdm
 
-from odak import _validate
 from odak._warnings import ArgumentWarning, warn
 from odak.cli import files
 from odak.cli.files import writable_folder
-from odak.cli.job import InputError
+from odak.cli.options import InputError, option_name
 from odak.cli.report import finite, versions
+from odak.cli.settings import LENS_LENGTHS, DesignSettings
 from odak.cli.trace import read_glasses, read_system
 from odak.learn.raytracing.system import (
     DesignSearch,
@@ -37,9 +35,8 @@ from odak.learn.raytracing.system import (
 )
 from odak.learn.raytracing.system.drawing import field_label
 from odak.learn.raytracing.system.operands import clear_heights
-from odak.learn.raytracing.system.pupils import AIMS
 from odak.learn.raytracing.system.surfaces import is_break
-from odak.learn.raytracing.system.system_files import MICROMETRES, glass_makers
+from odak.learn.raytracing.system.system_files import MICROMETRES
 from odak.tools.paths import replacing
 
 CROWN, FLINT = "N-LAK33B", "SF5"
@@ -51,16 +48,6 @@ LAYOUTS = {
     4: (CROWN, FLINT, "stop", FLINT, CROWN),
     5: (CROWN, CROWN, "stop", FLINT, CROWN, CROWN),
     6: (CROWN, CROWN, FLINT, "stop", FLINT, CROWN, CROWN),
-}
-DEMANDS = ("focal_length", "f_number", "field", "elements")
-# Checks of the parameters that may be None.
-CHECKS: dict[str, Callable] = {
-    **dict.fromkeys(
-        ("focal_length", "f_number", "track", "distortion", "axial_color", "chief_ray_angle"),
-        functools.partial(_validate.number, positive=True),
-    ),
-    **dict.fromkeys(("field", "back"), functools.partial(_validate.number, least=0)),
-    **dict.fromkeys(("starts", "iterations"), functools.partial(_validate.integer, minimum=1)),
 }
 RINGS = 8
 DEFINITIONS = {
@@ -76,134 +63,24 @@ DEFINITIONS = {
 }
 
 
-@dataclass(frozen=True)
-class DesignJob:
-    """Parameters of one run of `odak design`.
-
-    Attributes
-    ----------
-    system : str or None
-        A sample system, a .json file or a .zmx file to begin with; None to begin with flat plates.
-    output : Path
-        Folder to write to.
-    focal_length : float or None
-        In metres; the system's own by default.
-    f_number : float or None
-        Focal length over the diameter of the entrance pupil; the system's own by default.
-    field : float or None
-        Largest field angle in degrees, of a near object its half height in the unit of the lens; the system's own by
-        default.
-    elements : str or None
-        Number of elements, 1 to 6, or their materials with commas between, "stop" among them.
-    aspheric_terms : int
-        Number of coefficients of r⁴, r⁶, … of curved surfaces.
-    track, back : float or None
-        Largest distance from the first vertex to the image and least distance from the last one, in metres.
-    distortion : float or None
-        Largest distortion; by default 0.02, or the system's own if larger.
-    axial_color : float or None
-        Largest distance between the paraxial images of two wavelengths, in metres.
-    chief_ray_angle : float or None
-        Largest angle of the chief rays in the image in degrees.
-    aim : str
-        "paraxial" or "real", how rays are aimed; real ones for a system only.
-    starts : int or None
-        Number of random starts; 16 from flat plates, 32 with `substitute`, 1 from a system, by default.
-    iterations : int or None
-        Steps of each run of least squares; 15 from flat plates, 40 from a system, by default.
-    seed : int
-        Seed of the random numbers.
-    glasses : sequence of Path
-        Files of materials to be read first.
-    substitute : str or None
-        Makers of glass with commas between: index and Abbe number of the glasses vary from the start, then each is
-        replaced by one of theirs.
-    zmx : bool
-        Write the lens as Zemax file too.
-    quiet : bool
-        Show no progress and no summary.
-    """
-
-    system: str | None = None
-    output: Path = Path("design")
-    focal_length: float | None = None
-    f_number: float | None = None
-    field: float | None = None
-    elements: str | None = None
-    aspheric_terms: int = 0
-    track: float | None = None
-    back: float | None = None
-    distortion: float | None = None
-    axial_color: float | None = None
-    chief_ray_angle: float | None = None
-    aim: str = "paraxial"
-    starts: int | None = None
-    iterations: int | None = None
-    seed: int = 0
-    glasses: Sequence[Path] = ()
-    substitute: str | None = None
-    zmx: bool = False
-    quiet: bool = False
-
-    def __post_init__(self) -> None:
-        """Check every parameter; the messages name the option of the command line."""
-        for name in LENGTHS:
-            value = getattr(self, name)
-            if value is not None and value >= 5:
-                warn(f"{_option(name)} {value:g} is {value:g} metres; did you mean {value:g}mm?", ArgumentWarning)
-        try:
-            for name, check in CHECKS.items():
-                if getattr(self, name) is not None:
-                    check(_option(name), getattr(self, name))
-            for name in ("aspheric_terms", "seed"):
-                _validate.integer(_option(name), getattr(self, name))
-            _validate.one_of("--aim", self.aim, AIMS)
-            for maker in self.makers():
-                _validate.one_of("--substitute", maker, glass_makers())
-        except (TypeError, ValueError) as error:
-            raise InputError(str(error)) from None
-        if self.chief_ray_angle is not None and self.chief_ray_angle >= 90:
-            raise InputError(f"--chief-ray-angle must be below 90 degrees, got {self.chief_ray_angle:g}")
-        if self.system is None:
-            self._check_demands()
-        elif self.elements is not None:
-            raise InputError("--elements has no effect with a SYSTEM, whose elements are given")
-
-    def _check_demands(self) -> None:
-        """Check what a design from flat plates is asked for."""
-        missing = [_option(name) for name in DEMANDS if getattr(self, name) is None]
-        if missing:
-            raise InputError(
-                f"give a SYSTEM to begin with, or all of {', '.join(map(_option, DEMANDS))}; missing are "
-                f"{', '.join(missing)}"
-            )
-        if self.aim != AIMS[0]:
-            raise InputError(f"--aim {self.aim} needs a SYSTEM; flat plates are designed with paraxial pupils")
-        if self.f_number is not None and self.f_number < 0.5:
-            raise InputError(f"--f-number must be at least 0.5, the limit of a lens in air; got {self.f_number:g}")
-
-    def makers(self) -> list[str]:
-        """Return the makers whose glasses replace the glasses of the lens."""
-        return [] if self.substitute is None else [word.strip().lower() for word in self.substitute.split(",")]
-
-    def materials(self) -> list[str]:
-        """Return the materials of the elements with "stop" among them; InputError for anything else."""
-        text = str(self.elements).strip()
-        if text.lstrip("+-").isdigit():
-            if int(text) not in LAYOUTS:
-                raise InputError(f"--elements must be 1 to {max(LAYOUTS)} or materials, got {text}")
-            return list(LAYOUTS[int(text)])
-        return [word.strip() for word in text.split(",")]
+def materials_of(job: DesignSettings) -> list[str]:
+    """Return the materials of the elements with "stop" among them; InputError for anything else."""
+    text = str(job.elements).strip()
+    if text.lstrip("+-").isdigit():
+        if int(text) not in LAYOUTS:
+            raise InputError(f"--elements must be 1 to {max(LAYOUTS)} or materials, got {text}")
+        return list(LAYOUTS[int(text)])
+    return [word.strip() for word in text.split(",")]
 
 
 @files.claiming
-def run(job: DesignJob, notices: files.Notices = files.SILENT) -> dict:
+def run(job: DesignSettings, notices: files.Notices = files.SILENT) -> dict:
     """Design a lens and write lens.json, layout.png and report.json, and lens.zmx if requested.
 
     Parameters
     ----------
-    job : DesignJob
-        Parameters of the run.
+    job : DesignSettings
+        Settings of the run.
     notices : files.Notices
         What to do about results of earlier runs.
 
@@ -217,8 +94,8 @@ def run(job: DesignJob, notices: files.Notices = files.SILENT) -> dict:
     InputError
         If an argument cannot be used, or no lens is found that keeps all rays. No file is written then.
     """
-    folder = writable_folder(Path(job.output))
-    asked = {f.name: getattr(job, f.name) for f in fields(job) if f.name not in ("output", "quiet", "glasses")}
+    folder = writable_folder(job.output)
+    asked = job.values("glasses")
     given = [Path(name) for name in (job.system, *job.glasses) if name is not None]
     mark = files.fingerprint({"command": "design", **asked}, [path for path in given if path.is_file()])
     if (kept := files.kept_report(folder, mark, notices)) is not None:
@@ -266,17 +143,13 @@ def run(job: DesignJob, notices: files.Notices = files.SILENT) -> dict:
     return files.write_report(folder, report, mark, names)
 
 
-def _of_options(text: str, job: DesignJob) -> str:
+def _of_options(text: str, job: DesignSettings) -> str:
     """Return a message about an argument of the library as one about the option, or about what was designed."""
     name, _, rest = text.partition(" ")
     name = {"half_field": "field"}.get(name, name)
-    if name in {item.name for item in fields(DesignJob)}:
-        return f"{_option(name)} {rest}"
+    if name in job.values():
+        return f"{option_name(name)} {rest}"
     return f"{'--elements' if job.system is None else 'SYSTEM'}: {text}"
-
-
-def _option(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
 
 
 def _judged(start: optical_system, lens: optical_system, aim: str) -> list[dict]:
@@ -299,11 +172,11 @@ def _drawing(lens: optical_system):
     return layout_figure(shown)
 
 
-def _from_plates(job: DesignJob, step: Callable[[], Any]):
+def _from_plates(job: DesignSettings, step: Callable[[], Any]):
     """Return the plates, the lens, what was done and the merit of each stage for first-order demands."""
-    materials = job.materials()
+    materials = materials_of(job)
     read_glasses(job.glasses)
-    size = {name: None if getattr(job, name) is None else 1e3 * getattr(job, name) for name in LENGTHS}
+    size = {name: None if getattr(job, name) is None else 1e3 * getattr(job, name) for name in LENS_LENGTHS}
     f, speed, field = float(size["focal_length"] or 0), float(job.f_number or 0), float(job.field or 0)
     limits: dict[str, Any] = {"axial_color": size["axial_color"], "chief_ray_angle": job.chief_ray_angle}
     limits |= {"distortion": job.distortion} if job.distortion else {}
@@ -365,10 +238,9 @@ def _set_semi_diameters(system: optical_system, aim: str) -> None:
 
 
 LIMITS = ("track", "back", "distortion", "axial_color", "chief_ray_angle")
-LENGTHS = ("focal_length", "track", "back", "axial_color")
 
 
-def _from_system(job: DesignJob, step: Callable[[], Any]):
+def _from_system(job: DesignSettings, step: Callable[[], Any]):
     """Return the start, the lens, what was done and the merits of the last run for a given system."""
     read_glasses(job.glasses)
     system, did = read_system(str(job.system))
@@ -411,7 +283,7 @@ def _from_system(job: DesignJob, step: Callable[[], Any]):
     return start, system, did, merit
 
 
-def _check_start(system: optical_system, job: DesignJob) -> None:
+def _check_start(system: optical_system, job: DesignSettings) -> None:
     """Raise InputError where a system cannot be designed further by this command."""
     for i, item in enumerate(system.surfaces):
         if is_break(item) or item.is_off_axis:
@@ -431,7 +303,7 @@ def _check_start(system: optical_system, job: DesignJob) -> None:
                 raise InputError(f"--zmx: {error}") from None
 
 
-def _scale(system: optical_system, factor: float, job: DesignJob) -> None:
+def _scale(system: optical_system, factor: float, job: DesignSettings) -> None:
     """Multiply all lengths of a system by a factor."""
     items: list[Any] = [*system.surfaces, *([] if system.image is None else [system.image])]
     for i, item in enumerate(items):
@@ -462,7 +334,7 @@ def _fields_to(own: tuple, largest: float | None) -> tuple:
     return tuple((x * largest / size, y * largest / size) for x, y in own)
 
 
-def _optimised(system, own, goal, job: DesignJob, f: float, metre: float, step):
+def _optimised(system, own, goal, job: DesignSettings, f: float, metre: float, step):
     """Optimise a system in place in steps from its own aperture and fields to the requested ones.
 
     Returns the merits of the last run, what varied in words, and the names of the glasses that were substituted.
@@ -479,7 +351,7 @@ def _optimised(system, own, goal, job: DesignJob, f: float, metre: float, step):
         system.fields = tuple(tuple(a + share * (b - a) for a, b in zip(p, q, strict=True)) for p, q in both)
 
     limits = {
-        name: getattr(job, name) * (metre if name in LENGTHS else 1.0)
+        name: getattr(job, name) * (metre if name in LENS_LENGTHS else 1.0)
         for name in LIMITS
         if getattr(job, name) is not None
     }

@@ -1,25 +1,21 @@
 """Computation of metamers for `odak metamer`: pictures that look the same as another to a fixed gaze."""
 
 import math
-from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import torch
 from tqdm import tqdm
 
-from odak import _validate
-from odak._warnings import ArgumentWarning, warn
 from odak.cli import files, report
-from odak.cli.job import InputError, image_path
+from odak.cli.job import image_path
+from odak.cli.options import InputError
 from odak.cli.report import decibels, find_device, versions
+from odak.cli.settings import MetamerSettings
 from odak.cli.target import read_picture
 
 STAGES = 3
 # Side of the patches whose texture is compared, levels of their pyramid, and the least size of pooling within them.
 PATCH, PATCH_LEVELS, PATCH_POOLING = 128, 4, 2.0
-# Metres above which a width or a distance is taken for centimetres without their unit.
-LARGEST_SCREEN = 15.0
 NAMES = ("metamer.png", "pooling_map.png", "comparison.png")
 DEFINITIONS = {
     "psnr_db": "Peak signal-to-noise ratio of metamer.png to the picture, in decibels; null if they are equal. A "
@@ -35,84 +31,14 @@ DEFINITIONS = {
 }
 
 
-@dataclass(frozen=True)
-class MetamerJob:
-    """Parameters of one run of `odak metamer`.
-
-    Attributes
-    ----------
-    image : str
-        Path of the picture, or the name of a shipped one: "photo", "chart".
-    output : Path
-        Folder to write to.
-    gaze : tuple of float
-        (x, y), 0 to 1 from the top-left corner.
-    width, distance : float
-        Width of the picture as shown and distance of the eye from it, in metres.
-    alpha : float
-        Growth of the pooling regions with eccentricity.
-    mode : str
-        "quadratic" or "linear".
-    levels, orientations : int
-        Of the pyramid.
-    iterations : int
-        Evaluations of the metameric loss by which the metamer is made; 0 for matched noise.
-    joint : bool
-        Match statistics of pairs of bands too, which keeps edges.
-    nominal_width : bool
-        Pool over regions of the width given by `alpha`, instead of 1.7 to 1.9 times as wide.
-    seed : int
-        Seed of the noise.
-    device : str
-        "auto", "cpu", "cuda", "cuda:1", …
-    quiet : bool
-        Show no progress and no summary.
-    """
-
-    image: str = "photo"
-    output: Path = Path("metamer")
-    gaze: tuple[float, float] = (0.5, 0.5)
-    width: float = 0.6
-    distance: float = 0.7
-    alpha: float = 0.2
-    mode: str = "quadratic"
-    levels: int = 5
-    orientations: int = 4
-    iterations: int = 40
-    joint: bool = False
-    nominal_width: bool = False
-    seed: int = 0
-    device: str = "auto"
-    quiet: bool = False
-
-    def __post_init__(self) -> None:
-        """Check every parameter; the messages name the option of the command line."""
-        try:
-            for value in self.gaze:
-                _validate.real("--gaze", value)
-            for name in ("width", "distance", "alpha"):
-                _validate.real(f"--{name}", getattr(self, name), positive=True)
-            _validate.integer("--levels", self.levels, minimum=2)
-            _validate.integer("--orientations", self.orientations, minimum=1)
-            _validate.integer("--iterations", self.iterations)
-            _validate.integer("--seed", self.seed)
-            for name in ("width", "distance"):
-                value = getattr(self, name)
-                if value > LARGEST_SCREEN:
-                    warn(f"--{name} {value:g} is {value:g} metres; did you mean {value:g}cm?", ArgumentWarning)
-            object.__setattr__(self, "mode", _validate.one_of("--mode", self.mode, ("quadratic", "linear")))
-        except (TypeError, ValueError) as error:
-            raise InputError(str(error)) from None
-
-
 @files.claiming
-def run(job: MetamerJob, notices: files.Notices = files.SILENT) -> dict:
+def run(job: MetamerSettings, notices: files.Notices = files.SILENT) -> dict:
     """Make the metamer of a picture; write metamer.png, pooling_map.png, comparison.png and report.json.
 
     Parameters
     ----------
-    job : MetamerJob
-        Parameters of the run.
+    job : MetamerSettings
+        Settings of the run.
     notices : files.Notices
         What to do about results of earlier runs.
 
@@ -132,7 +58,7 @@ def run(job: MetamerJob, notices: files.Notices = files.SILENT) -> dict:
     path = image_path(job.image)
     picture = read_picture(path)[None].to(device)
     folder = files.writable_folder(job.output)
-    parameters = {name: value for name, value in asdict(job).items() if name not in ("image", "output", "quiet")}
+    parameters = job.values("image")
     mark = files.fingerprint({"command": "metamer", **parameters, "device": None}, [path])
     if (kept := files.kept_report(folder, mark, notices)) is not None:
         return kept

@@ -22,7 +22,8 @@ from tqdm import tqdm
 
 from odak._warnings import OdakWarning
 from odak.cli.files import file_depth, response_of
-from odak.cli.job import InputError, Job
+from odak.cli.job import Job
+from odak.cli.options import InputError
 from odak.cli.target import Target
 
 LIT = 0.1

@@ -13,8 +13,9 @@ import numpy as np
 import torch
 
 from odak import _validate
+from odak._validate import did_you_mean
 from odak.cli.files import FINGERPRINT, REPORT, load_pattern, read_report, stored_bits, writable_folder
-from odak.cli.job import InputError, did_you_mean
+from odak.cli.options import InputError
 from odak.tools.file import read_levels, white_level
 from odak.tools.paths import replacing
 from odak.wave.transfer_functions import pitches

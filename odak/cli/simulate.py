@@ -1,5 +1,6 @@
 """Light through an optical bench that a file describes, for `odak simulate`; see :mod:`odak.wave.bench_files`."""
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -8,24 +9,30 @@ import numpy as np
 import torch
 
 from odak.cli import files, report
-from odak.cli.job import InputError, check_wavelength, warn_of_samples
+from odak.cli.job import check_wavelength, warn_of_samples
+from odak.cli.options import InputError
+from odak.cli.settings import SimulateSettings
+from odak.wave import bench_schema
 from odak.wave.bench_files import BENCH, ELEMENTS, load_bench, positions, steps_of
 from odak.wave.transfer_functions import pitches
 
 SUFFIXES = (".npy", ".png")
 
 
+def schema() -> str:
+    """Return the JSON schema of the file of a bench."""
+    return json.dumps(bench_schema(), indent=2)
+
+
 @files.claiming
-def run(config: Path, output: Path, notices: files.Notices = files.SILENT) -> dict:
+def run(job: SimulateSettings, notices: files.Notices = files.SILENT) -> dict:
     """Pass light through the bench of a file, and write the fields that it records.
 
     Parameters
     ----------
-    config : Path
-        TOML or JSON file.
-    output : Path
-        Folder to write to: for each record ``NAME.npy`` (complex64) and ``NAME.png``, and ``report.json``, which holds
-        the configuration.
+    job : SimulateSettings
+        Settings of the run. Written are for each record ``NAME.npy`` (complex64) and ``NAME.png``, and
+        ``report.json``, which holds the configuration.
     notices : files.Notices
         What to do about results of earlier runs.
 
@@ -41,13 +48,13 @@ def run(config: Path, output: Path, notices: files.Notices = files.SILENT) -> di
     """
     with report.collected_warnings() as texts:
         try:
-            bench, elements = load_bench(config)
+            bench, elements = load_bench(Path(str(job.config)))
         except (TypeError, ValueError) as error:
             raise InputError(re.sub("^config", "CONFIG", str(error))) from None
         check_wavelength(f"{BENCH}: wavelength", bench["wavelength"])
         coarsest = max(pitches(bench["pixel_pitch"]))
         warn_of_samples(f"{BENCH}: wavelength", bench["wavelength"], f"{BENCH}: pixel_pitch", coarsest)
-        folder = files.writable_folder(output)
+        folder = files.writable_folder(job.output)
         given = [Path(element[name]) for element in elements for name in ("pattern", "picture") if name in element]
         mark = files.fingerprint({"command": "simulate", BENCH: bench, ELEMENTS: elements}, given)
         if (kept := files.kept_report(folder, mark, notices)) is not None:

@@ -11,7 +11,8 @@ from PIL import Image
 
 from odak._warnings import ArgumentWarning, warn
 from odak.cli.files import image_pitches
-from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, InputError, Job, depth_map_path, image_path
+from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, Job, depth_map_path, image_path
+from odak.cli.options import InputError
 from odak.learn.wave import multiplane_loss
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)

@@ -16,7 +16,8 @@ import torch
 from PIL import Image
 
 from odak.cli import files, hologram, report
-from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, SMALLEST_SIDE, InputError, Job, image_path, pattern_name
+from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, SMALLEST_SIDE, Job, image_path, pattern_name
+from odak.cli.options import InputError
 from odak.cli.target import LUMINANCE, Target, fitting_size, read_picture
 from odak.wave import hologram_in_chunks, propagate_beam
 from odak.wave.methods import find_method
@@ -29,7 +30,7 @@ _IN_PARTS = (1, 8, 32946)
 
 
 @files.claiming
-def run(job: Job, notices: files.Notices = files.SILENT, again: bool = False, workers: int | None = None) -> dict:
+def run(job: Job, notices: files.Notices = files.SILENT, workers: int | None = None) -> dict:
     """Compute, save, read back and verify the holograms of a picture, a chunk at a time.
 
     The output folder receives the patterns and the intensities that they give as Zarr arrays, the state of the
@@ -42,8 +43,6 @@ def run(job: Job, notices: files.Notices = files.SILENT, again: bool = False, wo
         Parameters of the run.
     notices : files.Notices
         What to do about files of earlier runs.
-    again : bool
-        Start over, ignoring the state of an earlier run.
     workers : int, optional
         Number of worker processes, which write to disk what does not fit in memory; by default the threads of this
         process compute.
@@ -69,7 +68,7 @@ def run(job: Job, notices: files.Notices = files.SILENT, again: bool = False, wo
         others = ["reconstruction.png", "comparison.png"] if in_memory else []
         files.announce(folder, [*(names if in_memory else []), *others, files.REPORT], notices)
         with _computed_by(workers, folder), _naming(folder):
-            channels = [_channel(job, target, index, folder, stem, again) for index, stem in enumerate(stems)]
+            channels = [_channel(job, target, index, folder, stem) for index, stem in enumerate(stems)]
         errors = [channel.pop("mean_squared_error") for channel in channels]
         quality = {"psnr_db": report.decibels(sum(errors) / len(errors)), "ssim": None} | {
             name: sum(channel[name] for channel in channels) / len(channels)
@@ -121,13 +120,13 @@ def _computed_by(workers: int | None, folder: Path) -> Iterator[None]:
     shutil.rmtree(folder / "spilled", ignore_errors=True)
 
 
-def _channel(job: Job, target: Target, index: int, folder: Path, stem: str, again: bool) -> dict:
+def _channel(job: Job, target: Target, index: int, folder: Path, stem: str) -> dict:
     """Compute, quantise, store and evaluate the pattern of one wavelength; return its part of the report."""
     import dask.array as da
 
     wavelength, intensity = target.wavelengths[index], target.intensity[index]
     state = folder / f"state_{stem.removeprefix('hologram_')}"
-    _claim(state, job, index, again)
+    _claim(state, job, index)
     options: dict[str, Any] = {
         "propagation_type": job.propagation_type,
         "method": SOLVERS[str(job.method)],
@@ -161,9 +160,9 @@ def _channel(job: Job, target: Target, index: int, folder: Path, stem: str, agai
     }
 
 
-def _claim(state: Path, job: Job, index: int, again: bool) -> None:
+def _claim(state: Path, job: Job, index: int) -> None:
     """Make a folder the state of this picture's colour; raise InputError if it holds the state of another."""
-    if again:
+    if job.again:
         shutil.rmtree(state, ignore_errors=True)
     identity = {
         "picture": files.digest_of(image_path(job.image)),

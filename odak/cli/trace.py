@@ -6,10 +6,12 @@ from pathlib import Path
 
 import torch
 
+from odak._validate import did_you_mean
 from odak.cli import files
 from odak.cli.files import writable_folder
-from odak.cli.job import InputError, did_you_mean
+from odak.cli.options import InputError
 from odak.cli.report import finite, versions
+from odak.cli.settings import ToleranceSettings, TraceSettings
 from odak.learn.raytracing.system import (
     FieldQuality,
     best_focus,
@@ -46,8 +48,6 @@ from odak.learn.raytracing.system.system_files import load_materials
 from odak.raytracing.intersections import RayStatus
 from odak.tools.paths import replacing
 
-MAXIMUM_RINGS = 100
-FORMATS = ("png", "svg", "pdf")
 DEFINITIONS = {
     "lengths": "In the system's unit; angles in degrees; wavefronts in wavelengths.",
     "rms_spot": "Root mean square distance of the rays from their centroid in the image plane over the area of the "
@@ -129,34 +129,13 @@ def read_system(name: str, argument: str = "SYSTEM"):
 
 
 @files.claiming
-def run(
-    name: str,
-    output: Path,
-    rings: int,
-    aim: str,
-    glasses: Sequence[Path] = (),
-    figures: str = "png",
-    focus: str = "as-drawn",
-    notices: files.Notices = files.SILENT,
-) -> dict:
+def run(job: TraceSettings, notices: files.Notices = files.SILENT) -> dict:
     """Trace a system and write its figures, report.html and report.json.
 
     Parameters
     ----------
-    name : str
-        As in :func:`read_system`.
-    output : Path
-        Folder to write to.
-    rings : int
-        Rings of rays in the pupil.
-    aim : str
-        "paraxial" or "real".
-    glasses : sequence of Path
-        Glass catalogues (.agf), materials (.json) or entries of refractiveindex.info (.yml) to be read first.
-    figures : str
-        Kind of the figures' files, "png", "svg" or "pdf".
-    focus : str
-        "as-drawn", or "best": the image surface moves to the plane of the smallest spots.
+    job : TraceSettings
+        Settings of the run.
     notices : files.Notices
         What to do about results of earlier runs.
 
@@ -168,21 +147,14 @@ def run(
     Raises
     ------
     InputError
-        If an argument will not do.
+        If the system or a file of glasses cannot be used.
     """
-    if not 1 <= rings <= MAXIMUM_RINGS:
-        raise InputError(f"--rings must be 1 to {MAXIMUM_RINGS}, got {rings}")
-    if aim not in ("paraxial", "real"):
-        raise InputError(f"--aim must be paraxial or real, got {aim!r}")
-    if focus not in ("as-drawn", "best"):
-        raise InputError(f"--focus must be as-drawn or best, got {focus!r}")
-    if figures not in FORMATS:
-        raise InputError(f"--figures must be one of {', '.join(FORMATS)}, got {figures!r}")
-    read_glasses(glasses)
+    name, aim, figures, focus = job.system, job.aim, job.figures, job.focus
+    read_glasses(job.glasses)
     system, ignored = read_system(name)
-    folder = writable_folder(Path(output))
-    values = {"command": "trace", "system": Path(name).name, "rings": rings, "aim": aim, "figures": figures}
-    mark = files.fingerprint(values | {"focus": focus}, [path for path in (Path(name), *glasses) if path.is_file()])
+    folder = writable_folder(job.output)
+    values = {"command": "trace", **job.values("glasses"), "system": Path(name).name}
+    mark = files.fingerprint(values, [path for path in (Path(name), *job.glasses) if path.is_file()])
     if (kept := files.kept_report(folder, mark, notices)) is not None:
         return kept
     with torch.no_grad():
@@ -197,7 +169,7 @@ def run(
     names = [*(f"{title}.{figures}" for title in drawn), "report.html"]
     files.announce(folder, [*names, files.REPORT], notices)
     with torch.no_grad():
-        report = describe(system, rings, aim, quality) | {"ignored": ignored, "focus": focus}
+        report = describe(system, job.rings, aim, quality) | {"ignored": ignored, "focus": focus}
         report["best_focus"] = None if shift is None else finite(shift)
     for title, figure in drawn.items():
         # The layout serves both files of a figure; each saving would find it twice again.
@@ -276,34 +248,13 @@ def summary(report: dict) -> list[str]:
 
 
 @files.claiming
-def run_tolerance(
-    name: str,
-    output: Path,
-    samples: int,
-    seed: int,
-    limit: float | None,
-    share: float | None,
-    focus: bool,
-    notices: files.Notices = files.SILENT,
-) -> dict:
+def run_tolerance(job: ToleranceSettings, notices: files.Notices = files.SILENT) -> dict:
     """Tolerance a system by ISO 10110-11, or to a yield, and write figures, report.html and report.json.
 
     Parameters
     ----------
-    name : str
-        As in :func:`read_system`.
-    output : Path
-        Folder to write to.
-    samples : int
-        Number of lenses.
-    seed : int
-        Of the random numbers.
-    limit : float or None
-        Largest spot that is accepted, in the unit of the lens; twice the largest as drawn by default.
-    share : float or None
-        Yield that the deviations are scaled to; None for the deviations of ISO 10110-11.
-    focus : bool
-        Refocus each lens.
+    job : ToleranceSettings
+        Settings of the run.
     notices : files.Notices
         What to do about results of earlier runs.
 
@@ -312,22 +263,16 @@ def run_tolerance(
     dict
         The report.
     """
-    if samples < 1:
-        raise InputError(f"--samples must be at least 1, got {samples}")
-    if share is not None and not 0 < share < 1:
-        raise InputError(f"--yield must be between 0 and 1, got {share:g}")
-    if limit is not None and not limit > 0:
-        raise InputError(f"--limit must be positive, got {limit:g}")
+    name, samples, seed, limit, share = job.system, job.samples, job.seed, job.limit, job.share
     system, ignored = read_system(name)
-    folder = writable_folder(Path(output))
-    values = {"command": "tolerance", "system": Path(name).name, "samples": samples, "seed": seed, "limit": limit}
-    values |= {"yield": share, "focus": focus}
+    folder = writable_folder(job.output)
+    values = {"command": "tolerance", **job.values(), "system": Path(name).name}
     mark = files.fingerprint(values, [path for path in (Path(name),) if path.is_file()])
     if (kept := files.kept_report(folder, mark, notices)) is not None:
         return kept
     names = ["tolerance.png", "sensitivity.png", "report.html"]
     files.announce(folder, [*names, files.REPORT], notices)
-    compensators = [("thickness", -1)] if focus else []
+    compensators = [("thickness", -1)] if job.focus else []
     off = iso_10110_tolerances(system)
     if not off:
         raise InputError(f"SYSTEM {name!r} has no glass, for which ISO 10110 has tolerances")

@@ -130,8 +130,8 @@ def test_instruments_that_do_not_open_are_named(tmp_path, capsys):
         (["phase", "--distance", "20"], "--distance must be above 0 and at most 10 metres"),
         (["phase", "--results", "results.txt"], "--results must end in .h5"),
         (["phase", "--results", "/proc/none/results.npz"], "--results cannot be written to"),
-        (["phase", "--wavelength", "green"], "--wavelength: 'green' is not a length"),
-        (["phase", "--faults", "none"], "--faults must be some or all"),
+        (["phase", "--wavelength", "green"], "'--wavelength': 'green' is not a length"),
+        (["phase", "--faults", "none"], "--faults must be one of 'some', 'all'"),
     ):
         assert main(["calibrate", *arguments, "--output", str(tmp_path)]) == 2
         assert message in capsys.readouterr().err

@@ -12,7 +12,7 @@ from PIL import Image
 
 from odak import ArgumentWarning
 from odak.cli import files, lens_design, main, trace
-from odak.cli.job import InputError
+from odak.cli.options import InputError
 from odak.learn.raytracing.system import load_system
 
 BENCH = """

@@ -11,7 +11,8 @@ from command import COLUMNS, ROWS, angular_spectrum_intensity, pixels, read_repo
 from PIL import Image
 
 from odak.cli import main, tiles
-from odak.cli.job import InputError, Job
+from odak.cli.job import Job
+from odak.cli.options import InputError
 from odak.cli.target import load_target
 from odak.wave import propagate_beam
 

@@ -170,9 +170,9 @@ def test_afocal_system_is_traced_without_figures_of_focus(tmp_path, capsys):
         (["nothing"], "one of cooke_triplet, double_gauss, double_gauss_f28, phone_f2, singlet, triplet_f28"),
         (["nothing.zmx"], "SYSTEM not found: 'nothing.zmx'"),
         ([__file__], "SYSTEM must be a .json, .zmx, .seq or .len file, or the name of a sample lens"),
-        (["singlet", "--rings", "0"], "--rings must be 1 to 100"),
-        (["singlet", "--aim", "high"], "--aim must be paraxial or real"),
-        (["singlet", "--figures", "bmp"], "--figures must be one of png, svg, pdf"),
+        (["singlet", "--rings", "0"], "--rings must be from 1 to 100"),
+        (["singlet", "--aim", "high"], "--aim must be one of 'paraxial', 'real'"),
+        (["singlet", "--figures", "bmp"], "--figures must be one of 'png', 'svg', 'pdf'"),
         (["singlet", "--output", "/proc/none"], "--output cannot be written to"),
     ],
 )
@@ -219,4 +219,4 @@ def test_the_image_moves_to_the_best_focus(tmp_path, capsys):
 
 def test_a_focus_that_is_not_known_is_named(tmp_path, capsys):
     assert main(["trace", "singlet", "--output", str(tmp_path), "--focus", "sharp"]) == 2
-    assert "--focus must be as-drawn or best, got 'sharp'" in capsys.readouterr().err
+    assert "--focus must be one of 'as-drawn', 'best'; got 'sharp'" in capsys.readouterr().err
