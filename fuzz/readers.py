@@ -133,6 +133,30 @@ def _zmx(path):
     read_zmx(path)
 
 
+def _seq(path):
+    from odak.learn.raytracing.system import read_seq
+
+    read_seq(path)
+
+
+def _len(path):
+    from odak.learn.raytracing.system import read_len
+
+    read_len(path)
+
+
+def _ome(path):
+    from odak.tools import load_ome_tiff
+
+    load_ome_tiff(path)
+
+
+def _splats(path):
+    from odak.learn.wave import load_splats
+
+    load_splats(path)
+
+
 def _tensor(path):
     import torch
 
@@ -317,6 +341,21 @@ READERS = {
         seed_files.system_seeds, _system, (b'"NA"', b'"EPD"', b'"mirror"', b"1e999", b'"N-BK7"'), mutations.in_json
     ),
     "zmx": Reader(seed_files.zmx_seeds, _zmx, seed_files.ZMX_WORDS),
+    "seq": Reader(seed_files.seq_seeds, _seq, (b"RDM", b"GL1", b"ASP", b"S 0 0", b"STO", b"ZOO", b"1e999", b"&", b"!")),
+    "len": Reader(seed_files.len_seeds, _len, (b"NXT", b"GLA", b"AST", b"PK CV", b"EBR", b"1e999", b"CV nan")),
+    "ome": Reader(
+        seed_files.ome_seeds,
+        _ome,
+        (
+            b'SizeZ="1000000000"',
+            b'PlaneCount="1000000000"',
+            b'<UUID FileName="../a.tif">urn:uuid:1</UUID>',
+            b'IFD="4000000000"',
+            b"<BinaryOnly/>",
+            b"II*\0",
+        ),
+    ),
+    "splats": Reader(seed_files.splat_seeds, _splats, (b"element vertex 1000000000", b"property float f_rest_0")),
     "tensor": Reader(
         archive_seeds.tensor_seeds,
         every(_tensor, _weights, _gaussians),

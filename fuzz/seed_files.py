@@ -154,6 +154,46 @@ def zmx_seeds(folder):
     yield ".zmx", ASPHERE
 
 
+def _lenses(name, extension):
+    """Return the texts of two systems as a writer of another format makes them."""
+
+    def seeds(folder):
+        from odak.learn.raytracing import system
+
+        path = os.path.join(folder, f"seed{extension}")
+        for lens in ("singlet", "cooke_triplet"):
+            getattr(system, name)(system.load_system(lens), path)
+            yield extension, content(path)
+
+    return seeds
+
+
+seq_seeds, len_seeds = _lenses("write_seq", ".seq"), _lenses("write_len", ".len")
+
+
+def ome_seeds(folder):
+    """Yield OME-TIFF files: a picture, planes of complex samples, colours and frames."""
+    from odak.tools import save_ome_tiff
+
+    path = os.path.join(folder, "seed.tif")
+    for shape, kind in (((4, 6), "u1"), ((3, 4, 6), "c8"), ((2, 2, 3, 4, 6), "u2")):
+        save_ome_tiff(path, np.ones(shape, kind), 8e-6)
+        yield ".tif", content(path)
+
+
+def splat_seeds(folder):
+    """Yield files of splats with and without harmonics above degree 0."""
+    import torch
+
+    from odak.learn.wave import Splats, save_splats
+
+    path = os.path.join(folder, "seed.ply")
+    for terms in (1, 4):
+        made = (torch.zeros(2, 3), torch.ones(2, 4), torch.zeros(2, 3), torch.zeros(2), torch.zeros(2, terms, 3))
+        save_splats(path, Splats(*made))
+        yield ".ply", content(path)
+
+
 ASPHERE = b"""VERS 140124 258 36214
 MODE SEQ
 NAME asphere

@@ -21,7 +21,7 @@ import numpy as np
 from odak import _array, _validate
 from odak._array import Array
 from odak._warnings import AccuracyWarning, ArgumentWarning, warn
-from odak.tools.paths import validate_path
+from odak.tools.paths import naming, regular_file, validate_path
 
 LINE_D, LINE_F, LINE_C, LINE_G = 0.5875618, 0.4861327, 0.6562725, 0.4358343
 MEDIA = ("air", "vacuum")
@@ -276,12 +276,13 @@ def read_materials(path) -> tuple[list[Material], dict[str, str]]:
         If there is no such file.
     """
     path = Path(os.path.expanduser(path))
-    if path.suffix.lower() == ".agf":
-        return read_agf(path), {}
-    if path.suffix.lower() in (".yml", ".yaml"):
-        return [read_entry(path)], {}
+    with naming(path):
+        if path.suffix.lower() == ".agf":
+            return read_agf(path), {}
+        if path.suffix.lower() in (".yml", ".yaml"):
+            return [read_entry(path)], {}
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(Path(regular_file(str(path))).read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path} is not a JSON file of materials: {error}") from error
     entries = content.get("materials") if isinstance(content, dict) else None
@@ -458,6 +459,7 @@ def _heat_of(lines: dict[str, list[float]]) -> dict[str, Any]:
 
 
 def _catalogue_text(path: Path) -> str:
+    regular_file(str(path))
     if path.stat().st_size > 16 << 20:
         raise ValueError(f"{path.name}: must be of at most 16 MiB, got {path.stat().st_size / 2**20:.1f} MiB")
     data = path.read_bytes()

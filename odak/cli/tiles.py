@@ -106,16 +106,17 @@ def _computed_by(workers: int | None, folder: Path) -> Iterator[None]:
     if workers is None:
         yield
         return
-    from odak.manager.server import require_dask
+    from odak.manager.server import Share, require_dask, serve
 
     try:
         require_dask("--cluster")
     except ImportError as error:
         raise InputError(str(error)) from None
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
-    options = {"n_workers": workers, "threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": None}
-    with LocalCluster(**options, local_directory=str(folder / "spilled")) as cluster, Client(cluster):
+    spilled = folder / "spilled"
+    spilled.mkdir(exist_ok=True)
+    with serve(Share(workers, 1, spill=str(spilled))) as server, Client(server.cluster):
         yield
     shutil.rmtree(folder / "spilled", ignore_errors=True)
 

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import secrets
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from odak import _validate
 from odak.tools.file import MOST_BYTES
-from odak.tools.paths import replacing, validate_path
+from odak.tools.paths import regular_file, replacing, validate_path
 
 SUFFIXES = (".h5", ".hdf5")
 # Bytes of arrays for each byte of a file, above MOST_BYTES; what compresses better is stored as it is.
@@ -50,7 +51,9 @@ def write_hdf5(
     path = validate_path(path, SUFFIXES)
     promised = sum(np.asarray(value).nbytes for value in arrays.values())
     for packed in ({"compression": "gzip", "shuffle": True}, {}):
-        with h5py.File("memory.h5", "w", driver="core", backing_store=False, block_size=1 << 20) as store:
+        # HDF5 opens a name once, even of files in memory: threads that save at the same time need names of their own.
+        name = f"{secrets.token_hex(16)}.h5"
+        with h5py.File(name, "w", driver="core", backing_store=False, block_size=1 << 20) as store:
             for key, value in arrays.items():
                 made = store.create_dataset(key, data=value, **(packed if np.size(value) > 64 else {}))
                 made.attrs["units"] = units.get(key, "1")
@@ -91,7 +94,7 @@ def read_hdf5(path: str | os.PathLike, kind: str, version: int) -> tuple[dict[st
     if not os.path.exists(path):
         raise FileNotFoundError(f"there is no file {path!r}")
     try:
-        with h5py.File(path, "r") as store:
+        with h5py.File(regular_file(path), "r") as store:
             header = _attributes(store)
             if header.get("format", kind) != kind or header.get("version") != version:
                 raise ValueError(f"its format is {header.get('format')!r}, version {header.get('version')!r}")

@@ -41,12 +41,12 @@ _CERTIFICATES = ("ca.pem", "cert.pem", "key.pem")
 _PATIENCE, _START = 30.0, 30.0
 # Results are fetched as soon as they are complete: a worker that paused at 80 % of its memory would never continue.
 # Dask's profiler, which looks at every task a hundred times a second, takes up to a fifth of a core.
-_TURNED_OFF = (
+_IN_MEMORY = (
     "distributed.worker.memory.target",
     "distributed.worker.memory.spill",
     "distributed.worker.memory.pause",
-    "distributed.worker.profile.enabled",
 )
+_PROFILER = "distributed.worker.profile.enabled"
 
 
 def start_server(
@@ -127,7 +127,12 @@ def start_server(
         return Server(None, _Workers(str(address), share, security, timeout))
     if not security:
         check_transport("host", host, trusted_network)
-    cluster = _scheduler(host, _validate.integer("port", port), security)
+    return serve(share, host, _validate.integer("port", port), security, timeout)
+
+
+def serve(share: "Share", host: str = LOOPBACK, port: int = 0, security: Any = None, timeout: float = 60.0) -> "Server":
+    """Start a scheduler and workers on this machine; see :func:`start_server`, which checks the arguments."""
+    cluster = _scheduler(host, port, security)
     try:
         return Server(cluster, _Workers(cluster.scheduler_address, share, cluster.security, timeout))
     except BaseException:
@@ -434,12 +439,15 @@ class Share:
         Bytes for each; the memory shared evenly.
     name : str, optional
         Name of the workers.
+    spill : str, optional
+        Folder that takes what does not fit in memory; workers keep all in memory without one.
     """
 
     workers: int | None = None
     threads: int | None = None
     memory_limit: int | None = None
     name: str | None = None
+    spill: str | None = None
 
     def __post_init__(self) -> None:
         """Check the arguments."""
@@ -465,6 +473,7 @@ class Share:
                     "nthreads": 1,
                     "memory_limit": self.memory_limit or int(MEMORY_LIMIT / count),
                     "name": None if self.name is None else f"{self.name}-{index}",
+                    **({} if self.spill is None else {"local_directory": self.spill}),
                     "resources": {GPU: 1} if gpu else None,
                     "env": environment,
                     "silence_logs": logging.ERROR,
@@ -500,7 +509,8 @@ def _hold() -> None:
 
     address, share, security, joined, timeout = pickle.load(sys.stdin.buffer)
     logging.getLogger("distributed").setLevel(logging.ERROR)
-    with dask.config.set({"distributed.comm.timeouts.connect": timeout, **dict.fromkeys(_TURNED_OFF, False)}):
+    off = dict.fromkeys([_PROFILER, *(_IN_MEMORY if share.spill is None else ())], False)
+    with dask.config.set({"distributed.comm.timeouts.connect": timeout, **off}):
         try:
             asyncio.run(_work(address, share.parts(), security, joined))
         except OSError as error:

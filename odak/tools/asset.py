@@ -8,7 +8,7 @@ import plyfile
 
 from odak import _array, _validate
 from odak.tools.matrix import convert_to_numpy
-from odak.tools.paths import replacing, validate_path
+from odak.tools.paths import regular_file, replacing, validate_path
 from odak.tools.transformation import rotate_points
 
 
@@ -283,7 +283,7 @@ def read_points(filename: str) -> np.ndarray:
 
 def read_elements(path: str) -> plyfile.PlyData:
     """Return the elements of a PLY file, after checking that the file is as long as its header says."""
-    with open(path, "rb") as stream:
+    with open(regular_file(path), "rb") as stream:
         _check_promise(stream.read(LONGEST_HEADER), os.path.getsize(path))
     return plyfile.PlyData.read(path)
 

@@ -1,16 +1,17 @@
 """Fields for other programs: labelled arrays of xarray, OME-TIFF files with lengths, and a reader for napari."""
 
 import importlib
+import math
 import os
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from odak import _array, _validate
 from odak.tools.matrix import convert_to_numpy
-from odak.tools.paths import temporary_name, validate_path
+from odak.tools.paths import regular_file, temporary_name, validate_path
 
 AXES = "TZCYX"
 TIFF_ENDINGS, NAPARI_ENDINGS = (".tif", ".tiff"), (".ome.tif", ".ome.tiff", ".npy")
@@ -18,6 +19,8 @@ OME_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "µm": 1e-6, "μm": 1e-6, "um": 1
 MICROMETRE, NANOMETRE = 1e-6, 1e-9
 # Deflate shortens data at most so many times.
 LARGEST_COMPRESSION = 1032
+# Bytes of the shortest directory of a page: a count, one entry and the place of the next directory.
+SMALLEST_PAGE = 18
 
 
 @_validate.takes_units("pitch", "wavelength", "distance")
@@ -177,7 +180,8 @@ def load_ome_tiff(filename: str | os.PathLike[str]) -> tuple[np.ndarray, dict[st
     Parameters
     ----------
     filename : str or os.PathLike
-        File of one series of pictures in grey or of complex samples, of this package or another program.
+        File of one series of pictures in grey or of complex samples, of this package or another program. A file whose
+        pictures lie in other files is refused.
 
     Returns
     -------
@@ -210,11 +214,15 @@ def load_ome_tiff(filename: str | os.PathLike[str]) -> tuple[np.ndarray, dict[st
     """
     path = validate_path(filename, TIFF_ENDINGS)
     tifffile = _package("tifffile", "tifffile")
-    with open(path, "rb") as stream:
+    with open(regular_file(path), "rb") as stream:
         try:
             with tifffile.TiffFile(stream) as file:
-                text, series = file.ome_metadata, file.series[0]
-                if text is None or not series.axes.endswith("YX"):
+                text = file.ome_metadata
+                if text is None:
+                    raise ValueError("no OME-XML of grey or complex pictures")
+                _check_promise(text, path)
+                series = file.series[0]
+                if not series.axes.endswith("YX"):
                     raise ValueError("no OME-XML of grey or complex pictures")
                 if series.nbytes > LARGEST_COMPRESSION * os.path.getsize(path):
                     raise ValueError(f"it states {series.nbytes} bytes, more than it can hold")
@@ -317,6 +325,34 @@ def _divided(length, unit):
     quotient = length / unit
     near = (np.nextafter(quotient, 0.0), quotient, np.nextafter(quotient, np.inf))
     return float(min(near, key=lambda one: abs(one * unit - length)))
+
+
+def _check_promise(text: str, path: str) -> None:
+    """Raise ValueError where an OME-XML names other files, or more planes than the file can hold.
+
+    tifffile follows such names, and makes a list of all planes before it looks for them in the file.
+    """
+    root, most = ElementTree.fromstring(text), os.path.getsize(path) // SMALLEST_PAGE
+    for part in root.iter():
+        kind, given = part.tag.rpartition("}")[2], part.attrib
+        # A file that was renamed still knows itself by its own identifier.
+        other = given.get("FileName", "").lower() != os.path.basename(path).lower()
+        if kind == "BinaryOnly" or (kind == "UUID" and other and part.text != root.get("UUID")):
+            raise ValueError(f"its pictures lie in another file, {given.get('FileName')!r:.80}; only its own are read")
+        if kind.startswith("ModuloAlong"):
+            raise ValueError("its planes have axes of other kinds (ModuloAlong), which are not read")
+        if kind == "Pixels":
+            planes = math.prod(int(given[f"Size{axis}"]) for axis in "ZCT")
+            blocks = [block.attrib for block in part if block.tag.endswith("}TiffData")]
+            numbers = [planes, sum(_pages(block, planes) for block in blocks)]
+            numbers += [int(block.get(name, 0)) for block in blocks for name in ("IFD", "FirstZ", "FirstC", "FirstT")]
+            if planes < 1 or min(numbers) < 0 or max(numbers) > most:
+                raise ValueError(f"it states {planes} planes, more than its bytes can hold")
+
+
+def _pages(block: Mapping[str, str], planes: int) -> int:
+    """Return how many pages a block of an OME-XML is of; one without a number is of all."""
+    return int(block.get("PlaneCount", block.get("NumPlanes", 1 if "IFD" in block else planes)))
 
 
 def _lengths(text):

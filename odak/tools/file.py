@@ -30,7 +30,7 @@ from odak._validate import one_of
 from odak._warnings import AccuracyWarning, warn
 from odak.log import logger
 from odak.tools.paths import expanduser as expanduser
-from odak.tools.paths import extension_of, replacing, temporary_name
+from odak.tools.paths import extension_of, regular_file, replacing, temporary_name
 from odak.tools.paths import get_base_filename as get_base_filename
 from odak.tools.paths import validate_cwd as validate_cwd
 from odak.tools.paths import validate_path as validate_path
@@ -350,7 +350,7 @@ def load_dictionary(filename: str | os.PathLike[str]) -> Any:
     5.32e-07
     """
     path = validate_path(filename)
-    with open(path, "rb") as stream:
+    with open(regular_file(path), "rb") as stream:
         content = stream.read()
     try:
         return json.loads(content)
@@ -442,7 +442,7 @@ def read_text_file(filename: str | os.PathLike[str]) -> list[str]:
     """
     path = validate_path(filename)
     try:
-        with open(path, encoding="utf-8") as stream:
+        with open(regular_file(path), encoding="utf-8") as stream:
             return [line.rstrip() for line in stream]
     except UnicodeDecodeError as error:
         raise ValueError(f"{path!r} is not a UTF-8 text file: {error}") from error
@@ -474,7 +474,7 @@ def read_npz(path: str | os.PathLike, most: int = MOST_BYTES) -> dict[str, np.nd
         If it is not such a file, is truncated, or would take more memory.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(regular_file(os.fspath(path))) as archive:
             records = archive.infolist()
             promised, most = sum(record.file_size for record in records), max(most, os.path.getsize(path))
             if promised > most:

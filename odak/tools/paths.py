@@ -166,6 +166,57 @@ def extension_of(path: str) -> str:
     return os.path.splitext(path)[1].lower()
 
 
+def regular_file(path: str) -> str:
+    """Return the path of a file that can be read without waiting for a writer.
+
+    Parameters
+    ----------
+    path : str
+        Path of the file.
+
+    Returns
+    -------
+    str
+        The same path.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is a folder, a device or a named pipe, which would be waited for without end; the message names it.
+    """
+    if not stat.S_ISREG(os.stat(path).st_mode):
+        raise ValueError(f"{path!r} is not a regular file")
+    return path
+
+
+@contextmanager
+def naming(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Let errors that the content of a file causes name the file.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        The file that is read in the block.
+
+    Raises
+    ------
+    TypeError
+        For a TypeError of the block, with the name of the file in front unless the message holds it.
+    ValueError
+        In the same way for any other error of a value, a key or a number.
+    """
+    try:
+        yield
+    except (ValueError, TypeError, LookupError, ArithmeticError, RecursionError) as error:
+        base = os.path.basename(path)
+        if base in str(error):
+            raise
+        kind = TypeError if isinstance(error, TypeError) else ValueError
+        raise kind(f"{base}: {error or type(error).__name__}") from error
+
+
 def _name(filename):
     if not isinstance(filename, (str, bytes, os.PathLike)):
         raise TypeError(f"filename must be a string or a path object, got {type(filename).__name__}")

@@ -17,6 +17,7 @@ import numpy as np
 from odak import _validate
 from odak._validate import did_you_mean, parse_length
 from odak.tools.file import read_levels, white_level
+from odak.tools.paths import naming, regular_file
 from odak.wave.beams import gaussian_beam
 from odak.wave.bench import CircularAperture, FreeSpace, Light, Mask, RectangularAperture, ThinLens
 from odak.wave.elements import hyperbolic_lens
@@ -210,7 +211,8 @@ def load_bench(config: Any) -> tuple[dict, list[dict]]:
     if not isinstance(config, (str, os.PathLike)):
         raise TypeError(f"config must be a dict or the path of a file, got {type(config).__name__}")
     path = Path(os.path.expanduser(config))
-    return checked(read_config(path), path.resolve().parent)
+    with naming(path):
+        return checked(read_config(path), path.resolve().parent)
 
 
 def steps_of(bench: dict, elements: Sequence[dict]) -> Iterator[BenchStep]:
@@ -285,8 +287,8 @@ def read_config(path: Path) -> dict:
     if not path.exists():
         raise ValueError(f"config not found: {str(path)!r}")
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = Path(regular_file(str(path))).read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
         raise ValueError(f"config cannot be read: {str(path)!r} ({' '.join(str(error).split())})") from None
     if path.suffix.lower() == ".json":
         try:

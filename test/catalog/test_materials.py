@@ -467,3 +467,19 @@ def test_wavelengths_may_have_units():
     assert internal_transmittance("N-BK7", "400nm", "25mm", unit="mm") == pytest.approx(
         internal_transmittance("N-BK7", 400e-9, 0.025), rel=1e-12
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("glass.agf", "NM X two 0 1.5 60 0\nCD 1 2 3 4 5 6\nLD 0.4 0.7\n"),
+        ("glass.agf", "NM X 1e999 0 1.5 60 0\nCD 1 2 3 4 5 6\nLD 0.4 0.7\n"),
+        ("entry.yml", "DATA:\n  - type: formula 1\n    wavelength_range: 0.4 x\n    coefficients: 0 1 2\n"),
+        ("entry.yml", "DATA:\n  - type: formula 1\n    wavelength_range: 0.4 0.7\n    coefficients: 0 one 2\n"),
+    ],
+)
+def test_errors_in_numbers_of_other_programs_name_the_file(name, text, tmp_path):
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(ValueError, match=name):
+        catalog.load_materials(path)

@@ -1,6 +1,7 @@
 """Files of calibrations: nonsense is refused by the name of its field."""
 
 import dataclasses
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -66,3 +67,11 @@ def test_nonsense_in_calibrations_is_refused_by_its_name(values, told, end, tmp_
     assert path.read_bytes() != before
     with pytest.raises(ValueError, match=rf"a\.{end}' cannot be read as a calibration: {told}"):
         instruments.load_calibration(path)
+
+
+def test_threads_save_hdf5_at_the_same_time(tmp_path):
+    pytest.importorskip("h5py", reason="h5py is not installed")
+    found = nominal()
+    with ThreadPoolExecutor(20) as threads:
+        list(threads.map(lambda i: instruments.save_calibration(tmp_path / f"{i}.h5", found), range(40)))
+    assert all(instruments.load_calibration(tmp_path / f"{i}.h5").wavelength == 532e-9 for i in range(40))

@@ -1,5 +1,6 @@
 """Workers of this machine, with a scheduler here and for one elsewhere: starting, ending, being killed."""
 
+import ast
 import contextlib
 import ipaddress
 import os
@@ -9,7 +10,9 @@ import sys
 import textwrap
 from pathlib import Path
 
+import numpy as np
 import pytest
+import structure
 from manager_tasks import divide, nap, search_path
 from processes import is_running, wait_for
 from running_cluster import ROOT, start_scheduler, start_workers, stop, tls_options
@@ -323,6 +326,50 @@ def test_command_line_worker_imports_nothing_from_its_folder(poisoned):
             finally:
                 # Not an interrupt, which a test run in the background ignores and its children with it.
                 worker.terminate()
+
+
+@pytest.mark.slow
+def test_workers_of_a_picture_in_tiles_import_nothing_from_its_folder(poisoned, tmp_path):
+    pytest.importorskip("zarr")
+    np.save(poisoned / "picture.npy", np.linspace(0, 1, 1024).reshape(32, 32))
+    options = "--tiles --cluster local --workers 1 --iterations 1 --distance 0.005 --pixel-pitch 8e-6 --quiet"
+    # As the command `odak` of an installation: a script in another folder, which begins the search path.
+    script = tmp_path / "odak-command"
+    script.write_text("import sys\nfrom odak.cli import main\nsys.exit(main())\n")
+    command = [sys.executable, str(script), "hologram", "picture.npy", *options.split(), "-o", "made"]
+    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    assert done.returncode == 0, done.stderr
+    assert (poisoned / "made" / "report.json").exists()
+
+
+# What starts a process of Python: the interpreter's name, and classes that start it themselves.
+STARTERS = {
+    "executable",
+    "multiprocessing",
+    "ProcessPoolExecutor",
+    "LocalCluster",
+    "Nanny",
+    "SubprocessCluster",
+    "fork",
+}
+
+
+def test_processes_are_started_in_one_way():
+    """A process started otherwise would import what lies in the current folder."""
+    found = {}
+    for name, path in structure.modules().items():
+        words = {getattr(node, "attr", getattr(node, "id", "")) for node in ast.walk(structure.tree(path))}
+        imported = (node for node in ast.walk(structure.tree(path)) if isinstance(node, (ast.Import, ast.ImportFrom)))
+        words |= {part for node in imported for alias in node.names for part in alias.name.split(".")}
+        if words & STARTERS:
+            found[name] = words & STARTERS
+    # The scheduler is a thread of its process, the nannies are started by a program of python_command, and scenes give
+    # the interpreter to other_python_command.
+    assert found == {
+        "odak._python": {"executable"},
+        "odak.manager.server": {"LocalCluster", "Nanny"},
+        "odak.visualize.blender.scenes": {"executable"},
+    }
 
 
 @pytest.mark.slow

@@ -1,10 +1,12 @@
 """Files from elsewhere, broken and hostile: read, or refused by name, within a time, a memory and a folder."""
 
+import contextlib
 import gc
 import io
 import os
 import pickle
 import random
+import re
 import struct
 import subprocess
 import sys
@@ -15,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import structure
 import torch
 from PIL import Image
 
@@ -70,6 +73,41 @@ def test_the_corpus_is_small_and_has_every_reader():
     assert {path.parts[0] for path in FILES} == set(READERS)
     sizes = [(CORPUS / path).stat().st_size for path in FILES]
     assert max(sizes) < 20_000 and sum(sizes) < 300_000
+
+
+# Readers of files that are not broken here one by one, with the reason.
+OF_OTHERS = {
+    "load_colmap": "reads a folder of several files",
+    "load_materials": "reads files by read_materials",
+    "load_voxelized_PLY": "reads files by read_PLY",
+}
+
+
+def test_each_public_reader_is_in_the_list():
+    public = {name for names in structure.stubs().values() for name in names if re.match("(read|load)_", name)}
+    calls = "".join((ROOT / "fuzz" / name).read_text(encoding="utf-8") for name in ("readers.py", "archive_seeds.py"))
+    assert {name for name in public if not re.search(rf"\b{name}\b", calls)} == set(OF_OTHERS)
+
+
+def test_named_pipes_are_refused_and_not_waited_for(tmp_path):
+    """A reader that opened a pipe would wait for a writer; the test writes to it then, and fails."""
+    waited = []
+    for name in [name for name in READERS if name not in ("command", "line", "checkpoint", "scene")]:
+        for extension in {path.suffix for path in FILES if path.parts[0] == name}:
+            pipe = tmp_path / f"{name}{extension}"
+            os.mkfifo(pipe)
+            call = threading.Thread(target=refused, args=(READERS[name].call, str(pipe)), daemon=True)
+            call.start()
+            call.join(10)
+            if call.is_alive():
+                waited.append(pipe.name)
+                os.close(os.open(pipe, os.O_RDWR))
+    assert not waited
+
+
+def refused(call, path):
+    with contextlib.suppress(ValueError, TypeError, OSError, ImportError):
+        call(path)
 
 
 # Lines of commands trace lenses and compute holograms: test/cli holds them in the default run.

@@ -206,3 +206,47 @@ def test_napari_layers(tmp_path):
     for other in ("real.npy", "objects.npy", "none.npy", "picture.png"):
         assert napari_reader(str(tmp_path / other)) is None
     assert napari_reader([path]) is None
+
+
+UUID = '<UUID FileName="{}">urn:uuid:2</UUID>'
+
+
+@pytest.mark.parametrize("name", ["../other.ome.tif", "/tmp/other.ome.tif", "other.ome.tif"])
+def test_pictures_of_other_files_are_refused(name, tmp_path):
+    tifffile = pytest.importorskip("tifffile")
+    for path in (tmp_path / "inside" / "other.ome.tif", tmp_path / "other.ome.tif"):
+        path.parent.mkdir(exist_ok=True)
+        save_ome_tiff(path, np.full((4, 6), 7.0), 8e-6)
+    path = tmp_path / "inside" / "field.ome.tif"
+    save_ome_tiff(path, np.zeros((4, 6)), 8e-6)
+    with tifffile.TiffFile(path) as file:
+        text = file.ome_metadata
+    block = text[text.index("<TiffData") : text.index("/>", text.index("<TiffData"))]
+    tifffile.imwrite(
+        path,
+        np.zeros((4, 6)),
+        description=text.replace(f"{block}/>", f"{block}>{UUID.format(name)}</TiffData>").encode(),
+    )
+    with pytest.raises(ValueError, match="lie in another file"):
+        load_ome_tiff(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('SizeZ="1"', 'SizeZ="1000000000"'),
+        ('PlaneCount="1"', 'PlaneCount="1000000000"'),
+        ('IFD="0"', 'IFD="1000000000"'),
+        ('SizeT="1"', 'SizeT="-1"'),
+    ],
+)
+def test_planes_that_a_file_cannot_hold_are_refused(old, new, tmp_path):
+    tifffile = pytest.importorskip("tifffile")
+    path = tmp_path / "field.ome.tif"
+    save_ome_tiff(path, np.zeros((4, 6)), 8e-6)
+    with tifffile.TiffFile(path) as file:
+        text = file.ome_metadata
+    assert old in text
+    tifffile.imwrite(path, np.zeros((4, 6)), description=text.replace(old, new).encode())
+    with pytest.raises(ValueError, match="more than its bytes can hold"):
+        load_ome_tiff(path)

@@ -21,6 +21,7 @@ from odak._torch_private import in_own_precision, is_plain_on_cpu
 from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import as_pictures, in_float32, in_float64, kind_of, tell_scale
 from odak.learn.perception.hdr import pq_decode, pq_encode
+from odak.tools.paths import regular_file
 
 BT709_PRIMARIES = ((0.640, 0.330), (0.300, 0.600), (0.150, 0.060))
 BT2020_PRIMARIES = ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046))
@@ -236,7 +237,7 @@ class ColorTable:
         if os.path.getsize(name) > _CUBE_BYTES:
             raise ValueError(f"{name!r} is larger than a .cube file can be ({_CUBE_BYTES >> 20} MB)")
         try:
-            with open(name, encoding="utf-8-sig") as stream:
+            with open(regular_file(name), encoding="utf-8-sig") as stream:
                 words = [line.split() for line in stream if line.strip() and not line.lstrip().startswith("#")]
             said = {line[0]: line[1:] for line in words if line[0][0].isalpha()}
             numbers = np.array([line for line in words if not line[0][0].isalpha()], dtype=np.float64)

@@ -23,6 +23,7 @@ from odak._attributes import Prepared
 from odak._torch_private import in_own_precision
 from odak.learn._tensors import as_pictures, checked_device, floating, in_float32, kind_of
 from odak.learn.perception.color import ciede2000, mix, xyz_to_lab
+from odak.tools.paths import regular_file
 
 CONE_GAUSSIANS = ((567.5, 32.5), (545.0, 27.5), (447.5, 17.0))
 BACKLIGHT_GAUSSIANS = ((650.0, 14.5), (550.0, 12.0), (450.0, 12.0))
@@ -215,7 +216,7 @@ def read_spectra(
     if "\0" in os.fspath(path):
         raise ValueError(f"path must not hold a null byte, got {path!r}")
     try:
-        lines = _numbers_of(Path(path).read_text(encoding="utf-8-sig"))
+        lines = _numbers_of(Path(regular_file(os.fspath(path))).read_text(encoding="utf-8-sig"))
     except (UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"{path} is not a UTF-8 text of numbers: {error}") from error
     if len(lines) < 2 or len({len(line) for line in lines}) != 1 or len(lines[0]) < 2:

@@ -13,7 +13,7 @@ import torch
 from odak import _torch_private, _validate
 from odak.learn._tensors import checked_device, kind_of
 from odak.tools import file
-from odak.tools.paths import replacing, validate_path
+from odak.tools.paths import regular_file, replacing, validate_path
 
 _MODES = ("nearest", "bilinear", "bicubic", "area")
 _TENSOR_EXTENSIONS = (".pt", ".pth", ".pkl")
@@ -410,7 +410,7 @@ def _refuse_odd_tensor(tensor: torch.Tensor, meta: bool) -> None:
 
 def _check(name: str) -> bool:
     """Return whether a file is an archive; raise an error if loading it would take far more memory than its size."""
-    with open(name, "rb") as stream:
+    with open(regular_file(name), "rb") as stream:
         if stream.read(4) != b"PK\x03\x04":
             if os.path.getsize(name):
                 with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
