@@ -233,7 +233,7 @@ class agent(Prepared):
         Raises
         ------
         OSError
-            If the cluster cannot be reached, or the connection to it is lost; :attr:`results` holds the results so far.
+            If the cluster cannot be reached, or the connection to it is lost; `results` holds the results so far.
         """
         compute: Any = self.compute
         yield from self._compute(compute, list(self.jobs))
@@ -280,7 +280,7 @@ class agent(Prepared):
             If tasks failed in all their attempts, or were cancelled. All other tasks are complete by then, and their
             results are in its attribute ``results``.
         OSError
-            If the cluster cannot be reached, or the connection to it is lost; :attr:`results` holds the results so far.
+            If the cluster cannot be reached, or the connection to it is lost; `results` holds the results so far.
         """
         compute: Any = self.compute
         return self._collect(compute, list(self.jobs), on_failure)
@@ -295,7 +295,7 @@ class agent(Prepared):
     ) -> list[Any]:
         """Call a function with each of some items and return the results in their order.
 
-        Submitted tasks stay as they are; :attr:`results` and :attr:`records` then belong to this call.
+        Submitted tasks stay as they are; `results` and `records` then belong to this call.
 
         Parameters
         ----------

@@ -56,6 +56,17 @@ def test_every_pin_names_one_version():
             assert re.fullmatch(r"[\w.-]+(\[\w+\])?==[\w.]+(; .+)?", line), line
 
 
+def test_what_builds_the_site_brings_odak():
+    """The site imports the package: one command in an empty environment installs both."""
+    lines = (ROOT / "docs" / "requirements.txt").read_text(encoding="utf-8").splitlines()
+    assert "-r ../requirements.txt" in lines
+
+
+def test_the_installation_page_lists_every_extra():
+    page = (ROOT / "docs" / "installation.md").read_text(encoding="utf-8").partition("## Extras")[2]
+    assert sorted(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)) == sorted(PROJECT["optional-dependencies"])
+
+
 @pytest.mark.xdist_group("structure")
 def test_imports_are_declared():
     """What the package imports is declared in pyproject.toml, or part of Python."""

@@ -913,7 +913,7 @@ class planar_mesh(Prepared):
         -------
         tuple of torch.Tensor
             Reflected rays and normals, ``[k, 2, 3]`` each, which start at the points hit. Rays that miss are left out;
-            the others are sorted by triangle, and within a triangle as given: :attr:`ray_indices` says which they were.
+            the others are sorted by triangle, and within a triangle as given: `ray_indices` says which they were.
         """
         rays = rays.to(self.device) if torch.is_tensor(rays) else rays
         rays, _ = reals_of(rays=rays, heights=self.heights)

@@ -351,7 +351,7 @@ class Element:
     aperture : float or Aperture, optional
         Limits of a surface: a semi-diameter or any aperture. Rays pass outside without noticing it.
     detects : bool
-        Whether :attr:`SceneLight.received` lists the rays that arrive.
+        Whether the attribute `received` of :class:`SceneLight` lists the rays that arrive.
     name : str, optional
         Name in results; by default its number in the scene.
 
