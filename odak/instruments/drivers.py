@@ -317,10 +317,19 @@ class GenICamCamera:
         row, column, rows, columns = self.region or (0, 0, *self.shape)
         frames = []
         for _ in range(_validate.integer("count", count, minimum=1)):
+            # Zero would wait without end.
+            while (late := self._camera.try_fetch(timeout=1e-3)) is not None:
+                late.queue()
             self._nodes.TriggerSoftware.execute()
-            with self._camera.fetch(timeout=self._timeout + self.exposure) as buffer:
-                part = buffer.payload.components[0]
-                frame = np.array(part.data, copy=True).reshape(part.height, part.width)
+            try:
+                with self._camera.fetch(timeout=self._timeout + self.exposure) as buffer:
+                    part = buffer.payload.components[0]
+                    frame = np.array(part.data, copy=True).reshape(part.height, part.width)
+            except Exception:
+                # The frame may still come, and would be taken for the next one: stopping discards it.
+                self._camera.stop()
+                self._camera.start()
+                raise
             frames.append(frame[row : row + rows, column : column + columns])
         return np.stack(frames)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import label
-from scipy.optimize import curve_fit, least_squares
+from scipy.optimize import brentq, curve_fit, least_squares
 
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
@@ -146,13 +146,14 @@ def exposed(camera: CheckedCamera, pattern: str, level: float = EXPOSED, brighte
 def _examine(camera: CheckedCamera) -> bool:
     """Check that the counts of a camera follow its exposure; return whether stuck pixels were found and replaced."""
     before = camera.exposure
-    if before / 4 < camera.limits[0]:
-        return False
-    frames = []
+    frames, times = [], []
     for part in (1, 2, 4):
-        camera.exposure = before / part
+        times.append(camera.expose(before / part))
         frames.append(camera.capture(1)[0].astype(float))
     camera.exposure = before
+    # Steps that are too coarse, or a limit, leave no two exposures to compare.
+    if not (times[2] < 0.9 * times[1] and times[1] < 0.9 * times[0]):
+        return False
     whole, half, quarter = frames
     floor = float(np.median(whole))
     bright = whole >= floor + 0.3 * (whole.max() - floor)
@@ -173,13 +174,29 @@ def _examine(camera: CheckedCamera) -> bool:
             f"the counts of the camera do not follow its exposure: {whole[bright].mean():.0f} at {before:.3g} s and "
             f"{half[bright].mean():.0f} at half of it; switch off its automatic exposure and gain"
         )
-    exponent = math.log2(first / max(second, 1e-3 * first))
+    exponent = _power(first / max(second, 1e-3 * first), *times)
     if not 0.75 < exponent < 1.3:
         raise RuntimeError(
             f"the counts of the camera grow as the power {exponent:.2f} of its exposure: switch off its gamma curve "
             "and its automatic gain, or use raw frames"
         )
     return False
+
+
+def _power(ratio: float, whole: float, half: float, quarter: float) -> float:
+    """Return the power p of the exposure with which counts grow whose differences have a ratio.
+
+    The ratio is (w^p − h^p)/(h^p − q^p) for exposures w, h and q, and grows with p.
+    """
+
+    def excess(power: float) -> float:
+        high, low = (whole / half) ** power - 1, 1 - (quarter / half) ** power
+        return high / low - ratio
+
+    least, most = 0.05, 12.0
+    if excess(least) >= 0:
+        return least
+    return float(brentq(excess, least, most)) if excess(most) > 0 else most
 
 
 def _alone(mask: np.ndarray) -> bool:
@@ -242,8 +259,8 @@ def capture_hdr(
 ) -> np.ndarray:
     """Return counts per second of a scene, from captures with several exposures.
 
-    Each capture is divided by its exposure; their mean is weighted with the inverse of the variance that photons and
-    the amplifier cause, of those that are not saturated.
+    Each capture is divided by the exposure that the camera reports of it; their mean is weighted with the inverse of
+    the variance that photons and the amplifier cause, of those that are not saturated.
 
     Parameters
     ----------
@@ -283,16 +300,23 @@ def capture_hdr(
         raise ValueError(f"exposures must be at least two, got {len(times)}")
     camera = checked_camera(camera)
     before, top = camera.exposure, camera.top
-    frames, fine = [], []
+    frames, fine, taken_for = [], [], []
     try:
         for time in times:
-            camera.exposure = float(time)
+            taken_for.append(camera.expose(time))
             taken = camera.capture(_validate.integer("captures", captures, minimum=1))
             frames.append(taken.mean(0) - checked_dark(dark, taken))
             fine.append(taken.max(0) < SATURATED * top)
     finally:
         camera.exposure = before
-    rate = combined(np.stack(frames), np.stack(fine), np.asarray(times, float), noise)
+    if max(taken_for) < 1.01 * min(taken_for):
+        wanted = ", ".join(f"{time:.3g}" for time in times)
+        warn(
+            f"exposures are {wanted} s, and the camera took {taken_for[0]:.3g} s for each: they lie beyond its limits "
+            "or between its steps, and the range is that of one",
+            AccuracyWarning,
+        )
+    rate = combined(np.stack(frames), np.stack(fine), np.asarray(taken_for), noise)
     if np.isinf(rate).any():
         warn(
             f"{np.isinf(rate).sum()} pixels are saturated at all exposures: add one below {min(times):.3g} s",
@@ -439,7 +463,7 @@ def measure_settling(
     before = modulator.settling_time, camera.exposure
     delays, images, seen = np.linspace(0, longest, samples), [], []
     try:
-        camera.exposure = exposure
+        exposure = camera.expose(exposure)
         modulator.settling_time = 2 * longest
         for level in settled:
             modulator.show(level * squares)

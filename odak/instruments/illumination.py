@@ -284,22 +284,21 @@ def _speckles(table: OpticalTable, point: np.ndarray, cell: np.ndarray, steps: n
     # Random phases spread the light over a region as many times larger as there are cells; speckles are up to five
     # times as bright as their mean.
     cells = steps.shape[1]
-    camera.exposure *= cells / 5
-    top, exposures = (1 << camera.bits) - 1, np.array([1.0, LONGER] if camera.bits < FEW_BITS else [1.0])
-    frames = []
-    for factor in exposures:
-        camera.exposure *= factor
+    before = camera.exposure
+    top, base = (1 << camera.bits) - 1, cells / 5 * before
+    frames, times = [], []
+    for factor in (1.0, LONGER) if camera.bits < FEW_BITS else (1.0,):
+        times.append(camera.expose(factor * base))
         for step in steps:
             show(step)
             frames.append(averaged(camera, captures))
-        camera.exposure /= factor
-    seen = np.stack(frames).reshape(len(exposures), len(steps), -1)
+    camera.exposure = before
+    seen = np.stack(frames).reshape(len(times), len(steps), -1)
     fine = seen[0].max(-1) < 0.95 * top
     # The minimum over many speckles is zero intensity.
     offsets = np.quantile(seen, 0.005, axis=(1, 2), keepdims=True)
     noise = (top / (WELL * captures), 1 / (12 * captures))
-    seen = combined(seen - offsets, seen < 0.95 * top, exposures, noise)[fine] / camera.exposure
-    camera.exposure /= cells / 5
+    seen = combined(seen - offsets, seen < 0.95 * top, np.asarray(times), noise)[fine]
     row, column, high, wide = camera.region or (0, 0, *camera.shape)
     camera.region = None
     v, u = np.meshgrid(np.arange(row, row + high), np.arange(column, column + wide), indexing="ij")

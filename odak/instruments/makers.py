@@ -377,12 +377,18 @@ class ThorlabsCamera:
     def capture(self, count: int = 1) -> np.ndarray:
         """Return captures, uint16 ``[count, rows, columns]`` of the region."""
         row, column, rows, columns = self.region or (0, 0, *self.shape)
-        self._camera.image_poll_timeout_ms = round(1e3 * (self._timeout + self.exposure))
         frames = []
         for _ in range(_validate.integer("count", count, minimum=1)):
+            self._camera.image_poll_timeout_ms = 0
+            while self._camera.get_pending_frame_or_null() is not None:
+                continue
+            self._camera.image_poll_timeout_ms = round(1e3 * (self._timeout + self.exposure))
             self._camera.issue_software_trigger()
             frame = self._camera.get_pending_frame_or_null()
             if frame is None:
+                # The frame may still come, and would be taken for the next one: disarming discards it.
+                self._camera.disarm()
+                self._camera.arm(2)
                 raise OSError(f"the camera sent no frame within {self._timeout:g} s after the exposure")
             # The buffer is the camera's own, and is used again.
             image = np.array(frame.image_buffer).reshape(self.shape)

@@ -220,6 +220,11 @@ class CheckedCamera:
     def exposure(self, value: float) -> None:
         self.camera.exposure = float(np.clip(value, *self.limits))
 
+    def expose(self, seconds: float) -> float:
+        """Set the exposure time, and return what the camera made of it: it has limits and steps of its own."""
+        self.exposure = seconds
+        return float(self.exposure)
+
     @property
     def region(self) -> tuple[int, int, int, int] | None:
         """First row, first column, rows and columns that are read out; None for the whole sensor."""

@@ -107,7 +107,7 @@ class StandIn(types.SimpleNamespace):
     """What harvesters' camera has of the GenICam interface: nodes with values, a trigger, frames in flat buffers."""
 
     def __init__(self, depth):
-        super().__init__(seen=[], waiting=[], depth=depth)
+        super().__init__(seen=[], waiting=[], depth=depth, late=False, discards=True)
         node = types.SimpleNamespace
         names = ("PixelFormat", "ExposureAuto", "TriggerSelector", "TriggerMode", "TriggerSource")
         self.nodes = node(**{name: node(value="") for name in names})
@@ -122,9 +122,16 @@ class StandIn(types.SimpleNamespace):
         ramp = np.arange(12 * 16) * level / (12 * 16)
         self.waiting.append(ramp.astype(np.uint16 if self.depth > 8 else np.uint8))
 
+    def try_fetch(self, *, timeout):
+        assert timeout > 0
+        return types.SimpleNamespace(queue=lambda: self.waiting.pop(0)) if self.waiting else None
+
     @contextlib.contextmanager
     def fetch(self, timeout):
         assert timeout > 1e-6 * self.nodes.ExposureTime.value
+        if self.late:
+            self.late = False
+            raise TimeoutError("no frame in time")
         data = self.waiting.pop(0)
         part = types.SimpleNamespace(data=data, height=12, width=16)
         yield types.SimpleNamespace(payload=types.SimpleNamespace(components=[part]))
@@ -136,6 +143,8 @@ class StandIn(types.SimpleNamespace):
 
     def stop(self):
         self.seen.append("stop")
+        if self.discards:
+            self.waiting.clear()
 
     def destroy(self):
         self.seen.append("destroy")
@@ -178,8 +187,16 @@ def test_a_genicam_camera_is_triggered_for_each_frame(monkeypatch, tmp_path):
     assert (whole[1].ravel() == np.floor(np.arange(192) * 2000 / 192)).all() and not camera.waiting
     found.region = (2, 3, 4, 5)
     assert (found.capture(1)[0] == whole[0, 2:6, 3:8]).all()
+    # A frame that comes too late is not taken for the next one, in the queue or after the restart.
+    for discards in (True, False):
+        camera.late, camera.discards = True, discards
+        with pytest.raises(TimeoutError):
+            found.capture(1)
+        found.exposure *= 0.5
+        level = 10 * found.exposure * 1e4
+        assert found.capture(1).max() == np.floor(np.arange(192) * level / 192).reshape(12, 16)[2:6, 3:8].max()
     found.close()
-    assert camera.seen == ["start", "stop", "destroy"] and made[-1] == "reset"
+    assert camera.seen == ["start", *2 * ["stop", "start"], "stop", "destroy"] and made[-1] == "reset"
 
 
 def test_micro_manager_shows_and_captures(tmp_path):

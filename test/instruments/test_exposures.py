@@ -332,3 +332,56 @@ def test_dark_counts_of_another_size_are_named():
         with pytest.raises(ValueError, match=r"^dark must be"):
             instruments.record_captures(table.modulator, table.camera, levels, 532e-9, dark=dark)
     assert instruments.capture_hdr(table.camera, [exposure / 4, exposure], dark=np.zeros((32, 32))).shape == (32, 32)
+
+
+class Stepped(Altered):
+    """A camera whose exposure has steps."""
+
+    step = 1e-3
+
+    def __init__(self, camera, step):
+        super().__init__(camera, lambda frames, _: frames)
+        object.__setattr__(self, "step", step)
+
+    def __setattr__(self, name, value):
+        if name == "exposure":
+            value = max(round(value / self.step), 1) * self.step
+        super().__setattr__(name, value)
+
+
+def lit(seed=3):
+    table = instruments.SimulatedTable(fresh_seed(seed), shape=(32, 32), camera_shape=(40, 48))
+    table.modulator.show(np.zeros((32, 32), int))
+    return table, instruments.set_exposure(table.camera)
+
+
+@pytest.mark.parametrize("limit", [(0.5, 0.9), (1.1, 4.0)])
+def test_exposures_that_a_camera_limits_give_the_true_counts(limit):
+    """The exposures asked for were taken for those that the camera had: results were 10 and 0.28 times the truth."""
+    table, exposure = lit()
+    wanted = [exposure / 8, exposure / 2, 4 * exposure]
+    free = instruments.capture_hdr(table.camera, wanted, dark=20, captures=8)
+    camera = Altered(table.camera, lambda frames, _: frames, exposure_limits=tuple(exposure * np.array(limit)))
+    limited = instruments.capture_hdr(camera, wanted, dark=20, captures=8)
+    bright = free > 0.3 * free.max()
+    assert abs((limited / free)[bright & np.isfinite(limited)].mean() - 1) < 0.03
+
+
+def test_exposures_with_steps_give_the_true_counts():
+    table, exposure = lit()
+    wanted = [0.45 * exposure, 1.4 * exposure]
+    free = instruments.capture_hdr(table.camera, wanted, dark=20, captures=8)
+    stepped = instruments.capture_hdr(Stepped(table.camera, 0.3 * exposure), wanted, dark=20, captures=8)
+    bright = (free > 0.3 * free.max()) & np.isfinite(stepped) & np.isfinite(free)
+    assert abs((stepped / free)[bright].mean() - 1) < 0.03
+    with pytest.warns(AccuracyWarning, match="the camera took .* for each"):
+        instruments.capture_hdr(Stepped(table.camera, exposure), [0.9 * exposure, 1.1 * exposure], dark=20)
+
+
+def test_a_linear_camera_with_steps_is_taken_for_linear():
+    """Half of an exposure of five steps is two or three: it was refused as a gamma curve."""
+    table, exposure = lit()
+    for steps in (5.3, 7.7, 11.1):
+        instruments.set_exposure(Stepped(table.camera, exposure / steps))
+    assert exposures._power(2**0.5, 4.0, 2.0, 1.0) == pytest.approx(0.5, rel=1e-6)
+    assert exposures._power((5**0.45 - 3**0.45) / (3**0.45 - 1), 5.0, 3.0, 1.0) == pytest.approx(0.45, rel=1e-6)

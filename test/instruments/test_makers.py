@@ -308,6 +308,11 @@ def test_thorlabs_triggers_each_frame(monkeypatch):
     camera.dead = True
     with pytest.raises(OSError, match="sent no frame within 5 s"):
         found.capture()
+    camera.dead = False
+    # The frame that was waited for, and another one, which a trigger of someone else has made.
+    camera.waiting += 2
+    found.capture()
+    assert camera.taken == 3 + 3 + 1 and not camera.waiting and camera.armed == 2
     found.close()
     assert camera.disposed and len(disposed) == 3
     assert instruments.ThorlabsCamera("04712").pitch == found.pitch
