@@ -15,7 +15,7 @@ from odak.cli.report import find_device, picture_panel, progress, psnr, sheet, v
 from odak.cli.settings import EyeboxSettings
 from odak.cli.target import fit, fitting_size, read_picture, to_grey
 from odak.learn import wave
-from odak.learn.wave.holograms import best_scale
+from odak.learn.wave.training import best_scale
 
 DEFINITIONS = {
     "views": "For each place of the pupil, in reading order: its middle (y, x) in metres, the picture, and the peak "

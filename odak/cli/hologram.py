@@ -33,8 +33,9 @@ from odak.instruments import Lens
 from odak.learn import wave
 from odak.learn.models.hologram_networks import FARTHEST, RATIOS, SPREADS, hologram_network
 from odak.learn.tools import zero_pad
-from odak.learn.wave import holograms
-from odak.learn.wave.displays import brightness_of, mean_over_areas, starting_phases
+from odak.learn.wave.displays.judge import mean_over_areas
+from odak.learn.wave.holograms import starts
+from odak.learn.wave.training import best_scale, brightness_of
 from odak.wave import sampling_report
 from odak.wave.methods import METHODS, PROPAGATION_TYPES, find_method, method_named
 
@@ -289,7 +290,7 @@ def _channel(job: Job, target: Target, channel: int, paths: list[Path], device: 
     seen = _seen if response is None or response.lens is None else _seen_behind_lens
     unquantised, image, other = seen(job, wave.calculate_phase(ideal), phases.to(device) - grating, wavelength)
     numbers, wanted = report.measure(intensity, target.window, image, unquantised), intensity[target.window]
-    shown = [holograms.best_scale(light, wanted) * light for light in (image[target.window], other[target.window])]
+    shown = [best_scale(light, wanted) * light for light in (image[target.window], other[target.window])]
     return {
         "wavelength": wavelength,
         "file": paths[0].name,
@@ -474,7 +475,7 @@ def _descend(job: Job, intensity: torch.Tensor, wavelength: float, callback: Cal
         if lens is None or job.initial_phase != "gs":
             start = _phases_of_frames(job, intensity, wavelength).reshape(frames, *job.resolution)
         else:
-            start = starting_phases(display, intensity[None, None], "gs", job.seed)
+            start = starts.starting_phases(display, intensity[None, None], "gs", job.seed)
         mean_error = torch.nn.functional.mse_loss
         problem = wave.Problem(display, intensity[None, None], mean_error, start, _run(job, callback), job.scale)
         phases = _descend_over_areas(job, problem)
@@ -528,7 +529,7 @@ def _phases_of_frames(job: Job, intensity: torch.Tensor, wavelength: float) -> t
     """Return the phase that gradient descent starts from, ``[frames, rows, columns]`` with several frames."""
     frames, computed = job.frames or 1, COMPUTED_PHASES.get(str(job.initial_phase))
     if computed is not None:
-        return holograms.starting_phase(
+        return starts.starting_phase(
             computed, intensity, wavelength, job.distance, job.pixel_pitch, job.propagation_type, job.seed, frames
         )
     if frames == 1:
@@ -688,7 +689,7 @@ def _frames_over_areas(job: Job, target: Target, volume: Volume, device, callbac
     display = _display(job, target.wavelengths, volume.distances, powers, device)
     start: Any = job.initial_phase
     if start in COMPUTED_PHASES:
-        start = starting_phases(display, volume.images, COMPUTED_PHASES[start], job.seed)
+        start = starts.starting_phases(display, volume.images, COMPUTED_PHASES[start], job.seed)
     else:
         start = starting_phase(job, torch.zeros(count, *job.resolution, device=device), target.wavelengths[0])
     loss = torch.nn.functional.mse_loss if volume.loss is None else volume.loss
@@ -811,7 +812,7 @@ def _channels(job: Job, target: Target, volume: Volume, powers, *stacks) -> tupl
     sharp = [(part * volume.masks).sum(0).double() for part in stacks]
     # One brightness for all colours: the powers of the sources are part of the hologram.
     whole = wanted[window].reshape(1, -1)
-    bright = [float(holograms.best_scale((light * part)[window].reshape(1, -1), whole)) for part in sharp]
+    bright = [float(best_scale((light * part)[window].reshape(1, -1), whole)) for part in sharp]
     scales = [brightness * light for brightness in bright]
     channels = [
         {

@@ -86,7 +86,7 @@ def measure(
     dict
         Numbers as `DEFINITIONS` has them.
     """
-    from odak.learn.wave.holograms import best_scale
+    from odak.learn.wave.training import best_scale
 
     target, image, unquantised = (value.double() for value in (target, image, unquantised))
     images = (image, unquantised)

@@ -4,7 +4,7 @@ import torch
 from scipy.ndimage import correlate1d
 
 from odak.cli import report as metrics
-from odak.learn.wave.holograms import best_scale
+from odak.learn.wave.training import best_scale
 
 
 def test_psnr_of_a_constant_error():

@@ -28,7 +28,7 @@ REASONS = {
         tools/models: fit
         raytracing/system/prescriptions: _view of
         raytracing/system/waves: _view field_modulation field_quality relative_illumination
-        wave/displays: _view
+        wave/holograms/result: _view
         wave/gaussians/sets: _points save_splats
         tools/iterations: go iterate minimise
         wave/training: fingerprint
@@ -60,7 +60,11 @@ REASONS = {
         raytracing/nonsequential: __post_init__ _plain _reach polarized result system_elements trace
         tools/matrix: quantize slice_rgbd_targets
         tools/transformation: quaternion_to_rotation_matrix
-        wave/displays: _amplitudes _checked_target _frames_lit optimise starting_phases
+        wave/displays/display: _amplitudes
+        wave/displays/parts: frames_lit
+        wave/holograms/optimising: optimise
+        wave/holograms/starts: starting_phases
+        wave/holograms/targets: checked_target
         wave/eyebox: eyebox_hologram
         wave/eyes: __post_init__ angles_of_each of_each seen
         wave/gaussians/scene: chosen

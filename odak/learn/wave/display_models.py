@@ -23,8 +23,8 @@ from odak.instruments.protocols import checked_camera
 from odak.learn._tensors import tensor, trainable
 from odak.learn.models.training import train
 from odak.learn.tools.iterations import Run, minimise
-from odak.learn.wave.holograms import best_scale
 from odak.learn.wave.slm import smooth
+from odak.learn.wave.training import best_scale
 from odak.wave.elements import zernike_modes
 from odak.wave.linear_kernels import orders_reaching, pixels_spectrum, taper
 

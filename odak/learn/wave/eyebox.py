@@ -12,8 +12,7 @@ from odak.learn._tensors import takes_constants, tensor
 from odak.learn.tools.iterations import SOLVERS, Run, minimise
 from odak.learn.wave.eyes import angles_of_each, of_each
 from odak.learn.wave.fields import intensity, unit_phasor
-from odak.learn.wave.holograms import best_scale
-from odak.learn.wave.training import checked_intensities, fingerprint, generator_from, seeded_loss, started
+from odak.learn.wave.training import best_scale, checked_intensities, fingerprint, generator_from, seeded_loss, started
 from odak.wave.transfer_functions import checked_pitch
 from odak.wave.viewing import eye_transfer, retinal_field
 

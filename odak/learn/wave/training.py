@@ -157,6 +157,17 @@ def checked_intensities(name: str, values: torch.Tensor) -> torch.Tensor:
     return trainable(values)
 
 
+def best_scale(image: torch.Tensor, target: torch.Tensor, axes: tuple[int, ...] | None = (-2, -1)) -> torch.Tensor:
+    """Return s = ⟨I, T⟩/⟨I, I⟩ over some axes, or all: the scale at which an image is closest to its target."""
+    norm = (image * image).sum(axes, keepdim=True).clamp_min(torch.finfo(image.dtype).tiny)
+    return (image * target).sum(axes, keepdim=True) / norm
+
+
+def brightness_of(images: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """Return the factor of each colour, over all its planes, at which images are closest to a target, ``[C, 1, 1]``."""
+    return best_scale(images, target, (0, -2, -1))[0]
+
+
 def started(name: str, given, shapes: Sequence[tuple], like: torch.Tensor, draw: Callable, names: Sequence[str] = ()):
     """Return phases to start from: drawn as the first of some shapes, or given in one of them, as a copy.
 

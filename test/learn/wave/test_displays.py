@@ -26,8 +26,8 @@ from odak.learn.wave import (
     stochastic_gradient_descent,
     training,
 )
-from odak.learn.wave.displays import SOLVERS
-from odak.learn.wave.holograms import STARTS
+from odak.learn.wave.holograms.optimising import SOLVERS
+from odak.learn.wave.holograms.starts import STARTS
 
 PITCH, WAVELENGTH = 8e-6, 532e-9
 QUIET, BRIEF = Run(iterations=25, progress=False), Run(iterations=12, progress=False)
@@ -120,7 +120,7 @@ def test_transfer_functions_lie_in_order_in_which_they_are_read():
     for iris in ("order", None):
         display = Display(Modulator((8, 12), 8e-6), 532e-9, [2e-3, 3e-3], iris=iris)
         # On a CPU a column of the spectrum is read at a time: row by row, a step takes a third longer.
-        assert display._kernels(0, torch.complex64).stride()[-2:] == (1, 16)
+        assert display.path.kernels(display._kept, 0, torch.complex64, range(2)).stride()[-2:] == (1, 16)
 
 
 def test_an_iris_cuts_the_spectrum(phases):
@@ -754,8 +754,7 @@ def test_each_colour_in_sequence_has_its_own_table():
     found = optimise(display, torch.rand(1, 3, *shape), run=replace(QUIET, seed=1, iterations=3))
     assert found.levels().shape == (3, *shape) and int(found.levels().max()) <= 15
     assert (
-        display._fingerprint()
-        != Display(Modulator(shape, PITCH, 4, response=panels[::-1]), colours, 2e-3)._fingerprint()
+        display.fingerprint() != Display(Modulator(shape, PITCH, 4, response=panels[::-1]), colours, 2e-3).fingerprint()
     )
     with pytest.raises(ValueError, match="one for each of 3 frames, got 2"):
         Display(Modulator(shape, PITCH, 4, response=panels[:2]), colours, [2e-3])

@@ -102,7 +102,7 @@ def test_eyepiece_spreads_light_as_two_stretches_and_a_thin_lens_do(lens):
     d = 1 - lens.before / lens.focal_length
     whole = np.exp(1j * np.pi / (WAVELENGTH * b) * (a * x**2 - 2 * np.outer(u, x) + d * u[:, None] ** 2))
     np.testing.assert_allclose(chain / chain[3, 1], whole / whole[3, 1], atol=0.02)
-    np.testing.assert_allclose(eyed(Eyes(lens))._sight(0, 0).ray_matrix(), (a, b, d))
+    np.testing.assert_allclose(eyed(Eyes(lens)).path.sight(0, 0).ray_matrix(), (a, b, d))
 
 
 def test_eyepiece_shows_the_panel_at_its_image():

@@ -9,6 +9,8 @@ from emulated_device import NAME, EmulatedDevice
 from rank_tasks import check_shared_holograms, colour_display, pictures
 
 from odak.learn.wave import Descent, Display, Modulator, Run, multiplane_loss, optimise
+from odak.learn.wave.displays.parts import shared_among
+from odak.learn.wave.displays.paths.free import FreePath
 
 BRIEF = Run(iterations=3, progress=False)
 
@@ -37,25 +39,34 @@ def test_planes_colours_and_frames_of_one_picture_are_shared(count):
 def test_each_device_computes_a_nearly_equal_part(monkeypatch):
     """Of 2 planes, 2 colours and 2 frames: 8 units; each plane's transfer functions are made once per device."""
     made, shown = [], []
-    kernel, image = Display._of_plane, Display._image
-    monkeypatch.setattr(Display, "_of_plane", lambda self, *a: made.append((id(self), *a[:2])) or kernel(self, *a))
-    monkeypatch.setattr(Display, "_image", lambda self, light, part, powers: shown.append((id(self), part)) or image(
-        self, light, part, powers
-    ))  # fmt: skip
-    display = colour_display()._shared_among([torch.device("cpu")] * 3)
+    kernel, image = FreePath._of_plane, Display.images_of
+
+    def makes(path, device, colour, plane, dtype):
+        made.append((colour, plane))
+        return kernel(path, device, colour, plane, dtype)
+
+    def shows(own, part, lights, powers):
+        shown.append((id(own), part))
+        return image(own, part, lights, powers)
+
+    monkeypatch.setattr(FreePath, "_of_plane", makes)
+    monkeypatch.setattr(Display, "images_of", shows)
+    display = shared_among(colour_display(), [torch.device("cpu")] * 3)
     display(torch.zeros(2, 12, 16))
     units = {}
     for own, part in shown:
         units.setdefault(own, []).extend((part.colour, d, f) for d in part.planes for f in part.frames)
     assert sorted(map(len, units.values())) == [2, 3, 3]
     assert len({unit for share in units.values() for unit in share}) == 8
-    assert len(made) == len(set(made)) == len({(own, *unit[:2]) for own, share in units.items() for unit in share})
+    assert sorted(made) == sorted(
+        {(own, *unit[:2]): unit[:2] for own, share in units.items() for unit in share}.values()
+    )
 
 
 def test_the_second_device_gets_no_tensor_of_the_first():
     phases, display, found = torch.rand(2, 12, 16, dtype=torch.float64, requires_grad=True), colour_display(), []
     with EmulatedDevice():
-        for shown in (display, display._shared_among([torch.device("cpu"), torch.device(NAME)])):
+        for shown in (display, shared_among(display, [torch.device("cpu"), torch.device(NAME)])):
             images = shown(phases)
             assert images.device.type == "cpu"
             found.append((images, *torch.autograd.grad(images.square().sum(), phases)))

@@ -9,7 +9,7 @@ import torch
 
 from odak import AccuracyWarning, ConvergenceWarning, SamplingWarning
 from odak.learn import wave
-from odak.learn.wave.holograms import STARTS
+from odak.learn.wave.holograms.starts import STARTS
 from odak.wave.methods import PROPAGATION_TYPES
 
 PITCH, SIZE = 8e-6, (64, 80)

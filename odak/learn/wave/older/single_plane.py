@@ -25,10 +25,13 @@ from odak.learn._tensors import (
 from odak.learn.tools.iterations import SOLVERS, Run, minimise
 from odak.learn.wave.camera import captured_by, with_model_gradient
 from odak.learn.wave.fields import generate_complex_field, mean_intensity, unit_phasor
+from odak.learn.wave.holograms.solvers.double_phase import encode_double_phase
+from odak.learn.wave.holograms.starts import STARTS, starting_phase
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.slm import checked_fill, iris_cutoff
 from odak.learn.wave.training import (
     REGISTER,
+    best_scale,
     check_brightness,
     checked_intensities,
     fingerprint,
@@ -44,13 +47,6 @@ from odak.wave.transfer_functions import checked_pitch, convolve, pitches
 
 P = ParamSpec("P")
 R = TypeVar("R")
-# The last three are the names of solvers too; see displays.SOLVERS.
-STARTS = ("quadratic", "flat", "random", "double phase", "gs", "network")
-_SPELLINGS = {"gerchberg-saxton": "gs", "gerchberg–saxton": "gs", "double-phase": "double phase"}
-# Of the Nyquist frequency, reached at the edges of the hologram.
-_QUADRATIC_SHARE = 0.25
-# Iterations of the start "gs"; more would leave the descent less to gain than they take.
-_PROJECTIONS = 10
 
 
 def accepts_older_form(function: Callable[P, R]) -> Callable[P, R]:
@@ -340,106 +336,10 @@ def stochastic_gradient_descent(
         return hologram, shown
 
 
-def best_scale(image: torch.Tensor, target: torch.Tensor, axes: tuple[int, ...] | None = (-2, -1)) -> torch.Tensor:
-    """Return s = ⟨I, T⟩/⟨I, I⟩ over some axes, or all: the scale at which an image is closest to its target."""
-    norm = (image * image).sum(axes, keepdim=True).clamp_min(torch.finfo(image.dtype).tiny)
-    return (image * target).sum(axes, keepdim=True) / norm
-
-
-def named(argument: str, name: str, names: Sequence[str]) -> str:
-    """Return the name of a start or a solver, which may be spelt in other ways."""
-    spelt = _SPELLINGS.get(name.strip().casefold(), name) if isinstance(name, str) else name
-    return _validate.one_of(argument, spelt, names)
-
-
-@functools.cache
-def network_on(device: torch.device) -> torch.nn.Module:
-    """Return the network that is named "network", with the weights included in odak."""
-    from odak.learn.models import hologram_network
-
-    with torch.inference_mode(False):
-        return hologram_network(pretrained=True).to(device)
-
-
 def _checked_target(target) -> torch.Tensor:
     if isinstance(target, torch.Tensor):
         _validate.planes("target", target)
     return checked_intensities("target", target)
-
-
-def starting_phase(
-    name: str,
-    target: torch.Tensor,
-    wavelength: float,
-    distance: float,
-    dx: float | Sequence[float],
-    propagation_type: str = "Angular Spectrum",
-    seed: int | None = None,
-    frames: int = 1,
-) -> torch.Tensor:
-    """Return a phase from which gradient descent may start.
-
-    Parameters
-    ----------
-    name : str
-        "flat": zero. "random": uniform over a cycle. "quadratic": a weak lens, whose light moves by up to a quarter of
-        the Nyquist frequency at the edges. "double phase": the double-phase encoding of the target propagated back with
-        a flat phase. "gs", or "gerchberg-saxton": ten accelerated iterations of Gerchberg–Saxton from the quadratic
-        phase. "network": the phase of :class:`odak.learn.models.hologram_network` with the weights included in odak,
-        for square pixels.
-    target : torch.Tensor
-        Intensity ``[..., rows, columns]``.
-    wavelength : float
-        Wavelength in metres.
-    distance : float
-        Distance from hologram to image in metres.
-    dx : float or sequence of float
-        Pixel pitch in metres, one number or a pair (rows, columns).
-    propagation_type : str
-        Propagation type of "double phase" and "gs".
-    seed : int, optional
-        Makes what is random reproducible.
-    frames : int
-        Number of frames. Several frames of a deterministic start differ by normal noise of 0.5 rad.
-
-    Returns
-    -------
-    torch.Tensor
-        Phase in radians, of the target's shape, ``[frames, …]`` with several frames.
-    """
-    name = named("initial_phase", name, STARTS)
-    generator = None if seed is None else generator_from(seed)
-    shape = tuple(target.shape) if frames == 1 else (frames, *target.shape)
-
-    def drawn(draw):
-        # On the CPU, so that a seed gives the same start on every device.
-        return draw(shape, generator=generator, dtype=target.dtype).to(target.device)
-
-    if name == "random":
-        return 2 * math.pi * drawn(torch.rand)
-    phase = torch.zeros_like(target)
-    if name == "double phase":
-        field: Any = propagate_within_window(
-            target.clamp_min(0).sqrt() + 0j, -distance, dx, wavelength, propagation_type
-        )
-        phase = encode_double_phase(field)
-    elif name == "network":
-        with torch.no_grad():
-            phase = network_on(target.device)(target, wavelength, dx, distance)
-    elif name != "flat":
-        for axis, n in ((-2, target.shape[-2]), (-1, target.shape[-1])):
-            place = torch.arange(n, dtype=target.dtype, device=target.device) - n // 2
-            bend = _QUADRATIC_SHARE * math.pi / n * place**2
-            phase = phase + (bend[:, None] if axis == -2 else bend)
-        if name == "gs":
-            amplitude = target.clamp_min(0).sqrt()
-            hologram = phase_retrieval.retrieve(
-                *(amplitude, range(_PROJECTIONS), distance, dx, wavelength, 2 * math.pi, propagation_type, phase, seed),
-                accelerated=True,
-                checked=True,
-            )[0]
-            phase = hologram.angle()
-    return phase if frames == 1 else phase + 0.5 * drawn(torch.randn)
 
 
 @accepts_descent_form
@@ -785,31 +685,6 @@ def double_phase_hologram(
     hologram = unit_phasor(encode_double_phase(there))
     shown: Any = propagate_within_window(hologram, distance=distance, pixel_fill=fill, **lengths)
     return hologram, shown
-
-
-def encode_double_phase(field: torch.Tensor) -> torch.Tensor:
-    """Return the checkerboard phase whose neighbours average to a field (Hsueh and Sawchuk 1978).
-
-    Parameters
-    ----------
-    field : torch.Tensor
-        Complex ``[..., rows, columns]``; the amplitude is divided by its maximum.
-
-    Returns
-    -------
-    torch.Tensor
-        Phase in radians, of zero mean before the ± arccos(amplitude) is added.
-    """
-    amplitude = field.abs()
-    amplitude = amplitude / amplitude.amax(dim=(-2, -1), keepdim=True).clamp_min(torch.finfo(amplitude.dtype).tiny)
-    phase = field.angle()
-    phase = phase - phase.mean(dim=(-2, -1), keepdim=True)
-    # The derivative of arccos is infinite at one, the amplitude of the brightest pixel, whose gradient is set to zero.
-    dimmer = amplitude < 1
-    offset = torch.where(dimmer, torch.arccos(torch.where(dimmer, amplitude, 0)), 0)
-    rows, columns = (torch.arange(n, device=field.device) for n in field.shape[-2:])
-    sign = 1 - 2 * ((rows[:, None] + columns[None, :] + 1) % 2)
-    return phase + sign * offset
 
 
 @in_own_precision

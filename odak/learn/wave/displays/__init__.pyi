@@ -1,0 +1,17 @@
+from ..holograms.optimising import SOLVERS as SOLVERS
+from ..holograms.optimising import Target as Target
+from ..holograms.optimising import optimise as optimise
+from ..holograms.problem import Problem as Problem
+from ..holograms.problem import Solver as Solver
+from ..holograms.result import DisplayedHologram as DisplayedHologram
+from ..holograms.solvers.descent import Descent as Descent
+from ..holograms.solvers.double_phase import DoublePhase as DoublePhase
+from ..holograms.solvers.network import Network as Network
+from ..holograms.solvers.projections import AlternatingProjections as AlternatingProjections
+from ..holograms.starts import starting_phases as starting_phases
+from ..training import brightness_of as brightness_of
+from .display import Display as Display
+from .judge import mean_over_areas as mean_over_areas
+from .panels import AmplitudePanel as AmplitudePanel
+from .panels import Iris as Iris
+from .panels import Modulator as Modulator

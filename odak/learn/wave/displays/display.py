@@ -1,0 +1,424 @@
+"""Displays as objects: a panel, its light sources, and the images that its light forms.
+
+A display asks its path of light for fields, and takes their means over time and over the areas of pixels. It knows no
+kind of path.
+"""
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+
+from odak import _array, _show, _torch_private, _validate
+from odak._attributes import Prepared
+from odak._warnings import ArgumentWarning, warn
+from odak.instruments import Calibration, Lens, load_calibration
+from odak.learn._tensors import ValuesRead, floating
+from odak.learn.wave.displays.areas import over_areas
+from odak.learn.wave.displays.judge import judged
+from odak.learn.wave.displays.panels import Iris, Modulator
+from odak.learn.wave.displays.parts import Part, Shares, frames_lit
+from odak.learn.wave.displays.paths.base import Kept, Lights, listed
+from odak.learn.wave.displays.paths.choice import path_to
+from odak.learn.wave.displays.sections import view_of
+from odak.learn.wave.eyes import Eyes
+from odak.learn.wave.fields import exposure, intensity
+from odak.learn.wave.slm import spatial_light_modulator
+from odak.learn.wave.training import fingerprint
+
+
+class Display(Prepared, torch.nn.Module):
+    """A holographic display: a modulator, its light sources, and the planes that images are on.
+
+    Use it where you want to know what an eye or a camera sees of phase patterns: :meth:`forward` returns the means of
+    the intensity over the areas of pixels, with the spectrum of pixels of finite size. Patterns for it are computed
+    by :func:`optimise`. For fields at points or a relay, use :class:`odak.learn.wave.propagator`.
+
+    Parameters
+    ----------
+    modulator : Modulator
+        The panel.
+    wavelengths : float or sequence of float
+        Wavelengths of the C light sources in metres.
+    distances : float, sequence of float, odak.instruments.Lens or Eyes
+        Distances of the D planes from the panel, or from its image by a relay, in metres; or the lens behind which a
+        single plane is: the points of its images are λ·focal_length/(rows·pitch) and λ·focal_length/(columns·pitch)
+        apart, the axis at rows // 2 and columns // 2, over all that the pixels reach; or :class:`Eyes`, whose D retinal
+        images take the place of planes.
+    frames : int, optional
+        Patterns F that are shown one after another, faster than an eye tells apart; one for each source by default.
+    powers : torch.Tensor, optional
+        Power of each source in each frame, ``[F, C]``; by default frame f is lit by source f mod C alone. Images are
+        normalised to one unit of power of each source, shared out among its frames. All sources of a frame meet the
+        same phases in radians; for a panel that shows one path difference to all of them, use
+        :class:`odak.learn.wave.propagator` and its `phase_scale`.
+    profile : torch.Tensor, optional
+        Amplitude of the light on the modulator, ``[rows, columns]`` or ``[C, rows, columns]``; one by default.
+    iris : Iris or str, optional
+        "order", a square stop that passes one diffraction order, |f| ≤ 1/(2·pitch); a round :class:`Iris`; or None for
+        no stop, where nine orders are computed: 36 transforms of an image instead of four. Eyes get all orders then.
+    medium : float
+        Refractive index between the modulator and the planes.
+
+    Attributes
+    ----------
+    samples : int
+        Points along each axis of a pixel at which the intensity is computed, from which its mean follows.
+    path : object
+        What the light meets from the pixels to the images.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Warns
+    -----
+    AccuracyWarning
+        If the iris passes less than half a period across the modulator, and images are mere tails of its spot.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import Display, Modulator
+    >>> display = Display(Modulator((32, 48), 8e-6), [639e-9, 515e-9, 473e-9], [2e-3, 3e-3])
+    >>> display(torch.zeros(3, 32, 48)).shape
+    torch.Size([2, 3, 32, 48])
+    >>> display(torch.zeros(5, 3, 32, 48)).shape  # a batch of five
+    torch.Size([5, 2, 3, 32, 48])
+    >>> display
+    Display: 32 × 48 pixels of 8 µm (fill 0.9, 8 bits), 639, 515, 473 nm, 3 frames, planes at 2, 3 mm, one order
+    """
+
+    _fixed = ("modulator", "wavelengths", "distances", "lens", "eyes", "medium", "iris", "frames", "samples", "path")
+    powers: torch.Tensor
+    profile: torch.Tensor | None
+
+    @_validate.takes_units("wavelengths", "distances")
+    def __init__(
+        self,
+        modulator: Modulator,
+        wavelengths: float | Sequence[float],
+        distances: float | Sequence[float] | Lens | Eyes,
+        frames: int | None = None,
+        powers: torch.Tensor | None = None,
+        profile: torch.Tensor | None = None,
+        iris: Iris | str | None = "order",
+        medium: float = 1.0,
+    ):
+        super().__init__()
+        if not isinstance(modulator, Modulator):
+            raise TypeError(f"modulator must be an odak.learn.wave.Modulator, got {type(modulator).__name__}")
+        self.modulator = modulator
+        self.path = path = path_to(modulator, wavelengths, distances, iris, medium)
+        self.wavelengths, self.distances, self.samples = path.wavelengths, path.distances, path.samples
+        self.iris, self.medium = path.iris, path.medium
+        self.lens = distances if isinstance(distances, Lens) else None
+        self.eyes = distances if isinstance(distances, Eyes) else None
+        colours = len(self.wavelengths)
+        self.frames = colours if frames is None else _validate.integer("frames", frames, minimum=1)
+        if (responses := len(modulator.responses())) not in (0, self.frames):
+            raise ValueError(
+                f"modulator must have a response, or one for each of {self.frames} frames, got {responses}"
+            )
+        if powers is None:
+            powers = torch.eye(colours).repeat(-(-self.frames // colours), 1)[: self.frames]
+        powers = self._fitting(powers).detach()
+        self.register_buffer("powers", powers)
+        self._powers_read = ValuesRead(frames_lit)
+        self._powers_read(powers)
+        if profile is not None:
+            profile = _validate.image("profile", floating("profile", profile)).detach()
+            if profile.shape[-2:] != torch.Size(modulator.resolution) or profile.ndim > 3:
+                raise ValueError(
+                    f"profile must be [rows, columns] = {list(modulator.resolution)} or [{colours}, rows, columns], "
+                    f"got {list(profile.shape)}"
+                )
+            profile = profile.expand(colours, *modulator.resolution)
+        self.register_buffer("profile", profile)
+        self._kept = Kept(powers.device)
+        # Who computes which part of the images where several devices or ranks do.
+        self.shares: Shares | None = None
+
+    @classmethod
+    def from_calibration(
+        cls, calibration: Calibration | str | os.PathLike[str], fill: float = 0.9, **options: Any
+    ) -> "Display":
+        """Return the display of a calibrated table: its panel, response, aberration, illumination and distance.
+
+        Use it for holograms on your own table: patterns for it correct the aberration, and
+        :meth:`DisplayedHologram.levels` returns the levels whose measured phases are nearest. Of responses in regions
+        the mean over the panel is taken.
+
+        Parameters
+        ----------
+        calibration : odak.instruments.Calibration, str or os.PathLike
+            From :func:`odak.instruments.calibrate_table`, or the file of one, as `odak calibrate` writes it.
+        fill : float
+            Share of the area of a pixel that emits, which is not measured.
+        **options
+            Parameters of :class:`Display` beside the modulator, the wavelength and the profile; by default `distances`
+            is the distance of the camera.
+
+        Returns
+        -------
+        Display
+            The display, whose images lie on the pixels of the panel.
+
+        Raises
+        ------
+        ValueError
+            If the file cannot be read, or the number of levels is no power of two.
+
+        Examples
+        --------
+        >>> from odak.instruments import Calibration, SimulatedTable
+        >>> from odak.learn.wave import Display
+        >>> table = SimulatedTable(seed=1, shape=(32, 48), camera_shape=(40, 48))
+        >>> found = Calibration.nominal(table.modulator, table.camera, 532e-9, 20e-3)
+        >>> Display.from_calibration(found, iris=None)
+        Display: 32 × 48 pixels of 8 µm (fill 0.9, 8 bits), 532 nm, 1 frame, plane at 20 mm, no iris
+        """
+        if isinstance(calibration, (str, os.PathLike)):
+            calibration = load_calibration(calibration)
+        elif not isinstance(calibration, Calibration):
+            raise TypeError(f"calibration must be a Calibration or a file, got {type(calibration).__name__}")
+        bits = (len(calibration.phases) - 1).bit_length()
+        if len(calibration.phases) != 2**bits:
+            raise ValueError(f"calibration must have 2^bits levels, got {len(calibration.phases)}")
+        phases, wavefront = (torch.as_tensor(part) for part in (calibration.phases, calibration.wavefront))
+        response = spatial_light_modulator(bits=bits, lut=phases, aberration=wavefront)
+        modulator = Modulator(calibration.amplitude.shape, calibration.pitch, bits, fill, response)
+        known: dict[str, Any] = {"distances": calibration.distance, "profile": torch.as_tensor(calibration.amplitude)}
+        return cls(modulator, calibration.wavelength, **(known | options))
+
+    def extra_repr(self) -> str:
+        """Return the numbers of the display in a line."""
+        panel = self.modulator
+        pitch = " × ".join(f"{1e6 * p:.4g}" for p in dict.fromkeys(self.path.pitches))
+        levels = "no levels" if panel.bits is None else f"{panel.bits} bits"
+        stop = repr(self.iris) if isinstance(self.iris, Iris) else "no iris" if self.iris is None else "one order"
+        first = panel.lit_through
+        before = "" if first is None else f"lit through a panel at {1e3 * first.distance:.4g} mm, "
+        return (
+            f"{' × '.join(map(str, panel.resolution))} pixels of {pitch} µm (fill {panel.fill:g}, {levels}), "
+            f"{before}{listed(self.wavelengths, 1e9)} nm, {self.frames} frame{'s' * (self.frames > 1)}, "
+            f"{self.path.in_words()}, {stop}"
+        )
+
+    def __repr__(self) -> str:
+        return f"Display: {self.extra_repr()}"
+
+    def _repr_html_(self) -> str:
+        return _show.page(self, view_of)
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """Planes, colours, rows and columns of the images."""
+        return (len(self.distances), len(self.wavelengths), *self.modulator.resolution)  # type: ignore[return-value]
+
+    def _apply(self, function, recurse: bool = True):
+        super()._apply(function, recurse)
+        self._kept = Kept(self.powers.device)
+        self._powers_read.moved(self.powers)
+        return self
+
+    def _load_from_state_dict(self, *arguments) -> None:
+        super()._load_from_state_dict(*arguments)
+        self._powers_read(self.powers)
+
+    @property
+    def lit_frames(self) -> tuple[tuple[int, ...], ...]:
+        """For each colour, the frames in which its source is on."""
+        return self._powers_read(self.powers)
+
+    def fingerprint(self) -> str:
+        """Return a short text that a display of other lengths, light or panels does not have."""
+        panel, first = self.modulator, self.modulator.lit_through
+        given = [self.powers] if self.profile is None else [self.powers, self.profile]
+        if isinstance(panel.response, torch.nn.Module):
+            given += panel.response.state_dict().values()
+        words = self.path.words(), panel.bits, None if first is None else first.bits
+        return fingerprint(torch.tensor(list(repr(words).encode())), *given)
+
+    def fields(self, phases: torch.Tensor, amplitudes: torch.Tensor | None = None) -> torch.Tensor:
+        """Return the fields at the middles of the pixels, of unit power of the sources.
+
+        Parameters
+        ----------
+        phases : torch.Tensor
+            Phases ``[..., F, rows, columns]`` in radians, or ``[rows, columns]`` for a single frame.
+        amplitudes : torch.Tensor, optional
+            Amplitudes of a panel in front of the modulator, of the same shape, as in :meth:`forward`.
+
+        Returns
+        -------
+        torch.Tensor
+            Complex ``[..., F, D, C, rows, columns]``.
+        """
+        lights = self.lights(phases, amplitudes)
+        colours = range(self.shape[1])
+        return torch.stack([self.path.middles(self._kept, self.lit_by_source(lights, c), c) for c in colours], -3)
+
+    def forward(
+        self, phases: torch.Tensor, powers: torch.Tensor | None = None, amplitudes: torch.Tensor | None = None
+    ) -> torch.Tensor:
+        """Return what is seen: for each plane and colour the mean over time, and over the area of each pixel.
+
+        Parameters
+        ----------
+        phases : torch.Tensor
+            Phases ``[F, rows, columns]`` in radians, or ``[rows, columns]`` for a single frame; differentiable. More
+            axes in front are a batch of patterns, each of which is shown by itself.
+        powers : torch.Tensor, optional
+            Powers ``[F, C]`` of the sources, in place of the display's own; differentiable. A source that is off in a
+            frame of the display stays off, of which an ArgumentWarning tells; :meth:`lit_by` lights it.
+        amplitudes : torch.Tensor, optional
+            Amplitudes 0 … 1 of the panel that the modulator is lit through, of the shape of the phases; differentiable.
+            One by default.
+
+        Returns
+        -------
+        torch.Tensor
+            Real ``[..., D, C, rows, columns]``, in units of what a flat phase sends into the order in the middle: the
+            light on the modulator times the square of its `fill`, and of the `fill` of a panel before it.
+        """
+        lights = self.lights(phases, amplitudes)
+        powers = self.powers if powers is None else self._in_its_frames(self._fitting(powers))
+        if self.shares is not None:
+            return self.shares.images(lights, powers)
+        planes = tuple(range(self.shape[0]))
+        parts = [Part(colour, planes, frames) for colour, frames in enumerate(self.lit_frames)]
+        return torch.stack([self.images_of(part, lights, powers) for part in parts], -3)
+
+    def replaced(self, amplitudes: torch.Tensor, light: torch.Tensor, color: int) -> torch.Tensor:
+        """Return the light on the panel whose images have other amplitudes ``[D, rows, columns]``, by the adjoint."""
+        return self.path.replaced(self._kept, amplitudes, light, color)
+
+    def judge(self, phases: torch.Tensor, amplitudes: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the images of patterns by another computation than :meth:`forward`, and those at points.
+
+        Each pixel is a comb of samples, propagated by the method that :func:`odak.wave.sampling_report` recommends on a
+        grid of twice the size that :meth:`forward` takes, and multiplied by the spectrum of a square; the mean over the
+        area of a pixel is a product of spectra. It shares neither transfer functions nor weights with :meth:`forward`.
+
+        Parameters
+        ----------
+        phases : torch.Tensor
+            Phases ``[F, rows, columns]`` in radians.
+        amplitudes : torch.Tensor, optional
+            Amplitudes of a panel in front of the modulator, of the same shape, as in :meth:`forward`.
+
+        Returns
+        -------
+        tuple of torch.Tensor
+            Means over the areas of pixels, and intensities at their middles, ``[D, C, rows, columns]`` each.
+        """
+        return judged(self, phases, amplitudes)
+
+    def lit_by(self, powers: torch.Tensor) -> "Display":
+        """Return the same display with other powers of the sources, ``[F, C]``."""
+        given = self.modulator, self.wavelengths, self.path.ends, self.frames, powers, self.profile
+        return Display(*given, self.iris, self.medium).to(self.powers.device)
+
+    def lights(self, phases: torch.Tensor, amplitudes: torch.Tensor | None = None) -> Lights:
+        """Return what each panel does to the light, in the order in which it meets them, ``[..., F, rows, columns]``.
+
+        The modulator is the last of them.
+        """
+        light, amplitudes = self._light(phases), self._amplitudes(amplitudes)
+        return (light,) if amplitudes is None else (amplitudes.to(light.dtype), light)
+
+    def _light(self, phases):
+        if "int" in str(getattr(phases, "dtype", "")) and _array.is_readable(phases) and phases.max() > 7:
+            raise ValueError(
+                f"phases must be in radians, got integers up to {int(phases.max())}: levels of the panel? Their phases "
+                "are 2π·level/2^bits"
+            )
+        return self.modulator.light(self._patterns("phases", floating("phases", phases)))
+
+    def _patterns(self, name: str, values: torch.Tensor) -> torch.Tensor:
+        """Return the values of pixels in each frame, ``[..., F, rows, columns]``, on the device of the display."""
+        shape = (self.frames, *self.modulator.resolution)
+        if self.frames == 1 and tuple(values.shape) == shape[1:]:
+            values = values[None]
+        if tuple(values.shape[-3:]) != shape:
+            raise ValueError(f"{name} must be [frames, rows, columns] = {list(shape)}, got {list(values.shape)}")
+        return values.to(self.powers.device)
+
+    def _amplitudes(self, amplitudes):
+        """Return the amplitudes of the first of two panels ``[..., F, rows, columns]``; None where there is one."""
+        if self.modulator.lit_through is None:
+            if amplitudes is not None:
+                raise ValueError("amplitudes must be None for a modulator without lit_through")
+            return None
+        if amplitudes is None:
+            return self.powers.new_ones(self.frames, *self.modulator.resolution)
+        amplitudes = self._patterns("amplitudes", floating("amplitudes", amplitudes))
+        # Reading them would wait for the device at each step of an optimisation.
+        known = not (amplitudes.requires_grad or torch.compiler.is_compiling() or _torch_private.is_wrapped(amplitudes))
+        if known and not bool(((amplitudes >= 0) & (amplitudes <= 1)).all()):
+            raise ValueError(f"amplitudes must be 0 … 1, got {float(amplitudes.min())} to {float(amplitudes.max())}")
+        return amplitudes
+
+    def _fitting(self, powers):
+        powers, shape = floating("powers", powers), [self.frames, len(self.wavelengths)]
+        if list(powers.shape) != shape:
+            raise ValueError(f"powers must be [frames, wavelengths] = {shape}, got {list(powers.shape)}")
+        return powers
+
+    def _in_its_frames(self, powers):
+        """Return powers after a warning where they light a source in a frame in which it stays off."""
+        if powers.requires_grad or torch.compiler.is_compiling() or not _array.is_readable(powers):
+            return powers
+        if any(set(given) - set(own) for given, own in zip(frames_lit(powers), self.lit_frames, strict=True)):
+            warn(
+                "powers light a source in a frame in which it is off in this display, and where it stays off: "
+                "make a display of these powers by lit_by(powers)",
+                ArgumentWarning,
+            )
+        return powers
+
+    def _lit(self, light, colour):
+        return light if self.profile is None else light * self.profile[colour].to(light.dtype)
+
+    def lit_by_source(self, lights: Lights, color: int) -> Lights:
+        """Return what panels do to light, the first lit by the source of a colour."""
+        return self._lit(lights[0], color), *lights[1:]
+
+    @torch.no_grad()
+    def flat_light(self, color: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return what the light of a flat pattern has: amplitude, of mean square one, and phase, such as aberration."""
+        if self.profile is None and self.modulator.response is None:
+            return self.powers.new_ones(()), self.powers.new_zeros(())
+        flat = self._light(self.powers.new_zeros(self.frames, *self.modulator.resolution))
+        light = self._lit(flat, color)[self.lit_frames[color][0]]
+        return light.abs() / intensity(light).mean().sqrt(), light.angle()
+
+    def images_of(self, part: Part, lights: Lights, powers: torch.Tensor) -> torch.Tensor:
+        """Return a part of the images that panels form, means over areas ``[..., planes, rows, columns]``.
+
+        Parameters
+        ----------
+        part : Part
+            Which colour, planes and frames.
+        lights : tuple of torch.Tensor
+            What each panel does to the light, ``[..., F, rows, columns]``.
+        powers : torch.Tensor
+            Powers ``[F, C]`` of the sources.
+        """
+        colour, frames, power = part.colour, part.frames, powers[:, part.colour]
+
+        def shown_in(values):
+            return values if len(frames) == self.frames else torch.stack([values[..., f, :, :] for f in frames], -3)
+
+        lit = self.lit_by_source(tuple(shown_in(light) for light in lights), colour)
+        shown = self.path.points(self._kept, lit, colour, part.planes)
+        amplitudes = (torch.stack([power[f] for f in frames]) / power.sum()).sqrt()[:, None].to(shown.real.dtype)
+        # The patterns of a batch beside the planes: frames are summed up, and these are not.
+        batch, points = shown.shape[:-4], shown.movedim(-4, 0).flatten(1, -3)
+        areas = over_areas(
+            exposure(points[:, :, None], amplitudes)[:, 0].unflatten(0, (-1, self.samples, self.samples))
+        )
+        return areas.reshape(*batch, -1, *areas.shape[-2:])

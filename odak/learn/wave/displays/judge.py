@@ -1,0 +1,248 @@
+"""Images of a display by another computation than its own, which judges holograms.
+
+It imports no path of light and shares no arithmetic with one: of a display it asks for the panels, lengths and stops.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+
+from odak import _array
+from odak.instruments import Lens
+from odak.learn.wave.displays.panels import Iris, orders_through
+from odak.learn.wave.eyes import Eyes, Sight
+from odak.learn.wave.fields import intensity
+from odak.learn.wave.propagation import propagate_beam
+from odak.wave.sampling import sampling_report
+from odak.wave.transfer_functions import divided_pitch
+from odak.wave.viewing import covered
+
+
+@torch.no_grad()
+def judged(
+    display: Any, phases: torch.Tensor, amplitudes: torch.Tensor | None = None
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the images of patterns on a display, and those at points; see :meth:`odak.learn.wave.Display.judge`."""
+    lights, at = display.lights(phases, amplitudes), display.path
+    if lights[-1].ndim > 3:
+        raise ValueError(f"phases must be without a batch, [frames, rows, columns], got {list(lights[-1].shape)}")
+    like = lights[-1].real
+    images = torch.stack([torch.zeros(display.shape, device=like.device, dtype=like.dtype)] * 2)
+    for c in range(display.shape[1]):
+        power = display.powers[:, c] / display.powers[:, c].sum()
+        for d in range(display.shape[0]):
+            for f in display.lit_frames[c]:
+                # One frame at a time, which takes less memory.
+                own = display.lit_by_source(tuple(one[f : f + 1] for one in lights), c)
+                shown, finer = _field_at(at, [one[0] for one in own], c, d)
+                images[0, d, c] += power[f] * mean_over_areas(shown, at.sizes, finer)
+                images[1, d, c] += power[f] * _middles(intensity(shown), at.sizes, finer)
+    return images[0], images[1]
+
+
+def _field_at(at, lights, colour: int, image: int) -> tuple[torch.Tensor, int]:
+    """Return the field on the plane of an image over twice the extent of the panel, and its samples per pixel.
+
+    `at` are the numbers of a display: its panels, stops, and the distances, the lens or the eyes where its images are.
+    """
+    if isinstance(at.ends, Eyes):
+        axes = at.sizes, at.pitches
+        sight = Sight(at.ends, image, *axes, at.wavelengths[colour], math.sqrt(at.fill), at.iris == "order")
+        return _on_retina(lights[0], sight)
+    if isinstance(at.ends, Lens):
+        return _spread(at, lights[0], colour), 2
+    if at.first is not None:
+        finer = 2 + orders_through(at.first.iris, at.wavelengths, at.pitches)
+        field = _both(at, lights[0], lights[1], colour, finer)
+    else:
+        finer = orders_through(at.iris, at.wavelengths, at.pitches)
+        # Without a round stop the grid has no frequencies but those that pass.
+        passed = _passed(at, finer, colour, at.iris, lights[0].device) if isinstance(at.iris, Iris) else 1.0
+        field = _sampled(at, lights[0], finer, at.fill, passed)
+    return _spread_freely(at, field, at.wavelengths[colour] / at.medium, at.distances[image], finer), finer
+
+
+def _spread(at, light, colour):
+    """Return the field behind the lens at twice as many points as an image has, over twice its extent."""
+    sizes, wavelength, (a, b) = at.sizes, at.wavelengths[colour], at.ends.ray_matrix
+    y, x = ((torch.arange(n, dtype=torch.float64) - n // 2) * p for n, p in zip(sizes, at.pitches, strict=True))
+    # The curvature that the lens leaves at a plane beside its focus.
+    turn = 2 * math.pi * torch.remainder(a * at.medium / (2 * wavelength * b) * (y[:, None] ** 2 + x**2), 1)
+    light = light * torch.polar(torch.ones_like(turn), turn).to(light.device, light.dtype)
+    # In the order of the transform, whose period is one order.
+    field = torch.fft.fft2(light, s=[2 * n for n in sizes]).tile(2, 2) / math.sqrt(math.prod(sizes))
+    frequencies = [(torch.arange(4 * n, dtype=torch.float64) - 2 * n) / (2 * n) for n in sizes]
+    # The panel begins at the first sample, its axis is pixel n // 2.
+    moved = [f * (n // 2) for f, n in zip(frequencies, sizes, strict=True)]
+    turn = 2 * math.pi * torch.remainder(moved[0][:, None] + moved[1], 1)
+    # Square pixels, the block on the axis, and the iris.
+    radius = torch.hypot(frequencies[0][:, None] / at.pitches[0], frequencies[1] / at.pitches[1])
+    passed = torch.outer(*(torch.sinc(math.sqrt(at.fill) * f) for f in frequencies))
+    passed = passed * (wavelength / at.medium * abs(b) * radius >= at.ends.block)
+    passed = passed * (radius <= at.iris.cutoff(wavelength)) if isinstance(at.iris, Iris) else passed
+    return torch.fft.fftshift(field) * torch.polar(passed, turn).to(light.device, light.dtype)
+
+
+def _on_retina(light, sight: Sight):
+    """Return the field that an eye sees, over an area of twice the extent of the panel, and its samples per pixel.
+
+    Along each axis the light of square pixels passes the stop, and is transformed to the plane of the pupil with
+    the curvature that the path gives it, and back.
+    """
+    (a, b, _), kind = sight.ray_matrix(), {"dtype": torch.float64, "device": light.device}
+    boxes, lengths, places, spacing = [sight.box(axis) for axis in (0, 1)], [], [], []
+    axes = list(zip((-2, -1), light.shape, sight.pitches, boxes, *sight.pupil(), strict=True))
+    # Zeros around a small panel bring the points of the pupil nearer to each other.
+    wide = max(math.ceil(16 * box / (n * half)) for _, n, _, box, _, half in axes)
+    for axis, n, pitch, box, middle, half in axes:
+        # All orders that reach the pupil, from the rim of the panel too.
+        finer = math.ceil(2 * (abs(middle) + half) / box + 1)
+        count, step = 2 * n * finer * wide, pitch / finer
+        comb = light.new_zeros(*(count if k == axis else light.shape[k] for k in (-2, -1)))
+        first = count // 2 - n // 2 * finer
+        comb.narrow(axis, first, n * finer).unfold(axis, finer, finer)[..., 0].copy_(light)
+        f = torch.fft.fftfreq(count, step, **kind)
+        passed = torch.sinc(sight.width * pitch * f) * finer
+        if sight.one_order:
+            # Half of the last frequency, which is rounded.
+            passed = passed * sum(0.5 * (f.abs() < (0.5 + shift) / pitch) for shift in (-1e-6, 1e-6))
+        x = (torch.arange(count, **kind) - count // 2) * step
+        bent = torch.fft.ifftshift(_array.phasor_of_cycles(a / (2 * sight.wavelength * b) * x**2))
+
+        passed, bent = (v.to(light.dtype)[:, None] if axis == -2 else v.to(light.dtype) for v in (passed, bent))
+        spectrum = torch.fft.fft(torch.fft.ifftshift(comb, axis), dim=axis) * passed
+        there = torch.fft.fft(torch.fft.ifft(spectrum, dim=axis) * bent, dim=axis)
+        u = f * sight.wavelength * b - middle
+        inside = torch.nonzero(u.abs() < half + sight.wavelength * abs(b) / (count * step))[:, 0]
+        inside = inside[f[inside].argsort()]
+        light = there.index_select(axis, inside)
+        places.append(u[inside] / half)
+        spacing.append(sight.wavelength * abs(b) / (count * step * half))
+        lengths.append(count)
+    down, across = places[0][:, None], places[1]
+    halves = sight.pupil()[1]
+    blur = sight.defocus() / (2 * sight.wavelength) * ((halves[0] * down) ** 2 + (halves[1] * across) ** 2)
+    light = light * (covered(torch, down, across, spacing) * _array.phasor_of_cycles(blur)).to(light.dtype)
+    # Tilts of the light as a whole have no effect on the image.
+    finer = max(math.ceil(len(p) / (2 * n * wide)) for p, (_, n, *_) in zip(places, axes, strict=True))
+    for count, (axis, n, *_) in zip(lengths, axes, strict=True):
+        size = 2 * n * finer * wide
+        more = size - light.shape[axis]
+        around = (more // 2, more - more // 2)
+        light = torch.nn.functional.pad(light, (0, 0, *around) if axis == -2 else around)
+        shown = torch.fft.ifft(torch.fft.ifftshift(light, axis), dim=axis) * (size / count)
+        light = torch.fft.fftshift(shown, axis)
+        light = light.narrow(axis, (size - 2 * n * finer) // 2, 2 * n * finer)
+    return light, finer
+
+
+def _sampled(at, light, samples, fill, passed: torch.Tensor | float = 1.0):
+    """Return the field of square pixels on a grid of twice its extent, with several samples in each pixel.
+
+    `passed` is what a stop passes of the frequencies of the grid.
+    """
+    sizes = at.sizes
+    comb = light.new_zeros([2 * n * samples for n in sizes])
+    # The middle of the panel, its pixel n // 2, lies on the middle of the finer grid.
+    first = [n * samples - n // 2 * samples for n in sizes]
+    comb[tuple(slice(a, a + n * samples, samples) for a, n in zip(first, sizes, strict=True))] = light
+    down, across = (
+        torch.sinc(math.sqrt(fill) * p * f) * samples
+        for p, f in zip(at.pitches, _frequencies(at, samples, light.device), strict=True)
+    )
+    return torch.fft.ifft2(torch.fft.fft2(comb) * (down[:, None] * across * passed))
+
+
+def _frequencies(at, samples, device) -> list[torch.Tensor]:
+    """Return the frequencies along rows and columns of a grid of twice the extent of the panel."""
+    return [
+        torch.fft.fftfreq(2 * n * samples, p, device=device)
+        for n, p in zip(at.sizes, divided_pitch(at.pitches, samples), strict=True)
+    ]
+
+
+def _passed(at, samples, colour, iris, device) -> torch.Tensor:
+    """Return what a stop passes of the frequencies of a grid."""
+    down, across = _frequencies(at, samples, device)
+    if isinstance(iris, Iris):
+        return down[:, None] ** 2 + across**2 <= iris.cutoff(at.wavelengths[colour]) ** 2
+    # Half of the last frequency itself, which is rounded, on either side.
+    half = [0.5 * orders_through(iris, at.wavelengths, at.pitches) / p for p in at.pitches]
+    down, across = (
+        0.5 * (f.abs() < (1 - 1e-6) * h) + 0.5 * (f.abs() < (1 + 1e-6) * h)
+        for f, h in zip((down, across), half, strict=True)
+    )
+    return down[:, None] * across
+
+
+def _both(at, amplitudes, light, colour, samples):
+    """Return the field behind the second of two panels, as far as the iris of the display passes it."""
+    first, wavelength = at.first, at.wavelengths[colour]
+    passed = _passed(at, samples, colour, first.iris, light.device)
+    there = _spread_freely(
+        at, _sampled(at, amplitudes, samples, first.fill, passed), wavelength, first.distance, samples
+    )
+    product = torch.fft.fft2(there * _sampled(at, light, samples, at.fill))
+    return torch.fft.ifft2(product * _passed(at, samples, colour, at.iris, light.device))
+
+
+def _spread_freely(at, field, wavelength, distance, samples):
+    """Return a field with several samples in each pixel after it has travelled a distance."""
+    if distance == 0:
+        return field
+    pitch = divided_pitch(at.pitches, samples)
+    with_padding = sampling_report(tuple(field.shape), pitch, wavelength, distance, zero_padding=True)
+    return propagate_beam(
+        field, None, distance, pitch, wavelength, with_padding.recommended, zero_padding=[True, False, True]
+    )
+
+
+def _middles(image: torch.Tensor, shape: Sequence[int], orders: int) -> torch.Tensor:
+    first = [n * orders - n // 2 * orders for n in shape]
+    return image[tuple(slice(a, a + n * orders, orders) for a, n in zip(first, shape, strict=True))]
+
+
+def mean_over_areas(shown: torch.Tensor, shape: Sequence[int], orders: int = 1) -> torch.Tensor:
+    """Return the mean intensity over the area of each pixel of a window in the middle of a field.
+
+    The intensity has twice the band of the field, so that samples at half steps describe it; its mean over squares is a
+    product of spectra: exact, but for what the grid wraps around. The samples at half steps are computed one
+    shift after the other, which takes a quarter of the memory of a finer grid.
+
+    Parameters
+    ----------
+    shown : torch.Tensor
+        Band-limited field ``[rows, columns]`` with `orders` samples per pixel along each axis.
+    shape : sequence of int
+        Rows and columns of pixels of the window.
+    orders : int
+        Samples per pixel.
+    """
+    # In the order of the transform: sample 0 is the optical axis.
+    spectrum, total = torch.fft.fft2(torch.fft.ifftshift(shown)), 0.0
+    shifted, weights = zip(*(_half_steps(n, orders, shown.real) for n in shown.shape), strict=True)
+    for a, b in itertools.product(range(2), range(2)):
+        light = intensity(torch.fft.ifft2(spectrum * shifted[0][a][:, None] * shifted[1][b]))
+        half = weights[1][b][: shown.shape[1] // 2 + 1]
+        total = total + torch.fft.rfft2(light) * weights[0][a][:, None] * half
+    return _middles(torch.fft.fftshift(torch.fft.irfft2(total, shown.shape)), shape, orders)
+
+
+def _half_steps(n: int, orders: int, like: torch.Tensor) -> list[list[torch.Tensor]]:
+    """Return factors of a spectrum that shift a field by 0 and ½ sample, and those that take means of its intensity.
+
+    The intensity at whole and half samples has frequencies up to one cycle per sample. At whole samples those above a
+    half fall on those below; each is weighted by the transform of a pixel.
+    """
+    f = torch.fft.fftfreq(n, dtype=torch.float64)
+    alias = f - torch.where(f < 0, -1.0, 1.0)
+    between, sinc = torch.polar(torch.ones_like(f), math.pi * f), [torch.sinc(orders * g) for g in (f, alias)]
+    # The highest frequency is one with its negative: half of it turns each way.
+    shifts = [torch.ones_like(between), torch.where(f == -0.5, 0.0, 1.0) * between]
+    # A shift by half a sample changes the sign of the aliases.
+    means = [(sinc[0] + sinc[1]) / 2 + 0j, (sinc[0] - sinc[1]) / 2 * between.conj()]
+    kind = torch.complex64 if like.dtype == torch.float32 else torch.complex128
+    return [[v.to(like.device, kind) for v in row] for row in (shifts, means)]

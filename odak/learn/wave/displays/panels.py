@@ -1,0 +1,221 @@
+"""Panels of pixels and round stops: what a display is made of. Touches no path of light."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+
+from odak import _validate
+from odak.learn.wave.fields import unit_phasor
+from odak.learn.wave.slm import TURN, even_levels
+from odak.wave.linear_kernels import checked_pixel_fill
+from odak.wave.transfer_functions import checked_pitch, pitches
+
+# Diffraction orders along each axis that are computed without a stop: the zeroth and its neighbours.
+_ORDERS = 3
+
+
+@_validate.takes_units("radius", "focal_length")
+@dataclass(frozen=True)
+class Iris:
+    """A round stop in the focal plane of a lens, which limits the frequencies that reach an image.
+
+    Use it for a 4f relay whose iris you know. Frequencies up to ``radius / (wavelength · focal_length)`` pass.
+
+    Parameters
+    ----------
+    radius : float
+        Radius in metres.
+    focal_length : float
+        Focal length of the lens in front of it in metres.
+
+    Examples
+    --------
+    >>> from odak.learn.wave import Iris
+    >>> round(Iris(2e-3, 0.2).cutoff(532e-9))
+    18797
+    """
+
+    radius: float
+    focal_length: float
+
+    def __post_init__(self):
+        _validate.real("radius", self.radius, positive=True)
+        _validate.real("focal_length", self.focal_length, positive=True)
+
+    def cutoff(self, wavelength: float) -> float:
+        """Return the highest frequency that passes at a wavelength, in cycles per metre."""
+        return self.radius / (wavelength * self.focal_length)
+
+
+@_validate.takes_units("distance")
+@dataclass(frozen=True)
+class AmplitudePanel:
+    """A panel that attenuates the light on its way to a phase modulator, with pixels of the same number and pitch.
+
+    Use it as `lit_through` of a :class:`Modulator` for two panels in series, with which a display forms amplitude and
+    phase. A relay images it onto the modulator or beside it, or the light travels freely between the two, through air.
+
+    Parameters
+    ----------
+    distance : float
+        Distance from the panel, or from its image by the relay, to the modulator in metres.
+    bits : int, optional
+        Bits of a pixel, 2^bits levels spread evenly over the amplitudes 0 … 1; None for amplitudes without levels.
+    fill : float
+        Share of the area of a pixel that transmits.
+    iris : Iris or str, optional
+        Stop of the relay: "order", a square one that passes one diffraction order, |f| ≤ 1/(2·pitch), or a round
+        :class:`Iris`. None without a relay, where nine orders are computed.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import AmplitudePanel, Display, Modulator
+    >>> panel = Modulator((32, 48), 8e-6, lit_through=AmplitudePanel())
+    >>> display = Display(panel, 532e-9, 3e-3)
+    >>> phases, amplitudes = torch.zeros(32, 48), torch.full((32, 48), 0.5)
+    >>> round(float((display(phases, amplitudes=amplitudes) / display(phases)).mean()), 3)
+    0.25
+    """
+
+    distance: float = 0.0
+    bits: int | None = 8
+    fill: float = 0.9
+    iris: Iris | str | None = "order"
+
+    def __post_init__(self):
+        _validate.constant("distance", self.distance)
+        checked_bits(self.bits)
+        checked_pixel_fill(self.fill)
+        checked_iris(self.iris)
+
+    def shown(self, amplitudes: torch.Tensor) -> torch.Tensor:
+        """Return the nearest amplitudes that the levels of the panel can show."""
+        if self.bits is None:
+            return amplitudes
+        return self.levels(amplitudes).to(amplitudes) / (2**self.bits - 1)
+
+    def levels(self, amplitudes: torch.Tensor) -> torch.Tensor:
+        """Return the levels whose amplitudes are nearest, int32 of the shape of the amplitudes; 256 without bits."""
+        return torch.round(amplitudes * (255 if self.bits is None else 2**self.bits - 1)).to(torch.int32)
+
+
+@_validate.takes_units("pitch")
+@dataclass(frozen=True)
+class Modulator:
+    """A phase-only spatial light modulator: its pixels, levels and response.
+
+    Use it to tell a :class:`Display` which panel you have. Of real panels only the inner part of each pixel, a square
+    of the share `fill`, modulates light, and this is the default; ``fill=1`` is a panel without gaps.
+
+    Parameters
+    ----------
+    resolution : sequence of int
+        Rows and columns.
+    pitch : float or sequence of float
+        Distance of neighbouring pixels in metres, one number or a pair (rows, columns).
+    bits : int, optional
+        Bits of a pixel, 2^bits levels spread evenly over 2π; None for a phase without levels.
+    fill : float
+        Share of the area of a pixel that emits.
+    response : callable or sequence of callable, optional
+        ``response(phase)`` returns the field of a phase pattern, such as
+        :class:`odak.learn.wave.spatial_light_modulator`; an ideal one by default. Its own fill factor must be 1. The
+        levels are its own where it has a table of their phases, `lut`. A sequence of modules holds one for each frame,
+        such as a table for each colour of a panel that shows colours in sequence.
+    lit_through : AmplitudePanel, optional
+        Panel that the light passes first, for two panels in series.
+
+    Examples
+    --------
+    >>> from odak.learn.wave import Modulator
+    >>> Modulator((1080, 1920), 8e-6).fill
+    0.9
+    """
+
+    resolution: Sequence[int]
+    pitch: float | Sequence[float]
+    bits: int | None = 8
+    fill: float = 0.9
+    response: Callable[..., Any] | Sequence[torch.nn.Module] | None = None
+    lit_through: AmplitudePanel | None = None
+
+    def __post_init__(self):
+        object.__setattr__(self, "resolution", _validate.size("resolution", self.resolution))
+        checked_pitch("pitch", self.pitch)
+        checked_bits(self.bits)
+        if not (self.lit_through is None or isinstance(self.lit_through, AmplitudePanel)):
+            raise TypeError(f"lit_through must be an AmplitudePanel or None, got {type(self.lit_through).__name__}")
+        checked_pixel_fill(self.fill)
+        if isinstance(self.response, (list, tuple)) and all(isinstance(one, torch.nn.Module) for one in self.response):
+            object.__setattr__(self, "response", torch.nn.ModuleList(self.response))
+        for one in self.responses() or [_validate.function_or_none("response", self.response)]:
+            if float(getattr(one, "fill_factor", 1.0)) != 1 or getattr(one, "samples_per_pixel", 1) > 1:
+                raise ValueError(
+                    "response must have a fill factor of 1 and one sample per pixel; give fill here instead"
+                )
+
+    def responses(self) -> list[torch.nn.Module]:
+        """Return the responses of the frames where each has its own."""
+        return list(self.response) if isinstance(self.response, torch.nn.ModuleList) else []
+
+    def _of_frames(self, method: str, phases: torch.Tensor) -> torch.Tensor:
+        """Return what a method gives for phases ``[..., frames, rows, columns]``, each frame by its own response."""
+        alone = [replace(self, response=one) for one in self.responses()]
+        if phases.ndim < 3 or phases.shape[-3] != len(alone):
+            raise ValueError(f"phases must be of {len(alone)} frames, one for each response, got {list(phases.shape)}")
+        parts = zip(alone, phases.unbind(-3), strict=True)
+        return torch.stack([getattr(one, method)(part) for one, part in parts], -3)
+
+    def light(self, phases: torch.Tensor) -> torch.Tensor:
+        """Return the field of phases ``[..., rows, columns]`` in radians, at the pixels."""
+        if self.responses():
+            return self._of_frames("light", phases)
+        return unit_phasor(phases) if self.response is None else self.response(phases)  # type: ignore[operator]
+
+    def shown(self, phases: torch.Tensor) -> torch.Tensor:
+        """Return the nearest phases that the levels of the panel can show, 0 … 2π."""
+        if self.bits is None:
+            return torch.remainder(phases, TURN)
+        if self.responses():
+            return self._of_frames("shown", phases)
+        if getattr(self.response, "lut", None) is not None:
+            return self.response.lut.to(phases)[self.levels(phases).long()]  # type: ignore[union-attr]
+        return even_levels(phases, 2**self.bits) * (TURN / 2**self.bits)
+
+    def levels(self, phases: torch.Tensor) -> torch.Tensor:
+        """Return the levels whose phases are nearest, int32 of the shape of the phases; 256 where there are none."""
+        if self.responses():
+            return self._of_frames("levels", phases)
+        if self.bits is not None and getattr(self.response, "lut", None) is not None:
+            return self.response.levels(phases)  # type: ignore[union-attr]
+        return even_levels(phases, 256 if self.bits is None else 2**self.bits).to(torch.int32)
+
+
+def checked_bits(bits: int | None) -> None:
+    """Raise ValueError unless a panel may have these bits, 1 to 16 or None."""
+    if bits is not None and not 1 <= _validate.integer("bits", bits) <= 16:
+        raise ValueError(f"bits must be 1 to 16 or None, got {bits}")
+
+
+def checked_iris(iris: Any) -> None:
+    """Raise ValueError unless the argument is a stop: "order", a round one, or None."""
+    if iris is not None and iris != "order" and not isinstance(iris, Iris):
+        raise ValueError(f"iris must be 'order', an Iris or None, got {iris!r:.80}")
+
+
+def orders_through(iris: Iris | str | None, wavelengths: Sequence[float], pitches: Sequence[float]) -> int:
+    """Return how many diffraction orders along each axis a stop passes, at most those that are computed without one."""
+    if not isinstance(iris, Iris):
+        return _ORDERS if iris is None else 1
+    widest = max(iris.cutoff(w) for w in wavelengths) * max(pitches)
+    return min(_ORDERS, max(1, math.ceil(2 * widest - 1e-9)))
+
+
+def pitch_pair(pitch: float | Sequence[float]) -> tuple[float, float]:
+    """Return the distances of neighbouring pixels along rows and columns in metres."""
+    rows, columns = (float(_validate.numbers(p)[0]) for p in pitches(pitch))
+    return rows, columns

@@ -1,0 +1,107 @@
+"""Parts of the images of a display: which frames light them, and which device or rank computes them.
+
+Touches a display by what it computes of a part alone.
+"""
+
+import copy
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+
+from odak.learn.wave.devices import Ranks, shares_of
+
+
+@dataclass(frozen=True)
+class Part:
+    """Part of the images of a display: the frames of one colour on some planes."""
+
+    colour: int
+    planes: tuple[int, ...]
+    frames: tuple[int, ...]
+
+
+class Shares:
+    """The images of a display in parts, which several devices compute, or the ranks of a group.
+
+    The parts are nearly equal in number of planes, colours and frames. Each device has the transfer functions of its
+    own part alone.
+
+    Parameters
+    ----------
+    display : Display
+        The display.
+    devices : sequence of torch.device or Ranks
+        Who computes.
+    """
+
+    def __init__(self, display: Any, devices: Sequence[torch.device] | Ranks):
+        self.ranks = devices if isinstance(devices, Ranks) else None
+        self.shape = display.shape
+        where = [display.powers.device] if isinstance(devices, Ranks) else devices
+        units = [
+            (colour, plane, frame)
+            for colour in range(self.shape[1])
+            for plane in range(self.shape[0])
+            for frame in display.lit_frames[colour]
+        ]
+        shares = shares_of(units, len(where) if self.ranks is None else self.ranks.size)
+        shares = shares if self.ranks is None else [shares[self.ranks.rank]]
+        self.parts = [
+            (copied_to(display, device), _grouped(share))
+            for device, share in zip(where, shares, strict=True)
+            if share or self.ranks
+        ]
+
+    def images(self, lights: tuple[torch.Tensor, ...], powers: torch.Tensor) -> torch.Tensor:
+        """Return what the display shows of what its panels do to light, the sum of what each device computes of it."""
+        images: list[list[Any]] = [[0.0] * self.shape[1] for _ in range(self.shape[0])]
+        if self.ranks is not None:
+            *lights, powers = (self.ranks.sharing(values) for values in (*lights, powers))  # type: ignore[assignment]
+        for display, parts in self.parts:
+            *there, own = (values.to(display.powers.device, non_blocking=True) for values in (*lights, powers))
+            # A rank without a part computes one that does not count, since all ranks take part in the gradient.
+            for part in parts or [Part(0, (0,), display.lit_frames[0][:1])]:
+                shown = display.images_of(part, tuple(there), own).to(powers.device, non_blocking=True)
+                for plane, image in zip(part.planes, (shown if parts else 0 * shown).unbind(-3), strict=True):
+                    images[plane][part.colour] = images[plane][part.colour] + image
+        if self.ranks is None:
+            return torch.stack([torch.stack(row, -3) for row in images], -4)
+        nothing = torch.zeros_like(lights[-1].real[..., 0, :, :])
+        return self.ranks.sum(torch.stack([torch.stack([nothing + one for one in row], -3) for row in images], -4))
+
+
+def shared_among(display: Any, devices: Sequence[torch.device] | Ranks) -> Any:
+    """Return a display with its images computed in parts by several devices, or by the ranks of a group."""
+    whole = copied_to(display, display.powers.device)
+    whole.shares = Shares(display, devices)
+    return whole
+
+
+def copied_to(display: Any, device: torch.device) -> Any:
+    """Return a copy of a display on a device, which has transfer functions of its own."""
+    modulator = display.modulator
+    if isinstance(modulator.response, torch.nn.Module) and device != display.powers.device:
+        modulator = replace(modulator, response=copy.deepcopy(modulator.response).to(device))
+    return copy.deepcopy(display, {id(display.path): display.path, id(display.modulator): modulator}).to(device)
+
+
+def frames_lit(powers: torch.Tensor) -> tuple[tuple[int, ...], ...]:
+    """Return for each colour the frames in which its source is on, of powers ``[F, C]`` that light each colour."""
+    if bool((powers < 0).any()):
+        raise ValueError(f"powers must be at least 0, got {float(powers.min())}")
+    if not bool((powers.sum(0) > 0).all()):
+        raise ValueError(
+            f"powers must light each wavelength in a frame, got {powers.sum(0).tolist()} over all {len(powers)} "
+            "frames; give more frames, or powers"
+        )
+    return tuple(tuple(f for f, power in enumerate(row) if power) for row in powers.T.tolist())
+
+
+def _grouped(units: Sequence[tuple[int, int, int]]) -> list[Part]:
+    """Return few parts that are all of some colours, planes and frames, in this order, each plane in one part."""
+    planes = [(key, tuple(f for *_, f in own)) for key, own in itertools.groupby(units, lambda unit: unit[:2])]
+    alike = itertools.groupby(planes, lambda found: (found[0][0], found[1]))
+    return [Part(colour, tuple(plane for (_, plane), _ in own), frames) for (colour, frames), own in alike]

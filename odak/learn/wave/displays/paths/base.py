@@ -1,0 +1,177 @@
+"""The base of paths of light, which says what a display asks of one. Touches numbers and the light it is given."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar
+
+import torch
+
+from odak import _array, _torch_private
+from odak.instruments import Lens
+from odak.learn.wave.displays.panels import AmplitudePanel, Iris, Modulator, orders_through
+from odak.learn.wave.eyes import Eyes
+
+Lights = tuple[torch.Tensor, ...]
+
+
+class Kept:
+    """Tensors that a path makes from constants, each made once for a device.
+
+    Parameters
+    ----------
+    device : torch.device
+        Where they are.
+    """
+
+    def __init__(self, device: torch.device):
+        self.device = device
+        self.tensors: dict[Any, torch.Tensor] = {}
+
+    def __call__(self, make: Callable[..., torch.Tensor], path: "Path", *given: Any) -> torch.Tensor:
+        """Return what ``make(path, device, *given)`` does; `make` is a method of the class of the path."""
+        if torch.compiler.is_dynamo_compiling():
+            return _constant(make, path, self.device, *given)[0]
+        key = make, *given
+        if key not in self.tensors:
+            with torch.no_grad(), _torch_private.keeping():
+                self.tensors[key] = make(path, self.device, *given)
+        return self.tensors[key]
+
+    def __reduce__(self):
+        # Copies and files of a display are without them.
+        return Kept, (self.device,)
+
+
+@_array.constant_in_graphs
+def _constant(make, path, device, *given) -> tuple[torch.Tensor]:
+    """Return what a path makes, for a graph of torch.compile to hold, which recognises it by the path.
+
+    The result is in a tuple because one graph can hold several tuples, but only one tensor from each function.
+    """
+    with _torch_private.outside_functional_transforms(), torch.no_grad(), _torch_private.keeping():
+        return (make(path, device, *given),)
+
+
+@dataclass(frozen=True)
+class Path:
+    """What light meets from the pixels of a display to its images: numbers, and what they make of the light.
+
+    A kind of path is a subclass in a module of its own, entered in :data:`odak.learn.wave.displays.paths.choice.PATHS`.
+
+    Attributes
+    ----------
+    sizes, pitches : tuple
+        Its rows and columns, and their distances in metres.
+    wavelengths : tuple of float
+        Wavelengths in metres.
+    ends : tuple of float, odak.instruments.Lens or Eyes
+        Where the images are.
+    iris : Iris or str, optional
+        Stop of the display.
+    medium : float
+        Refractive index.
+    distances : tuple of float
+        Distance of each image in metres.
+    samples : int
+        Points along each axis of a pixel at which the intensity is computed.
+    """
+
+    sizes: tuple[int, int]
+    pitches: tuple[float, float]
+    fill: float
+    first: AmplitudePanel | None
+    wavelengths: tuple[float, ...]
+    ends: Any
+    iris: Iris | str | None
+    medium: float
+    distances: tuple[float, ...] = field(init=False)
+    samples: int = field(init=False)
+
+    # Starts that are computed for it, and the one that projections begin with; None where a start needs none.
+    starts: ClassVar[tuple[str, ...]] = ()
+    begins: ClassVar[str | None] = None
+    # Where the images are, in messages about starts.
+    where: ClassVar[str] = ""
+    # What solvers that compute with free space alone ask for in place of it.
+    free_space: ClassVar[str] = ""
+    # Whether images are on retinas, which may all see the same, and see no depth of a picture.
+    on_retinas: ClassVar[bool] = False
+
+    @classmethod
+    def leads(cls, modulator: Modulator, ends: Any) -> bool:
+        """Say whether the light of a modulator takes this kind of path to the images."""
+        raise NotImplementedError
+
+    def points(self, kept: Kept, lights: Lights, colour: int, planes: Sequence[int]) -> torch.Tensor:
+        """Return the fields of some images at the points of pixels, ``[..., F, planes·samples², rows, columns]``.
+
+        Parameters
+        ----------
+        kept : Kept
+            Tensors that were made from constants.
+        lights : tuple of torch.Tensor
+            What each panel does to the light, in the order in which it meets them, ``[..., F, rows, columns]`` each.
+        colour : int
+            Which wavelength.
+        planes : sequence of int
+            Which images.
+        """
+        raise NotImplementedError
+
+    def middles(self, kept: Kept, lights: Lights, colour: int) -> torch.Tensor:
+        """Return the fields of all images at the middles of pixels, ``[..., F, D, rows, columns]``."""
+        raise NotImplementedError
+
+    def replaced(self, kept: Kept, amplitudes: torch.Tensor, light: torch.Tensor, colour: int) -> torch.Tensor:
+        """Return the light on the panel, by the adjoint, of its images with their amplitudes ``[D, …]`` replaced."""
+        raise NotImplementedError
+
+    def in_words(self) -> str:
+        """Return where the images are, in words."""
+        raise NotImplementedError
+
+    def place(self, image: int) -> dict[str, Any]:
+        """Return where an image is, lengths in metres."""
+        return {"distance": self.distances[image]}
+
+    def place_in_words(self, image: int) -> tuple[str, str]:
+        """Return of which kind the place of an image is, and the place in words."""
+        return "plane", f"{1e3 * self.distances[image]:.6g} mm"
+
+    def cutoff(self, colour: int) -> float | None:
+        """Return the highest frequency that a round iris passes, in cycles per metre; None without one."""
+        return self.iris.cutoff(self.wavelengths[colour]) if isinstance(self.iris, Iris) else None
+
+    def passing(self, iris: Iris | str | None) -> int:
+        """Return how many diffraction orders along each axis a stop passes."""
+        return orders_through(iris, self.wavelengths, self.pitches)
+
+    def words(self) -> str:
+        """Return its numbers as a text, by which a checkpoint is recognised."""
+        first = None if self.first is None else (self.first.distance, self.first.fill, self.first.iris)
+        pixels = self.sizes, self.pitches, float(self.fill)
+        return repr(_plain((pixels, first, self.wavelengths, self.ends, self.iris, float(self.medium))))
+
+
+def _plain(value):
+    """Return a part of a path as numbers, texts and tuples of them."""
+    if isinstance(value, (Lens, Eyes)):
+        return (type(value).__name__, *(_plain(getattr(value, one.name)) for one in fields(value)))
+    if isinstance(value, Iris):
+        return float(value.radius), float(value.focal_length)
+    if isinstance(value, tuple):
+        return tuple(map(_plain, value))
+    # Infinity is a focus of eyes, and no number in a text of Python.
+    return value if value is None or isinstance(value, str) or math.isfinite(value) else str(value)
+
+
+def listed(lengths: Sequence[float], scale: float) -> str:
+    """Return lengths in words, separated by commas."""
+    return ", ".join(f"{length * scale:.4g}" for length in lengths)
+
+
+def keep(path: Path, **values: Any) -> None:
+    """Set what follows from the numbers of a path, while it is made."""
+    for name, value in values.items():
+        object.__setattr__(path, name, value)

@@ -1,0 +1,118 @@
+"""Light from a panel through the pupils of eyes to their retinas. Touches the light it is given."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+
+from odak._warnings import SamplingWarning, warn
+from odak.instruments import Lens
+from odak.learn.wave.displays.panels import AmplitudePanel, Iris
+from odak.learn.wave.displays.paths.base import Path, keep, listed
+from odak.learn.wave.eyes import Eyes, Sight, seen_by_eye
+from odak.learn.wave.fields import unit_phasor
+from odak.wave.viewing import check_blur
+
+
+@dataclass(frozen=True)
+class RetinaPath(Path):
+    """Light that eyes see, one image for each: by direct sums over the pixels and the points of a pupil."""
+
+    starts = ("gs", "random", "flat")
+    begins = "random"
+    where = "where eyes look on"
+    free_space = "a display without a lens or eyes"
+    on_retinas = True
+
+    def __post_init__(self):
+        for name, given, other in (
+            ("iris", self.iris, "'order' or None"),
+            ("medium", self.medium, "1"),
+            ("lit_through", self.first, "None"),
+        ):
+            if isinstance(given, (Iris, AmplitudePanel)) or (name == "medium" and given != 1):
+                raise ValueError(f"{name} must be {other} for a display that eyes look at, got {given!r:.80}")
+        lens = self.ends.distance
+        keep(self, distances=(float(lens.after if isinstance(lens, Lens) else lens),) * len(self.ends))
+        keep(self, samples=self._checked())
+
+    @classmethod
+    def leads(cls, modulator, ends):
+        """Say whether the light of a modulator takes this kind of path to the images."""
+        return isinstance(ends, Eyes)
+
+    def points(self, kept, lights, colour, planes):
+        """Return the fields of some images at the points of pixels."""
+        light = lights[0].unsqueeze(-3)
+        return torch.cat([self._seen(kept, light, colour, eye).flatten(-4, -3) for eye in planes], -3)
+
+    def middles(self, kept, lights, colour):
+        """Return the fields of all images at the middles of pixels."""
+        light = lights[0].unsqueeze(-3)
+        eyes = range(len(self.ends))
+        return torch.stack([self._seen(kept, light, colour, eye)[..., 0, 0, :, :] for eye in eyes], -3)
+
+    def replaced(self, kept, amplitudes, light, colour):
+        """Return the light on the panel of images whose amplitudes are replaced."""
+        return sum(self._back(kept, a, light, colour, eye) for eye, a in enumerate(amplitudes))
+
+    def in_words(self):
+        """Return where the images are, in words."""
+        lens, count = self.ends.distance, len(self.ends)
+        length, place = (lens.focal_length, "behind a lens of") if isinstance(lens, Lens) else (lens, "at")
+        pupils = listed(sorted(set(self.ends.diameter)), 1e3)
+        return f"{count} eye{'s' * (count > 1)} {place} {1e3 * length:.4g} mm, pupils of {pupils} mm"
+
+    def place(self, image):
+        """Return where an image is, lengths in metres."""
+        return super().place(image) | {"pupil": self.ends.positions[image]}
+
+    def place_in_words(self, image):
+        """Return of which kind the place of an image is, and the place in words."""
+        return "pupil", ", ".join(f"{1e3 * p:.4g}" for p in self.ends.positions[image]) + " mm"
+
+    def sight(self, colour: int, eye: int) -> Sight:
+        """Return the way of the light of a colour to the retina of an eye."""
+        width = math.sqrt(self.fill)
+        return Sight(self.ends, eye, self.sizes, self.pitches, self.wavelengths[colour], width, self.iris == "order")
+
+    def _checked(self) -> int:
+        """Return how many points of a pixel describe what eyes see; warn where they see no image of the panel."""
+        sights = [self.sight(c, e) for c in range(len(self.wavelengths)) for e in range(len(self.ends))]
+        worst = min(sights, key=Sight.seen)
+        if self.iris == "order" and worst.seen() < 1:
+            place = ", ".join(f"{1e3 * p:.3g}" for p in worst.eyes.positions[worst.eye])
+            wide = 1e3 * min(map(worst.box, (0, 1)))
+            warn(
+                f"the light of {1 - worst.seen():.0%} of the rows or columns of the panel passes by the pupil at "
+                f"({place}) mm at {1e9 * worst.wavelength:.4g} nm: one order is {wide:.3g} mm wide there",
+                SamplingWarning,
+            )
+        check_blur(max(map(Sight.blur, sights)), worst.sizes, worst.pitches)
+        return max(map(Sight.samples, sights))
+
+    def _seen(self, kept, light, colour, eye):
+        """Return the field on a retina at the points of a pixel, ``[..., samples, samples, rows, columns]``."""
+        rows, columns = self.sizes
+        return (
+            seen_by_eye(light, *self._parts(kept, light, colour, eye))[..., 0, :, :]
+            .unflatten(-2, (rows, self.samples))
+            .unflatten(-1, (columns, self.samples))
+            .movedim((-3, -1), (-4, -3))
+        )
+
+    def _back(self, kept, amplitudes, light, colour, eye):
+        """Return the light on the panel, by the adjoint, of the image of an eye with its amplitudes replaced."""
+        down, across, pupil, *back = self._parts(kept, light, colour, eye)
+        # Every so many rows of the matrices are the middles of pixels.
+        back_down, back_across = (matrix[:: self.samples] for matrix in back)
+        shown = seen_by_eye(light, down, across, pupil, back_down, back_across)
+        there = back_down.mH @ (amplitudes * unit_phasor(shown.angle())) @ back_across.conj() * pupil.conj()
+        return down.mH @ there @ across.conj()
+
+    def _parts(self, kept, light, colour, eye):
+        """Return the arguments of :func:`odak.learn.wave.eyes.seen_by_eye` after the light."""
+        return [kept(RetinaPath._of_eye, self, colour, eye, part, light.dtype) for part in range(5)]
+
+    def _of_eye(self, device, colour, eye, part, dtype):
+        return torch.from_numpy(self.sight(colour, eye).part(part, self.samples)).to(device, dtype)

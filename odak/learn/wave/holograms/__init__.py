@@ -1,0 +1,6 @@
+"""Holograms for displays: problems, starts, solvers and results."""
+
+from odak._lazy import attach
+
+# The names belong to odak.learn.wave, which lists them.
+__getattr__, __dir__, _ = attach(__name__, __file__)

@@ -1,0 +1,17 @@
+from ..older.single_plane import accepts_descent_form as accepts_descent_form
+from ..older.single_plane import accepts_older_form as accepts_older_form
+from ..older.single_plane import double_phase_hologram as double_phase_hologram
+from ..older.single_plane import gerchberg_saxton as gerchberg_saxton
+from ..older.single_plane import point_wise as point_wise
+from ..older.single_plane import shift_w_double_phase as shift_w_double_phase
+from ..older.single_plane import stochastic_gradient_descent as stochastic_gradient_descent
+from ..training import best_scale as best_scale
+from .optimising import SOLVERS as SOLVERS
+from .optimising import optimise as optimise
+from .problem import Problem as Problem
+from .result import DisplayedHologram as DisplayedHologram
+from .solvers.double_phase import encode_double_phase as encode_double_phase
+from .solvers.network import network_on as network_on
+from .starts import STARTS as STARTS
+from .starts import named as named
+from .starts import starting_phase as starting_phase

@@ -1,0 +1,108 @@
+"""Holograms that were computed for a display, with their quality. Touches a display by its places and levels."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+
+from odak import _show
+from odak.learn.wave.displays.display import Display
+from odak.learn.wave.slm import TURN
+
+
+@dataclass(frozen=True)
+class DisplayedHologram:
+    """Patterns for a display, what is seen of them, and how good it is.
+
+    Attributes
+    ----------
+    display : Display
+        The display they are for. If powers of the sources were found, they are its own, relative to the brightest.
+    target : torch.Tensor
+        What was to be seen, ``[D, C, rows, columns]``.
+    phases : torch.Tensor
+        Phases in radians as the panel shows them, by its levels, ``[F, rows, columns]``.
+    images : torch.Tensor
+        Means over the areas of pixels, at the brightness closest to the target, ``[D, C, rows, columns]``, by
+        :meth:`Display.judge`.
+    brightness : torch.Tensor
+        Factor of each colour by which images are brighter than what :meth:`Display.forward` returns, ``[C]``.
+    psnr : torch.Tensor
+        Peak signal-to-noise ratio of the images in decibels, ``[D, C]``.
+    psnr_at_points : torch.Tensor
+        The same of the intensities at the middles of pixels, which no sensor sees.
+    losses : tuple of float
+        Loss after each iteration.
+    psnr_in_focus : torch.Tensor, optional
+        Of a target with depth: the same ratio of each colour with each pixel from its own plane, ``[C]``.
+    amplitudes : torch.Tensor, optional
+        Amplitudes of the panel that the modulator is lit through, by its levels, ``[F, rows, columns]``.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import Display, Modulator, Run, optimise
+    >>> display = Display(Modulator((48, 64), 8e-6), 532e-9, 2e-3)
+    >>> hologram = optimise(display, torch.ones(48, 64), run=Run(iterations=2, progress=False))
+    >>> hologram.levels().shape, sorted(hologram.table()[0])[:2]
+    (torch.Size([1, 48, 64]), ['brightness', 'distance'])
+    """
+
+    display: Display
+    target: torch.Tensor
+    phases: torch.Tensor
+    images: torch.Tensor
+    brightness: torch.Tensor
+    psnr: torch.Tensor
+    psnr_at_points: torch.Tensor
+    losses: tuple[float, ...] = field(default=(), repr=False)
+    psnr_in_focus: torch.Tensor | None = None
+    amplitudes: torch.Tensor | None = None
+
+    def levels(self) -> torch.Tensor:
+        """Return the levels to send to the panel, int32 ``[F, rows, columns]``."""
+        return self.display.modulator.levels(self.phases)
+
+    def table(self) -> list[dict[Any, Any]]:
+        """Return one row of numbers for each plane or eye and colour: lengths in metres, ratios in decibels."""
+        return [
+            {
+                **self.display.path.place(d),
+                "wavelength": wavelength,
+                "psnr_db": float(self.psnr[d, c]),
+                "psnr_at_points_db": float(self.psnr_at_points[d, c]),
+                "brightness": float(self.brightness[c]),
+            }
+            for d in range(self.display.shape[0])
+            for c, wavelength in enumerate(self.display.wavelengths)
+        ]
+
+    def __repr__(self) -> str:
+        worst, best = (f"{float(v):.1f}" for v in (self.psnr.min(), self.psnr.max()))
+        span = worst if worst == best else f"{worst} to {best}"
+        return f"DisplayedHologram: {span} dB over the areas of pixels, {self.display.extra_repr()}"
+
+    def _repr_html_(self) -> str:
+        return _show.page(self, DisplayedHologram._view)
+
+    def _view(self) -> _show.View:
+        """Return what notebooks show of it: target, image and pattern, and the quality of each plane and colour."""
+        named = (("target", self.target[0]), ("image", self.images[0]))
+        pictures = [(name, _show.png(_picture(planes.detach().cpu()))) for name, planes in named]
+        pictures.append(("pattern", _show.png((self.phases[0] / TURN).detach().cpu())))
+        places = [self.display.path.place_in_words(d) for d in range(self.display.shape[0])]
+        head = places[0][0], "wavelength", "PSNR over areas", "at points", "brightness"
+        rows = [
+            (
+                *(places[i // self.display.shape[1]][1], f"{1e9 * r['wavelength']:.4g} nm"),
+                *(f"{r['psnr_db']:.1f} dB", f"{r['psnr_at_points_db']:.1f} dB", f"{r['brightness']:.4g}"),
+            )
+            for i, r in enumerate(self.table())
+        ]
+        return _show.View(repr(self), pictures, [head, *rows])
+
+
+def _picture(planes: torch.Tensor) -> torch.Tensor:
+    """Return a picture, ``[rows, columns]`` or in colour ``[rows, columns, 3]``, of images ``[C, rows, columns]``."""
+    values = planes.clamp(0, 1) ** (1 / 2.2)
+    return values.movedim(0, -1) if len(values) == 3 else values.mean(0)

@@ -1,0 +1,99 @@
+"""Gradient descent over the phases of a hologram. Touches a problem by its loss."""
+
+import math
+from dataclasses import dataclass, field, replace
+
+import torch
+
+from odak import _validate
+from odak.learn.tools.iterations import minimise
+from odak.learn.wave.holograms.problem import Problem
+from odak.learn.wave.training import cosine, fingerprint, recorded, seeded_loss
+
+
+@dataclass(frozen=True)
+class Descent:
+    """Gradient descent over the phases, by L-BFGS or Adam: the solver to begin with.
+
+    Use L-BFGS unless the loss changes from one iteration to the next, as with random numbers in it or a camera.
+
+    Parameters
+    ----------
+    method : {"lbfgs", "adam"}
+        The method; see :func:`odak.learn.wave.stochastic_gradient_descent`.
+    learning_rate : float
+        Step of Adam in radians, which falls to a half along a cosine.
+    powers : bool
+        Find the powers of the sources in each frame too, beginning with the display's own; a source that is off in
+        a frame stays off. With ``powers=torch.ones(F, C)`` in the display all colours share all frames (Kavaklı et al.,
+        Multi-color holograms improve brightness in holographic displays, SIGGRAPH Asia 2023).
+    graph : bool
+        Record the loss and its gradient as one CUDA graph and replay it in each iteration: one launch instead of some
+        hundred kernels, which is faster for small displays on a GPU. The loss must depend on the images and the target
+        alone and read no number from the device.
+
+    Examples
+    --------
+    >>> from odak.learn.wave import Descent
+    >>> Descent("adam").learning_rate
+    0.1
+    """
+
+    method: str = "lbfgs"
+    learning_rate: float = 0.1
+    powers: bool = False
+    # No part of the text by which a checkpoint is recognised: the results are the same.
+    graph: bool = field(default=False, repr=False)
+
+    def solve(self, problem: Problem) -> torch.Tensor | tuple[torch.Tensor | None, ...]:
+        """Return the phases of a problem, ``[F, rows, columns]``, or with the powers ``[F, C]`` and the amplitudes.
+
+        Powers are None where they are not to be found, and amplitudes are left out without a panel in front.
+        """
+        phases, run = problem.start.clone().requires_grad_(), problem.run
+        learned, powers = {"phase": phases}, problem.display.powers
+        # The slope along a phase falls with the number of pixels, that along the amplitude of a source does not; these
+        # units make them alike. Adam takes the same step in all.
+        unit = math.sqrt(powers.numel() / phases.numel()) if self.method == "lbfgs" else 1.0
+        if self.powers:
+            learned["amplitude"] = (powers.sqrt() / unit).to(phases.dtype).requires_grad_()
+        if problem.display.modulator.lit_through is not None:
+            # Amplitudes are squares of sines, between 0 and 1; they begin at 0.75.
+            learned["turn"] = torch.full_like(problem.start, math.pi / 3).requires_grad_()
+        loss, drawn_from = seeded_loss(problem.loss, run.seed, phases.device)
+        problem = replace(problem, loss=loss)
+
+        def found():
+            return (unit * learned["amplitude"]).square() if self.powers else None
+
+        def attenuation():
+            return learned["turn"].sin().square() if "turn" in learned else None
+
+        def value():
+            return problem.loss_of(phases, found(), attenuation())
+
+        if self.graph and (drawn_from or problem.display.shares):
+            what = "the loss draws random numbers" if drawn_from else "several devices share one picture"
+            raise ValueError(f"graph must be False where {what}, got True")
+        evaluate = recorded(value, list(learned.values())) if self.graph else value
+        rate = cosine(self.learning_rate, self.learning_rate / 2, run.iterations)
+        display, given = problem.display, (problem.target, problem.start)
+        minimise(
+            learned,
+            lambda iteration: evaluate(),
+            rate,
+            run,
+            solver=self.method,
+            about=lambda: {"solver": repr(self), "display": display.fingerprint(), "target": fingerprint(*given)},
+            generators=drawn_from,
+        )
+        powers = found().detach() if self.powers else None
+        if "turn" in learned:
+            return phases.detach(), powers, attenuation().detach()
+        return phases.detach() if powers is None else (phases.detach(), powers)
+
+    def __post_init__(self):
+        _validate.one_of("method", self.method, ("lbfgs", "adam"))
+        _validate.flag("powers", self.powers)
+        _validate.flag("graph", self.graph)
+        _validate.real("learning_rate", self.learning_rate, positive=True)

@@ -1,0 +1,53 @@
+"""Holograms by a network, in free space. Touches a problem by its lengths, target and start."""
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from odak.learn.wave.holograms.problem import Problem
+from odak.learn.wave.holograms.solvers.projections import frames_alone
+
+
+@dataclass(frozen=True)
+class Network:
+    """A network that computes the hologram at once, such as :class:`odak.learn.models.hologram_network`.
+
+    Parameters
+    ----------
+    model : callable, optional
+        ``model(target, wavelength, pitch, distance)`` returns the phase of an image ``[rows, columns]``. By default
+        :class:`odak.learn.models.hologram_network` with the weights included in odak.
+
+    Examples
+    --------
+    >>> from odak.learn.models import hologram_network
+    >>> from odak.learn.wave import Network
+    >>> fewer_steps = Network(hologram_network(refinements=4, pretrained=True))
+    >>> fewer_steps.model.training
+    False
+    """
+
+    model: Callable[..., Any] | None = None
+
+    @torch.no_grad()
+    def solve(self, problem: Problem) -> torch.Tensor:
+        """Return the phases of a problem, ``[F, rows, columns]``."""
+        display, phases = problem.display, problem.start.clone()
+        model = network_on(phases.device) if self.model is None else self.model
+        for frame, plane, colour in frames_alone(display, "a network"):
+            wavelength, distance = display.wavelengths[colour] / display.medium, display.distances[plane]
+            wanted = model(problem.target[plane, colour], wavelength, display.modulator.pitch, distance)
+            phases[frame] = wanted - display.flat_light(colour)[1]
+        return phases
+
+
+@functools.cache
+def network_on(device: torch.device) -> torch.nn.Module:
+    """Return the network that is named "network", with the weights included in odak."""
+    from odak.learn.models import hologram_network
+
+    with torch.inference_mode(False):
+        return hologram_network(pretrained=True).to(device)

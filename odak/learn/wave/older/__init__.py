@@ -1,0 +1,6 @@
+"""Functions of earlier releases, which compute holograms without a display as an object."""
+
+from odak._lazy import attach
+
+# The names belong to odak.learn.wave, which lists them.
+__getattr__, __dir__, _ = attach(__name__, __file__)
