@@ -26,6 +26,7 @@ def optimization(device: str) -> Iterator[dict]:
         display = propagator(
             SHAPE, COLOURS, PITCH, number_of_frames=FRAMES, number_of_depth_layers=PLANES, volume_depth=5e-3,
             image_location_offset=0.15, propagator_type="forward", method=method, device=torch.device(device),
+            aperture="open",
         )  # fmt: skip
         optimizer = multi_color_hologram_optimizer(
             COLOURS, SHAPE, targets, display, FRAMES, PLANES, method=method, progress=False
@@ -48,7 +49,7 @@ def reconstruction(device: str) -> Iterator[dict]:
     """Yield the images of all frames, planes and colours in one call against a loop over single propagations."""
     display = propagator(
         SHAPE, COLOURS, PITCH, number_of_frames=FRAMES, number_of_depth_layers=PLANES, volume_depth=5e-3,
-        image_location_offset=0.15, propagator_type="forward", laser_channel_power=torch.ones(3, 3),
+        image_location_offset=0.15, propagator_type="forward", laser_channel_power=torch.ones(3, 3), aperture="open",
         device=torch.device(device),
     )  # fmt: skip
     phases = torch.rand(FRAMES, *SHAPE, device=device)
@@ -77,6 +78,7 @@ def memory(device: str) -> Iterator[dict]:
             "targets = torch.rand(8, 3, *shape, device=device); "
             "display = propagator(shape, colours, 8e-6, number_of_frames=3, number_of_depth_layers=8, "
             "volume_depth=5e-3, image_location_offset=0.1, propagator_type='forward', device=device, "
+            "aperture='open', "
             f"memory_budget={budget}); "
             "optimizer = multi_color_hologram_optimizer(colours, shape, targets, display, 3, 8, progress=False); "
             f"before = peak_memory({device!r}); optimizer.gradient_descent(2); "

@@ -126,7 +126,7 @@ def focal_sweep():
         targets.append(torch.from_numpy(np.array(picture, dtype=np.float32) / 255))
     optimizer = multiplane_hologram_optimizer(
         515e-9, 10e-3, 3e-3, PITCH, [256, 256], torch.stack(targets), number_of_planes=3, number_of_iterations=60,
-        learning_rate=0.1, seed=0, progress=False, propagator_type="forward",
+        learning_rate=0.1, seed=0, progress=False, propagator_type="forward", aperture="open",
     )
     phase, amplitude, _ = optimizer.optimize()
     field = torch.polar(amplitude, phase).to(torch.complex64)

@@ -127,7 +127,7 @@ def png(values: Any) -> bytes:
     return stream.getvalue()
 
 
-def one_line(described: Any) -> str:
+def one_line(described: Any, **more: Any) -> str:
     """Return an object in one line: its kind and its numbers, arrays of more than four by their shapes.
 
     Named tuples and dataclasses have their fields, other objects the arguments of their constructor that they hold, and
@@ -137,17 +137,21 @@ def one_line(described: Any) -> str:
     ----------
     described : object
         The object.
+    **more
+        What is said besides.
     """
-    return f"{type(described).__name__}({numbers_of(described)})"
+    return f"{type(described).__name__}({numbers_of(described, **more)})"
 
 
-def numbers_of(described: Any) -> str:
+def numbers_of(described: Any, **more: Any) -> str:
     """Return what :func:`one_line` has between its brackets.
 
     Parameters
     ----------
     described : object
         The object.
+    **more
+        What is said besides.
     """
     kind, given = type(described), object()
     names: Iterable = getattr(kind, "_fields", None) or getattr(kind, "__dataclass_fields__", None) or ()
@@ -156,7 +160,8 @@ def numbers_of(described: Any) -> str:
         if not hasattr(described, "_modules"):
             names = dict.fromkeys([*names, *(name for name in vars(described) if not name.startswith("_"))])
     found = ((name, getattr(described, name, given)) for name in names)
-    parts = [f"{name}={short(value)}" for name, value in found if value is not given and value is not None]
+    known = [*more.items(), *((name, value) for name, value in found if value is not given and value is not None)]
+    parts = [f"{name}={short(value)}" for name, value in known]
     whole = ", ".join(parts)
     return whole if len(whole) <= LONGEST else whole[: LONGEST - 1] + "…"
 

@@ -146,7 +146,11 @@ class ArgumentWarning(OdakWarning):
     """
 
 
-def warn(message: str, category: type[Warning] = OdakWarning) -> None:
+# Texts of warnings that a process issues once.
+_issued: set[str] = set()
+
+
+def warn(message: str, category: type[Warning] = OdakWarning, *, once: bool = False) -> None:
     """Issue a warning that is attributed to the first line outside the package on the call stack.
 
     Python's own filters decide what happens with it: by default it is shown once for each place and text.
@@ -157,7 +161,13 @@ def warn(message: str, category: type[Warning] = OdakWarning) -> None:
         Text of the warning.
     category : type
         One of the categories of this module, or DeprecationWarning.
+    once : bool
+        Issue it once in this process, wherever it comes from: for what its reader needs to be told but once.
     """
+    if once and message in _issued:
+        return
+    if once:
+        _issued.add(message)
     level, frame = 2, sys._getframe(1)
     while frame is not None and _is_inside(frame):
         level, frame = level + 1, frame.f_back

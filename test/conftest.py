@@ -80,12 +80,14 @@ def pytest_xdist_make_scheduler(config, log):
 
 @pytest.fixture(autouse=True)
 def _fresh_state():
-    """Let no test depend on those before it: kernels, random numbers and the number of threads are as at the start."""
+    """Let no test depend on those before it: kernels, random numbers, warnings and threads are as at the start."""
     import torch
 
+    from odak import _warnings
     from odak.wave.transfer_functions import kernels
 
     kernels.clear()
+    _warnings._issued.clear()
     torch.default_generator.manual_seed(0)  # torch.manual_seed formats the stack each time, for CUDA
     threads = torch.get_num_threads()
     yield

@@ -200,7 +200,11 @@ def shown_objects():
         *(table, table.modulator, table.camera, table.laser, table.stage, table.polariser),
         *(bench, bench.planes(np.ones((64, 64), complex), 8e-6)[-1]),
         Calibration.nominal(table.modulator, table.camera, 532e-9, 20e-3),
-        *(propagator([16, 16], [532e-9], 8e-6), spatial_light_modulator(), odak.learn.raytracing.detector()),
+        *(
+            propagator([16, 16], [532e-9], 8e-6, aperture_size=9),
+            spatial_light_modulator(),
+            odak.learn.raytracing.detector(),
+        ),
     ]
 
 

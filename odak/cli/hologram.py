@@ -725,6 +725,7 @@ def _frames_at_points(job: Job, target: Target, volume: Volume, device, callback
         method=method,
         device=device,
         pixel_fill=job.fill_factor,
+        aperture="open",
     )
     start, rate = torch.zeros(count, *job.resolution, device=device), job.learning_rate or LEARNING_RATE
     optimizer = wave.multi_color_hologram_optimizer(

@@ -171,6 +171,7 @@ def hologram(checkpoint=None, pause=0.0):
     display = propagator(
         list(size), [515e-9, 639e-9], 8e-6, number_of_frames=2, number_of_depth_layers=2, volume_depth=2e-3,
         image_location_offset=5e-3, propagation_type="Bandlimited Angular Spectrum", propagator_type="forward",
+        aperture="open",
     )  # fmt: skip
     optimizer = multi_color_hologram_optimizer(
         [515e-9, 639e-9], list(size), torch.rand(2, 2, *size, generator=chance), display, number_of_frames=2,

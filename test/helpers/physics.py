@@ -78,6 +78,21 @@ def unwrapped_propagation(field, distance, dx, wavelength, cutoff=np.inf, paddin
     return filtered(field, _within(field.shape[-2:], padding, float(distance), down, across, float(wavelength), cutoff))
 
 
+def behind_mask(field, distance, dx, wavelength, mask, padding=12):
+    """Return :func:`unwrapped_propagation` through a mask in the Fourier plane, centred on the grid of twice the field.
+
+    Between its samples the mask is that of the nearest one.
+    """
+    field = np.asarray(field, dtype=np.complex128)
+    wide = tuple(padding * n for n in field.shape[-2:])
+    nearest = [
+        np.rint(np.fft.fftfreq(count, 1 / size)).astype(int) % size
+        for count, size in zip(wide, mask.shape, strict=True)
+    ]
+    transfer = free_space_transfer(wide, float(distance), tuple(np.broadcast_to(dx, 2)), wavelength)
+    return filtered(field, transfer * np.fft.ifftshift(mask)[np.ix_(*nearest)])
+
+
 # Several fields are propagated over one distance in turn.
 @functools.lru_cache(maxsize=64)
 def _within(shape, padding, distance, down, across, wavelength, cutoff):

@@ -35,7 +35,7 @@ class Propagator(nn.Module):
 
     def __init__(self):
         super().__init__()
-        self.display = wave.propagator((SIDE, SIDE), [639e-9, 515e-9, 473e-9], DX, 1, 1, 2)
+        self.display = wave.propagator((SIDE, SIDE), [639e-9, 515e-9, 473e-9], DX, 1, 1, 2, aperture="open")
 
     def forward(self, phase):
         return self.display.reconstruct(phase[None], no_grad=False)

@@ -24,7 +24,7 @@ WAVELENGTH, PITCH, DISTANCE = 532e-9, 8e-6, 1e-3
         lambda array: perception.MetamericLoss()(array, array),
         lambda array: perception.srgb_to_lab(array),
         lambda array: resize(array),
-        lambda array: wave.propagator(resolution=[8, 8]).reconstruct(array),
+        lambda array: wave.propagator(resolution=[8, 8], aperture="open").reconstruct(array),
     ],
 )
 def test_an_array_in_place_of_a_tensor_is_called_an_array(call):
@@ -142,9 +142,9 @@ def test_image_slightly_above_one_is_not_saved_black_unnoticed(tmp_path):
 
 def test_powers_are_named_with_spaces_underscores_or_hyphens():
     for method in ("multi-color", "multi_color", "Multi color"):
-        assert wave.propagator(resolution=[8, 8], method=method).method == "multi-color"
+        assert wave.propagator(resolution=[8, 8], aperture="open", method=method).method == "multi-color"
     with pytest.raises(ValueError, match="got 'mixed_color'"):
-        wave.propagator(resolution=[8, 8], method="mixed_color")
+        wave.propagator(resolution=[8, 8], aperture="open", method="mixed_color")
 
 
 # Distance, pitch and wavelength of one propagation, and what was probably meant.
@@ -169,7 +169,7 @@ def test_pixels_of_eight_metres_are_refused_everywhere():
     for call in (
         lambda: wave.stochastic_gradient_descent(picture, WAVELENGTH, 0.1, 8, n_iteration=1),
         lambda: wave.gerchberg_saxton(picture, 1, 0.1, 8, WAVELENGTH),
-        lambda: wave.propagator(resolution=[8, 8], pixel_pitch=8.0),
+        lambda: wave.propagator(resolution=[8, 8], aperture="open", pixel_pitch=8.0),
         lambda: odak.wave.lens_phase((8, 8), 0.1, 8, WAVELENGTH),
         lambda: odak.wave.gaussian_beam((8, 8), 8, WAVELENGTH, 1e-3),
         lambda: odak.wave.sampling_report((8, 8), 8, WAVELENGTH, 0.1),
@@ -229,7 +229,9 @@ def test_lengths_with_units_are_those_in_metres():
     same = odak.wave.optical_bench([odak.wave.ThinLens(0.05), odak.wave.FreeSpace(1e-3)], wavelength=532e-9)
     light = np.ones((8, 8))
     np.testing.assert_allclose(bench.propagate(light, "8um")[0], same.propagate(light, 8e-6)[0], rtol=1e-9)
-    display = wave.propagator(wavelengths=["639nm", "532nm", "473nm"], resolution=[8, 8], pixel_pitch="8um")
+    display = wave.propagator(
+        wavelengths=["639nm", "532nm", "473nm"], resolution=[8, 8], pixel_pitch="8um", aperture="open"
+    )
     assert [float(value) for value in display.wavelengths] == pytest.approx([639e-9, 532e-9, 473e-9])
     for wrong in ("15cc", "nonsense", Quantity(1, "parsec", "value")):
         with pytest.raises(ValueError, match="distance must be a length"):

@@ -113,7 +113,7 @@ def trained(seed):
 def multiplane(seed):
     optimizer = wave.multiplane_hologram_optimizer(
         515e-9, 0.0, 1e-3, DX, (16, 16), pattern(2, 16, 16),
-        number_of_planes=2, number_of_iterations=3, seed=seed, progress=False,
+        number_of_planes=2, number_of_iterations=3, seed=seed, progress=False, aperture="open",
     )  # fmt: skip
     return optimizer.optimize()[0]
 

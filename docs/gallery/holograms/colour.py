@@ -23,6 +23,7 @@ display = propagator(
     propagator_type="forward",
     volume_depth=0.0,
     image_location_offset=0.03,
+    aperture="open",
 )
 optimizer = multi_color_hologram_optimizer(
     colours,

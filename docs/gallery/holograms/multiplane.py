@@ -27,6 +27,7 @@ optimizer = multiplane_hologram_optimizer(
     number_of_planes=3,
     number_of_iterations=60,
     learning_rate=0.1,
+    aperture="open",
     seed=0,
     progress=False,
 )

@@ -6,7 +6,8 @@ from typing import Any
 
 import torch
 
-from odak import _array, _show, _torch_private, _validate
+from odak import _array, _torch_private, _validate
+from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import ValuesRead, checked_device, floating, kind_of, tensor
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.slm import pixel_fill_of
@@ -109,6 +110,11 @@ def checked_amplitude(amplitude: torch.Tensor, colours: int) -> torch.Tensor:
     return amplitude
 
 
+_RELEASED_STOP = (
+    "propagator has the round stop of earlier releases in the Fourier plane, circular_binary_mask(2m·s, 2n·s, "
+    'max(m, n)·s), as no other is given: aperture="open" is a display without a stop, aperture_size or iris_radius one '
+    "with another"
+)
 # A complex64 field, the transforms of its rows, its intensity, and the slopes of field and intensity.
 _BYTES_PER_SAMPLE = 40
 
@@ -146,11 +152,13 @@ class propagator(display_volume):
         Distance of the relay in metres.
     laser_channel_power : torch.Tensor, optional
         ``[F, C]``, see :meth:`get_laser_powers`; one source per frame by default; frames beyond the sources are dark.
-    aperture : torch.Tensor, optional
-        Mask ``[m, n]`` (padded by zeros) or ``[2ms, 2ns]`` in the Fourier plane, see :meth:`set_aperture`; open by
-        default.
+    aperture : torch.Tensor or str, optional
+        Mask ``[m, n]`` (padded by zeros) or ``[2ms, 2ns]`` in the Fourier plane, or "open" for none, see
+        :meth:`set_aperture`. Without any stop given it is that of earlier releases: round, its radius the longer side
+        of the field in samples of the padded spectrum, ``circular_binary_mask(2ms, 2ns, max(m, n)·s)``, and an
+        ArgumentWarning says so once in a process.
     aperture_size : float, optional
-        Radius of a round stop in the Fourier plane, in samples of the padded spectrum along its longer axis.
+        Radius of a round stop in the Fourier plane, in samples of the padded spectrum along both axes.
     distances : torch.Tensor or sequence of float, optional
         Distances of the planes in metres, instead of the even division of the volume. Differentiable.
     aperture_samples : sequence of int
@@ -174,7 +182,7 @@ class propagator(display_volume):
     seed : int, optional
         Makes the draws of `vaccination` reproducible.
     iris_radius : float, optional
-        Radius in metres of a round iris in the Fourier plane, see :meth:`set_aperture`; open by default.
+        Radius in metres of a round iris in the Fourier plane, see :meth:`set_aperture`.
     iris_focal_length : float, optional
         Focal length in metres of the lens in front of the iris.
     pixel_fill : float, optional
@@ -206,7 +214,8 @@ class propagator(display_volume):
     --------
     >>> import torch
     >>> from odak.learn.wave import propagator
-    >>> display = propagator([16, 24], [639e-9, 515e-9, 473e-9], number_of_frames=3, number_of_depth_layers=2)
+    >>> colours = [639e-9, 515e-9, 473e-9]
+    >>> display = propagator([16, 24], colours, number_of_frames=3, number_of_depth_layers=2, aperture="open")
     >>> display.reconstruct(torch.zeros(3, 16, 24)).shape
     torch.Size([3, 2, 3, 16, 24])
     """
@@ -214,8 +223,6 @@ class propagator(display_volume):
     _fixed = (*display_volume._fixed, "propagator_type", "zero_mode_distance", "number_of_frames", "slm")
     phase_scale: torch.Tensor
     channel_power: torch.Tensor
-
-    extra_repr = _show.numbers_of
 
     @_validate.takes_units(
         "wavelengths",
@@ -242,7 +249,7 @@ class propagator(display_volume):
         propagator_type: str = "back and forth",
         back_and_forth_distance: float = 0.3,
         laser_channel_power: torch.Tensor | None = None,
-        aperture: torch.Tensor | None = None,
+        aperture: torch.Tensor | str | None = None,
         aperture_size: float | None = None,
         distances: torch.Tensor | Sequence[float] | None = None,
         aperture_samples: Sequence[int] = (20, 20, 5, 5),
@@ -277,7 +284,7 @@ class propagator(display_volume):
                 )
         else:
             has_iris = not (aperture is None and aperture_size is None and iris_radius is None)
-            pixel_fill = pixel_fill_of(slm, has_iris)
+            pixel_fill = pixel_fill_of(slm, has_iris and not isinstance(aperture, str))
         super().__init__(
             resolution,
             wavelengths,
@@ -299,6 +306,8 @@ class propagator(display_volume):
         self.volume_depth = volume_depth
         self.number_of_frames = _validate.integer("number_of_frames", number_of_frames, minimum=1)
         self.method, self.slm = power_method(method), slm
+        if aperture is None and aperture_size is None and iris_radius is None and self._has_kernels:
+            warn(_RELEASED_STOP, ArgumentWarning, once=True)
         self.set_aperture(aperture, aperture_size, iris_radius=iris_radius, iris_focal_length=iris_focal_length)
         self.init_phase_scale()
         self._hold_powers(laser_channel_power, "laser_channel_power")

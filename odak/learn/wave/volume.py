@@ -12,6 +12,7 @@ from odak import _array, _show, _torch_private, _validate
 from odak._attributes import Prepared
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import checked_device, floating, kind_of, tensor
+from odak.learn.tools.matrix import circular_binary_mask
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.training import fingerprint, generator_from
@@ -283,7 +284,8 @@ class display_volume(Prepared, torch.nn.Module):
         super().__setattr__(name, value)
         if name == "aperture":
             # A mask in place of the stop that was set.
-            self._stop, self._cutoffs = "mask", [None] * self.number_of_channels
+            self._stop = self._stop_in_words = "mask"
+            self._cutoffs = [None] * self.number_of_channels
             self.init_kernels()
 
     def _apply(self, function, recurse: bool = True):
@@ -300,6 +302,15 @@ class display_volume(Prepared, torch.nn.Module):
         """Distances of the planes in metres, float64 ``[D]``."""
         return self._distances.to(self.device)
 
+    @property
+    def stop(self) -> str:
+        """The stop in the Fourier plane in words, see :meth:`set_aperture`."""
+        return self._stop_in_words
+
+    def extra_repr(self) -> str:
+        """Return what the description of the object has between its brackets."""
+        return _show.numbers_of(self, stop=self.stop)
+
     def generator(self) -> torch.Generator | None:
         """Return what the errors of the distances are drawn from; None where there are no errors."""
         if self.vaccination and self._generator is None:
@@ -311,22 +322,23 @@ class display_volume(Prepared, torch.nn.Module):
 
     def set_aperture(
         self,
-        aperture: torch.Tensor | None = None,
+        aperture: torch.Tensor | str | None = None,
         aperture_size: float | None = None,
         *,
         iris_radius: float | None = None,
         iris_focal_length: float | None = None,
     ) -> None:
-        """Set the stop in the Fourier plane; without arguments it is open.
+        """Set the stop in the Fourier plane; without arguments it is the round one of earlier releases.
 
         Parameters
         ----------
-        aperture : torch.Tensor, optional
+        aperture : torch.Tensor or str, optional
             Mask ``[m, n]``, surrounded by zeros, or ``[2ms, 2ns]``; the centre is zero frequency. It multiplies the
-            sampled transfer functions.
+            sampled transfer functions. "open" is no stop.
         aperture_size : float, optional
-            Without a mask: radius of a round stop in samples of the padded spectrum along its longer axis, the same
-            cut-off in cycles per metre in all directions and colours.
+            Without a mask: radius of a round stop in samples of the padded spectrum, the same along both axes, by
+            :func:`odak.learn.tools.circular_binary_mask`; by default the longer side of a field, which leaves out the
+            corners of the spectrum. Methods that keep no transfer functions are open by default.
         iris_radius : float, optional
             Radius in metres of an iris in the focal plane of a lens. Its cut-off is iris_radius/(λ·iris_focal_length).
         iris_focal_length : float, optional
@@ -339,38 +351,54 @@ class display_volume(Prepared, torch.nn.Module):
         """
         (aperture_size,) = _validate.constants(aperture_size=aperture_size)
         padded = self.padded_shape
-        device = self.aperture.device if "aperture" in self._buffers else None
         if (iris_radius is None) != (iris_focal_length is None):
             raise ValueError("iris_radius and iris_focal_length must be given together")
         if iris_radius is not None and not (aperture is None and aperture_size is None):
             raise ValueError("iris_radius excludes aperture and aperture_size, got more than one of them")
         if aperture_size is not None:
             _validate.real("aperture_size", aperture_size, positive=True)
-        self._cutoffs = [None] * self.number_of_channels
-        self._stop, pitch = "open", divided_pitch(self._path.pitch, self.resolution_factor)
-        if aperture is not None:
-            self._stop = "mask"
+        if isinstance(aperture, str):
+            if _validate.one_of("aperture", aperture, ("open",)) and aperture_size is not None:
+                raise ValueError(f"aperture='open' excludes aperture_size, got {aperture_size}")
+            self._put_stop("open", "open", torch.ones(padded))
+        elif aperture is not None:
             aperture = _validate.image("aperture", tensor("aperture", aperture))
             if any(have > want for have, want in zip(aperture.shape[-2:], padded, strict=True)):
                 raise ValueError(f"aperture must fit the padded grid {padded}, got {tuple(aperture.shape)}")
-            aperture = zero_pad(aperture, padded).reshape(padded)
+            self._put_stop("mask", "mask", zero_pad(aperture, padded).reshape(padded))
         elif aperture_size is not None:
-            self._stop = "round"
-            longer = padded.index(max(padded))
-            radius = aperture_size / (padded[longer] * pitches(pitch)[longer])
-            self._cutoffs = [float(radius)] * self.number_of_channels
-            aperture = torch.fft.fftshift(disc_of_frequencies(padded, pitch, radius))
+            self._put_disc(aperture_size)
         elif iris_radius is not None:
-            self._stop = "round"
             radius = _validate.real("iris_radius", iris_radius, positive=True)
             focal = _validate.real("iris_focal_length", iris_focal_length, positive=True)
-            self._cutoffs = [float(radius / (w * focal)) for w in _validate.numbers(self.wavelengths)]
-            masks = [torch.fft.fftshift(disc_of_frequencies(padded, pitch, cutoff)) for cutoff in self._cutoffs]
-            aperture = masks[0] if len(masks) == 1 else torch.stack(masks)
+            cutoffs = [float(radius / (w * focal)) for w in _validate.numbers(self.wavelengths)]
+            self._put_round(f"iris, radius {radius:g} m at {focal:g} m", cutoffs)
         else:
-            aperture = torch.ones(padded)
+            self._put_released()
+
+    def _put_stop(self, kind: str, words: str, aperture, cutoffs=None) -> None:
+        device = self.aperture.device if "aperture" in self._buffers else None
+        self._stop, self._stop_in_words = kind, words
+        self._cutoffs = [None] * self.number_of_channels if cutoffs is None else cutoffs
         self.register_buffer("aperture", aperture.to(device), persistent=False)
         self.init_kernels()
+
+    def _put_disc(self, radius: float) -> None:
+        mask = circular_binary_mask(*self.padded_shape, radius)[0, 0]
+        self._put_stop("mask", f"round, radius {radius:g} samples", mask)
+
+    def _put_round(self, words: str, cutoffs: list) -> None:
+        pitch = divided_pitch(self._path.pitch, self.resolution_factor)
+        masks = [torch.fft.fftshift(disc_of_frequencies(self.padded_shape, pitch, cutoff)) for cutoff in cutoffs]
+        alike = len(set(cutoffs)) == 1
+        self._put_stop("round", words, masks[0] if alike else torch.stack(masks), cutoffs)
+
+    def _put_released(self) -> None:
+        """Put the stop that earlier releases had where none was given."""
+        if self._has_kernels:
+            self._put_disc(max(self.field_shape))
+        else:
+            self.set_aperture("open")
 
     @property
     def kernels(self) -> torch.Tensor:
@@ -705,8 +733,6 @@ class holographic_display(display_volume):
     _fixed = (*display_volume._fixed, "pad")
     _follow = display_volume._follow | {"pinhole_size": "init_aperture"}
 
-    extra_repr = _show.numbers_of
-
     @_validate.takes_units("wavelengths", "pixel_pitch", "volume_depth", "image_location_offset")
     def __init__(
         self,
@@ -745,7 +771,13 @@ class holographic_display(display_volume):
 
     def init_aperture(self) -> None:
         """Set the pinhole: a disc of ones of radius `pinhole_size` about zero frequency."""
-        self.set_aperture(aperture_size=self.pinhole_size)
+        self.set_aperture()
+
+    def _put_released(self) -> None:
+        pitch, longer = pitches(self._path.pitch), self.padded_shape.index(max(self.padded_shape))
+        cutoff = self.pinhole_size / (self.padded_shape[longer] * pitch[longer])
+        words = f"round, radius {self.pinhole_size:g} samples of the longer axis"
+        self._put_round(words, [float(cutoff)] * self.number_of_channels)
 
     def init_amplitude(self, illumination: torch.Tensor | None = None) -> None:
         """Set the amplitude of the illumination on the modulator, ``[m, n]``.

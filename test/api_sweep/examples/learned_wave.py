@@ -12,7 +12,7 @@ COLOUR = 515e-9
 
 
 def _display(folder):
-    return propagator([16, 16], [COLOUR], propagator_type="forward", volume_depth=0)
+    return propagator([16, 16], [COLOUR], propagator_type="forward", volume_depth=0, aperture="open")
 
 
 def _small_display(folder):

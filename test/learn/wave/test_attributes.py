@@ -25,7 +25,9 @@ SHAPE = (16, 24)
 
 
 def relayed(**options):
-    return propagator(SHAPE, COLOURS, **({"number_of_frames": 3, "number_of_depth_layers": 2} | options))
+    return propagator(
+        SHAPE, COLOURS, **({"number_of_frames": 3, "number_of_depth_layers": 2, "aperture": "open"} | options)
+    )
 
 
 def shown(**options):

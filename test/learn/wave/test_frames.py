@@ -118,7 +118,13 @@ def test_more_frames_than_colours(method):
     target, ends = picture(1, 2, *SIZE), {}
     for frames in (2, 4):
         display = wave.propagator(
-            SIZE, COLOURS[:2], PITCH, number_of_frames=frames, distances=[0.6 * CRITICAL], propagator_type="forward"
+            SIZE,
+            COLOURS[:2],
+            PITCH,
+            number_of_frames=frames,
+            distances=[0.6 * CRITICAL],
+            propagator_type="forward",
+            aperture="open",
         )
         made = wave.multi_color_hologram_optimizer(
             COLOURS[:2], SIZE, target, display, frames, 1, learning_rate=0.2, method=method, reduction="mean",
@@ -141,7 +147,13 @@ def test_more_frames_than_colours(method):
 def test_older_optimizer_with_frames(frames):
     target = picture(1, 1, *SIZE)
     display = wave.propagator(
-        SIZE, COLOURS[1:2], PITCH, number_of_frames=frames, distances=[0.6 * CRITICAL], propagator_type="forward"
+        SIZE,
+        COLOURS[1:2],
+        PITCH,
+        number_of_frames=frames,
+        distances=[0.6 * CRITICAL],
+        propagator_type="forward",
+        aperture="open",
     )
     made = wave.mixed_color_hologram_optimizer(
         COLOURS[1:2], SIZE, target, display, frames, learning_rate=0.2, method="conventional", double_phase=False,

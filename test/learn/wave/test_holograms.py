@@ -194,7 +194,7 @@ def test_projections_and_planes_optimizer_account_for_pixel_size(soft):
     np.testing.assert_allclose(core[1], image, atol=1e-9)
     made = wave.multiplane_hologram_optimizer(
         WAVELENGTH, 1e-4, 0.0, DX, soft.shape, soft[None], propagator_type="forward", number_of_planes=1,
-        number_of_iterations=1, pixel_fill=9 / 25, progress=False, seed=0,
+        number_of_iterations=1, pixel_fill=9 / 25, progress=False, seed=0, aperture="open",
     )  # fmt: skip
     phase, _, images = made.optimize()
     assert physics.relative_error(images[0], abs(field_of_squares(wave.unit_phasor(phase), 1e-4)) ** 2) < 5e-3

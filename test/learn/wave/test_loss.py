@@ -270,7 +270,9 @@ def test_hologram_optimizers_take_the_losses(loss_type):
     picture, depth = uniform(3, 16, 16).float(), uniform(16, 16, seed=1).float()
     loss = loss_type(picture, depth, number_of_planes=2, reduction="sum", **options)
     colours = [639e-9, 515e-9, 473e-9]
-    display = propagator([16, 16], colours, 8e-6, number_of_frames=2, number_of_depth_layers=2, volume_depth=1e-3)
+    display = propagator(
+        [16, 16], colours, 8e-6, number_of_frames=2, number_of_depth_layers=2, volume_depth=1e-3, aperture="open"
+    )
     optimizer = multi_color_hologram_optimizer(
         colours, [16, 16], loss.get_targets()[0], display, 2, 2, loss_function=loss, seed=0, progress=False
     )
@@ -281,7 +283,7 @@ def test_hologram_optimizers_take_the_losses(loss_type):
     one = loss_type(picture[0], depth, number_of_planes=2, **options)
     planes = multiplane_hologram_optimizer(
         515e-9, 0.0, 1e-3, 8e-6, [16, 16], one.targets[:, 0], number_of_iterations=2, number_of_planes=2,
-        loss_function=one,
+        loss_function=one, aperture="open",
     )  # fmt: skip
     assert planes.optimize()[0].isfinite().all()
 

@@ -37,7 +37,7 @@ def test_custom_without_a_kernel_is_refused():
 @pytest.mark.parametrize("kind", [float, np.float32, np.int64, bool])
 def test_numbers_equal_to_zero_or_one_are_flags(kind):
     for number in (0, 1):
-        display = wave.propagator(SIZE, vaccination=kind(number))
+        display = wave.propagator(SIZE, vaccination=kind(number), aperture="open")
         assert display.vaccination is bool(number)
     for other in (0.5, 2.0, math.nan, "1.0", 1j):
         with pytest.raises(TypeError, match="vaccination must be True or False"):
@@ -46,7 +46,7 @@ def test_numbers_equal_to_zero_or_one_are_flags(kind):
 
 def colour_phases(seed, loss=None):
     display = wave.propagator(
-        SIZE, COLOURS, PITCH, number_of_frames=3, number_of_depth_layers=2, propagator_type="forward",
+        SIZE, COLOURS, PITCH, number_of_frames=3, number_of_depth_layers=2, propagator_type="forward", aperture="open",
         volume_depth=1e-3, vaccination=True, seed=seed,
     )  # fmt: skip
     made = wave.multi_color_hologram_optimizer(
@@ -70,7 +70,7 @@ def single_phase(seed):
 def plane_phase(seed):
     return wave.multiplane_hologram_optimizer(
         515e-9, 0.0, 1e-3, PITCH, SIZE, draw(2, *SIZE), number_of_planes=2, number_of_iterations=2, progress=False,
-        seed=seed,
+        seed=seed, aperture="open",
     ).optimize()[0]  # fmt: skip
 
 
@@ -102,7 +102,7 @@ def test_noise_of_a_resumed_run_is_that_of_an_uninterrupted_one(tmp_path):
             if iteration == stop:
                 raise KeyboardInterrupt
 
-        display = wave.propagator(SIZE, COLOURS, PITCH, number_of_frames=3, vaccination=True, seed=4)
+        display = wave.propagator(SIZE, COLOURS, PITCH, number_of_frames=3, vaccination=True, seed=4, aperture="open")
         made = wave.multi_color_hologram_optimizer(
             COLOURS, SIZE, draw(1, 3, *SIZE), display, progress=False, seed=3, checkpoint=checkpoint,
             callback=callback, loss_function=loss_of_planes(),
@@ -132,7 +132,7 @@ def test_targets_of_multiplane_loss_go_to_multiplane_optimizer():
     def optimized(targets, planes):
         return wave.multiplane_hologram_optimizer(
             515e-9, 0.0, 1e-3, PITCH, SIZE, targets, number_of_planes=planes, number_of_iterations=2, progress=False,
-            seed=0, loss_function=loss,
+            seed=0, loss_function=loss, aperture="open",
         ).optimize()[0]  # fmt: skip
 
     with pytest.warns(ArgumentWarning, match="targets hold 8 planes, of which the first 2 are used"):
@@ -159,7 +159,7 @@ def test_perceptual_loss_by_default_takes_what_is_installed(monkeypatch):
 
 
 def test_one_target_channel_stands_for_all_colours():
-    display = wave.propagator(SIZE, COLOURS, PITCH, number_of_frames=3, propagator_type="forward")
+    display = wave.propagator(SIZE, COLOURS, PITCH, number_of_frames=3, propagator_type="forward", aperture="open")
 
     def optimized(targets):
         made = wave.multi_color_hologram_optimizer(COLOURS, SIZE, targets, display, progress=False, seed=0)
@@ -185,7 +185,7 @@ METHODS = {
 def test_a_display_by_any_method_is_a_propagation(method, powers):
     phases = 2 * math.pi * draw(3, *SIZE)
     display = wave.propagator(
-        SIZE, COLOURS, PITCH, number_of_frames=3, number_of_depth_layers=2, propagator_type="forward",
+        SIZE, COLOURS, PITCH, number_of_frames=3, number_of_depth_layers=2, propagator_type="forward", aperture="open",
         propagation_type=method, laser_channel_power=powers, volume_depth=2e-3, image_location_offset=8e-3,
     )  # fmt: skip
     fields = display.reconstruct(phases, get_complex=True)
@@ -204,6 +204,7 @@ def test_a_display_by_any_method_is_a_propagation(method, powers):
 def test_incoherent_displays_spread_intensity():
     display = wave.propagator(
         SIZE, COLOURS, PITCH, number_of_frames=3, propagator_type="forward", image_location_offset=1e-4,
+        aperture="open",
         propagation_type="Incoherent Angular Spectrum",
     )  # fmt: skip
     picture = draw(*SIZE)

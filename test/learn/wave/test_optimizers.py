@@ -6,7 +6,9 @@ import math
 import pytest
 import torch
 
+from odak import ArgumentWarning
 from odak.learn import wave
+from odak.learn.tools import circular_binary_mask
 from odak.learn.wave import (
     mixed_color_hologram_optimizer,
     multi_color_hologram_optimizer,
@@ -27,6 +29,7 @@ def picture(*shape, seed=0):
 
 def display(colours=COLOURS, frames=3, planes=2, **options):
     settings = {"propagator_type": "forward", "volume_depth": 2e-3, "image_location_offset": 6e-3}
+    settings |= {} if "aperture_size" in options else {"aperture": "open"}
     return propagator(
         SIZE, colours, PITCH, number_of_frames=frames, number_of_depth_layers=planes, **(settings | options)
     )
@@ -106,8 +109,8 @@ def test_one_plane_is_the_single_plane_optimizer():
     many = multiplane_hologram_optimizer(
         515e-9, 6e-3, 1e-3, PITCH, SIZE, target[None], number_of_planes=1, number_of_iterations=10,
         phase_initial=start, propagator_type="forward", mask_limits=[0, 1, 0, 1], progress=False,
+        aperture="open",
     )  # fmt: skip
-    many.propagator.set_aperture(torch.ones(64, 80))
     many.offset.data.zero_()
     many.parameters = {}
     many.init_optimizer = lambda: setattr(many, "parameters", {"phase": many.phase})
@@ -127,6 +130,7 @@ def test_multiplane_shows_each_plane():
     made = multiplane_hologram_optimizer(
         515e-9, 0.0, 5e-3, PITCH, SIZE, targets, number_of_planes=2, number_of_iterations=80, learning_rate=0.05,
         zero_mode_distance=0.01, mask_limits=[0.2, 0.8, 0.2, 0.8], progress=False, seed=0,
+        aperture="open",
     )  # fmt: skip
     phase, amplitude, images = made.optimize()
     inside = made.mask.bool()
@@ -138,6 +142,34 @@ def test_multiplane_shows_each_plane():
     assert not phase.requires_grad
 
 
+def test_realistic_defocus_as_it_was_published_has_its_stop():
+    """Double phase without a stop cannot lose light: the mean of its images stays near 1, and the error above 0.3."""
+    depth = (torch.arange(80) >= 40).float().expand(64, 80)
+    loss = wave.multiplane_loss(
+        0.5 * picture(1, 64, 80), depth, blur_ratio=5, target_blur_size=20, number_of_planes=2, weights=[1, 1, 1, 0]
+    )
+    targets, errors = loss.get_targets()[0], {}
+
+    def optimized(**options):
+        made = multiplane_hologram_optimizer(
+            515e-9, 0.0, 1e-3, PITCH, [64, 80], targets, number_of_planes=2, number_of_iterations=30,
+            zero_mode_distance=0.3, mask_limits=[0, 1, 0, 1], loss_function=loss, seed=0, progress=False, **options,
+        )  # fmt: skip
+        images = made.optimize()[2]
+        assert made.propagator.stop in repr(made)
+        return made, float((images - targets[:, 0]).square().mean())
+
+    with pytest.warns(ArgumentWarning, match="round stop of earlier releases"):
+        made, errors["released"] = optimized()
+    assert torch.equal(made.propagator.aperture, circular_binary_mask(128, 160, 80)[0, 0])
+    _, errors["size"] = optimized(aperture_size=80)
+    made, errors["open"] = optimized(aperture="open")
+    assert errors["released"] == errors["size"] < 0.02
+    assert errors["open"] > 0.3
+    made.propagator.set_aperture()
+    assert made.propagator.stop == "round, radius 80 samples"
+
+
 def test_multiplane_takes_a_loss_a_start_and_bad_input():
     calls = []
 
@@ -145,7 +177,7 @@ def test_multiplane_takes_a_loss_a_start_and_bad_input():
         calls.append(plane)
         return (image - target).abs().mean()
 
-    arguments = {"number_of_planes": 3, "number_of_iterations": 2, "progress": False}
+    arguments = {"number_of_planes": 3, "number_of_iterations": 2, "progress": False, "aperture": "open"}
     targets = picture(3, *SIZE)
     multiplane_hologram_optimizer(
         515e-9, 0.0, 1e-3, PITCH, SIZE, targets, loss_function=loss, phase_initial=torch.zeros(SIZE), **arguments

@@ -25,6 +25,7 @@ def intensity(phase, distance=DISTANCE, pitch=PITCH, cutoff=np.inf):
 
 def display(**options):
     options = {"propagator_type": "forward", "distances": [DISTANCE], **options}
+    options |= {} if {"iris_radius"} & options.keys() else {"aperture": "open"}
     return learn.propagator(SHAPE, [WAVELENGTH], PITCH, **options)
 
 
@@ -51,8 +52,6 @@ def test_a_round_iris_is_round_in_cycles_per_metre():
     radii = np.count_nonzero(shown.aperture[2 * SHAPE[0] // 2, :]), np.count_nonzero(shown.aperture[:, SHAPE[1]])
     expected = [2 * cutoff * 2 * n * pitch for n, pitch in zip(SHAPE[::-1], PITCH[::-1], strict=True)]
     assert radii == pytest.approx(expected, abs=1)
-    by_samples = display(aperture_size=cutoff * 2 * SHAPE[1] * PITCH[1])
-    assert torch.equal(by_samples.aperture, shown.aperture)
 
 
 @pytest.mark.filterwarnings("ignore:.*averages the field:odak.AccuracyWarning")
@@ -110,6 +109,7 @@ def test_optimizers_claim_what_an_independent_propagation_gives():
         number_of_planes=2,
         number_of_iterations=4,
         progress=False,
+        aperture="open",
     )
     phase, _, claimed = optimizer.optimize()
     net = (optimizer.propagator.distances - DISTANCE).tolist()
@@ -156,7 +156,9 @@ def test_gradients_of_both_pitches():
 
     def shown(down, across):
         pitches = (8e-6 * down, 6e-6 * across)
-        screen = learn.propagator((4, 5), [WAVELENGTH], pitches, distances=[2e-4], propagator_type="forward")
+        screen = learn.propagator(
+            (4, 5), [WAVELENGTH], pitches, distances=[2e-4], propagator_type="forward", aperture="open"
+        )
         return screen.reconstruct(random_phase()[:4, :5], no_grad=False)
 
     assert torch.autograd.gradcheck(shown, pitch, fast_mode=True)

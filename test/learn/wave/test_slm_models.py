@@ -229,7 +229,7 @@ def test_a_display_shows_what_its_modulator_sends(s):
     # With one sample per pixel the display adds the spectrum of finite pixels.
     slm = spatial_light_modulator(bits=3, crosstalk=0.3, fill_factor=0.9 if s > 1 else 1.0, samples_per_pixel=s)
     show = wave.propagator(
-        [16, 24], [639e-9, 515e-9], 8e-6, 1, 2, distances=[2e-3], propagator_type="forward", slm=slm, aperture_size=1e4
+        [16, 24], [639e-9, 515e-9], 8e-6, 1, 2, distances=[2e-3], propagator_type="forward", slm=slm, aperture="open"
     )
     show.phase_scale = torch.tensor([0.8, 1.0])
     phases = random_phase(2, 16, 24, dtype=torch.float32)
@@ -238,7 +238,7 @@ def test_a_display_shows_what_its_modulator_sends(s):
     for colour, scale in enumerate((0.8, 1.0)):
         field = slm(phases[colour], scale)
         expected = physics.unwrapped_propagation(field.numpy(), 2e-3, 8e-6 / s, show.wavelengths[colour], padding=16)
-        assert physics.relative_error(shown[colour, 0, colour], abs(expected) ** 2) < 1e-4
+        assert physics.relative_error(shown[colour, 0, colour], abs(expected) ** 2) < 1e-3
 
 
 def test_hologram_optimised_through_model_is_better_on_modulator():

@@ -87,7 +87,7 @@ def test_intensity_of_a_real_field_and_of_a_conjugate_view():
 
 def test_channel_powers_of_another_display_are_refused(tmp_path):
     torch.save(torch.ones(2, 2), tmp_path / "powers.pt")
-    display = propagator([16, 16], [5e-7], propagator_type="forward", volume_depth=0)
+    display = propagator([16, 16], [5e-7], propagator_type="forward", volume_depth=0, aperture="open")
     with pytest.raises(ValueError, match=r"channel_power_filename .* must contain a tensor \[1, 1\], got \[2, 2\]"):
         multi_color_hologram_optimizer(
             [5e-7], [16, 16], torch.rand(1, 1, 16, 16), display, 1, channel_power_filename=str(tmp_path / "powers.pt")

@@ -63,6 +63,7 @@ def test_checkpoints_of_displays_know_their_planes(tmp_path):
         return wave.multiplane_hologram_optimizer(
             wavelength, 0.0, 1e-3, 8e-6, [12, 16], targets, number_of_planes=2, number_of_iterations=4,
             checkpoint=tmp_path / "run.pt", progress=False, seed=5, callback=interrupt,
+            aperture="open",
         ).optimize()[0]  # fmt: skip
 
     run(targets, stop=6)
@@ -77,7 +78,7 @@ def test_checkpoints_of_displays_know_their_planes(tmp_path):
 def test_a_callback_stops_at_the_first_plane():
     made = wave.multiplane_hologram_optimizer(
         515e-9, 0.0, 1e-3, 8e-6, [12, 16], torch.rand(3, 12, 16), number_of_planes=3, number_of_iterations=4,
-        progress=False, callback=lambda step, loss: True,
+        progress=False, callback=lambda step, loss: True, aperture="open",
     )  # fmt: skip
     assert made.optimize()[0].isfinite().all()
 
@@ -105,7 +106,9 @@ class TestBrightness:
     @pytest.mark.parametrize("excess", [0.99, 1.01])
     def test_of_colours(self, method, excess):
         colours, size = [600e-9, 500e-9], [16, 16]
-        display = wave.propagator(size, colours, 8e-6, number_of_frames=2, number_of_depth_layers=1, method=method)
+        display = wave.propagator(
+            size, colours, 8e-6, number_of_frames=2, number_of_depth_layers=1, method=method, aperture="open"
+        )
         # Each colour is shown in one frame, or in both.
         reachable = 1 if method == "conventional" else 2
         targets = torch.full((1, 2, *size), excess * reachable)
@@ -118,7 +121,16 @@ class TestBrightness:
         half = (0, 0.5, 0, 1)
         with self.expected(brightness > 2, "targets must have a mean intensity of at most 1"):
             wave.multiplane_hologram_optimizer(
-                532e-9, 1e-3, 1e-3, 8e-6, [16, 16], targets, number_of_planes=1, mask_limits=half, progress=False
+                532e-9,
+                1e-3,
+                1e-3,
+                8e-6,
+                [16, 16],
+                targets,
+                number_of_planes=1,
+                mask_limits=half,
+                progress=False,
+                aperture="open",
             )
 
 
@@ -145,7 +157,7 @@ def with_planes(loss, seed, **options):
     targets = torch.rand(2, 16, 16, generator=torch.Generator().manual_seed(0))
     optimizer = wave.multiplane_hologram_optimizer(
         532e-9, 0.0, 1e-3, 8e-6, [16, 16], targets, number_of_iterations=4, loss_function=loss, number_of_planes=2,
-        mask_limits=[0, 1, 0, 1], seed=seed, progress=False, **options,
+        mask_limits=[0, 1, 0, 1], seed=seed, progress=False, aperture="open", **options,
     )  # fmt: skip
     return optimizer.optimize()[0]
 

@@ -51,7 +51,7 @@ class multi_color_hologram_optimizer(Prepared):
     targets : torch.Tensor
         Intensities to show, ``[D, C, ms, ns]``, 0 … 1, or ``[D, 1, ms, ns]``, the same in every colour.
     propagator : odak.learn.wave.propagator
-        The display. It takes over `method` and the source powers found.
+        The display, with its stop in the Fourier plane. It takes over `method` and the source powers found.
     number_of_frames : int
         Number F of patterns, as in the propagator.
     number_of_depth_layers : int
@@ -116,7 +116,7 @@ class multi_color_hologram_optimizer(Prepared):
     >>> import torch
     >>> from odak.learn.wave import multi_color_hologram_optimizer, propagator
     >>> colours = [639e-9, 515e-9, 473e-9]
-    >>> display = propagator([32, 32], colours, 8e-6, number_of_frames=3, propagator_type="forward", volume_depth=0)
+    >>> display = propagator([32, 32], colours, 8e-6, number_of_frames=3, aperture="open")
     >>> optimizer = multi_color_hologram_optimizer(colours, [32, 32], torch.rand(1, 3, 32, 32), display, seed=0)
     >>> amplitudes, phases, images, powers, _, peak = optimizer.optimize(2)
     >>> phases.shape, images.shape, powers.shape
@@ -134,7 +134,8 @@ class multi_color_hologram_optimizer(Prepared):
     peak_amplitude: torch.Tensor
     _follow = {"peak_amplitude": "_take_peak"}  # noqa: RUF012
 
-    __repr__ = _show.one_line
+    def __repr__(self) -> str:
+        return _show.one_line(self, stop=self.propagator.stop)
 
     @_validate.takes_units("wavelengths")
     def __init__(
@@ -623,7 +624,7 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
     targets : torch.Tensor
         Intensities to show, ``[D, C, ms, ns]``, 0 … 1, or ``[D, 1, ms, ns]``, the same in every colour.
     propagator : odak.learn.wave.propagator
-        The display. It takes over `method` and the source powers found.
+        The display, with its stop in the Fourier plane. It takes over `method` and the source powers found.
     number_of_frames : int, default: 3
         Number F of patterns, as in the propagator.
     number_of_depth_layers : int, default: 1
@@ -661,7 +662,7 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
     >>> import torch
     >>> from odak.learn.wave import mixed_color_hologram_optimizer, propagator
     >>> colours = [639e-9, 515e-9, 473e-9]
-    >>> display = propagator([32, 32], colours, 8e-6, number_of_frames=3, propagator_type="forward", volume_depth=0)
+    >>> display = propagator([32, 32], colours, 8e-6, number_of_frames=3, aperture="open")
     >>> optimizer = mixed_color_hologram_optimizer(
     ...     colours, [32, 32], torch.rand(1, 3, 32, 32), display, seed=0, progress=False
     ... )
@@ -672,8 +673,6 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
 
     _title = "mixed-colour hologram"
     _offset_of_frames, _levels = False, 1
-
-    __repr__ = _show.one_line
 
     @_validate.takes_units("wavelengths")
     def __init__(

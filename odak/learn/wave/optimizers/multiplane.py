@@ -78,6 +78,11 @@ class multiplane_hologram_optimizer(Prepared):
     frames : int
         Number of patterns shown one after another, faster than an eye or a camera tells apart. The image on each plane
         is the mean of their intensities.
+    aperture : torch.Tensor or str, optional
+        Mask in the Fourier plane, or "open", see :class:`odak.learn.wave.propagator`; by default the round stop of
+        earlier releases. The checkerboard of a double phase needs a stop that its orders do not pass.
+    aperture_size : float, optional
+        Radius of a round stop in samples of the padded spectrum.
 
     Raises
     ------
@@ -89,7 +94,8 @@ class multiplane_hologram_optimizer(Prepared):
     >>> import torch
     >>> from odak.learn.wave import multiplane_hologram_optimizer
     >>> optimizer = multiplane_hologram_optimizer(
-    ...     515e-9, 0.0, 1e-3, 8e-6, [32, 32], torch.rand(2, 32, 32), number_of_planes=2, number_of_iterations=3
+    ...     515e-9, 0.0, 1e-3, 8e-6, [32, 32], torch.rand(2, 32, 32), number_of_planes=2, number_of_iterations=3,
+    ...     aperture_size=24,
     ... )
     >>> phase, amplitude, images = optimizer.optimize()
     >>> images.shape
@@ -101,7 +107,8 @@ class multiplane_hologram_optimizer(Prepared):
     )
     _follow = {"mask_limits": "init_mask"}  # noqa: RUF012
 
-    __repr__ = _show.one_line
+    def __repr__(self) -> str:
+        return _show.one_line(self, stop=self.propagator.stop)
 
     @_validate.takes_units("wavelength", "image_location", "slm_pixel_pitch", "zero_mode_distance")
     def __init__(
@@ -131,6 +138,8 @@ class multiplane_hologram_optimizer(Prepared):
         seed: int | None = None,
         pixel_fill: float | None = None,
         frames: int = 1,
+        aperture: torch.Tensor | str | None = None,
+        aperture_size: float | None = None,
     ):
         self.number_of_planes = _validate.integer("number_of_planes", number_of_planes, minimum=1)
         self.number_of_iterations = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
@@ -158,6 +167,8 @@ class multiplane_hologram_optimizer(Prepared):
             back_and_forth_distance=zero_mode_distance,
             device=device,
             pixel_fill=pixel_fill,
+            aperture=aperture,
+            aperture_size=aperture_size,
         )
         self.device, self.slm_resolution = self.propagator.device, self.propagator.resolution
         shape = tuple(self.slm_resolution)
