@@ -9,7 +9,7 @@ propagation itself costs what it did.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -58,6 +58,8 @@ class LinearGrid(Grid):
         Along rows and columns: the result is the field half a sample beyond each sample of the window.
     axes : tuple of int
         Axes along which light spreads; along another one, of one sample, it is the same everywhere.
+    judged : bool, optional
+        True if the caller predicts the error for its own field: no warning is issued here.
     """
 
     cutoff: Any = None
@@ -66,6 +68,7 @@ class LinearGrid(Grid):
     stored: Any = None
     halves: tuple[bool, bool] = (False, False)
     axes: tuple = (-2, -1)
+    judged: bool = False
 
     def evaluate(self, kernel):
         """Return the transfer function whose circular convolution on this grid is the linear one on the window."""
@@ -207,7 +210,7 @@ class LinearGrid(Grid):
             return (rule, Rule(1)) if self.axes == (-2,) else (Rule(1), rule)
         found = rule_for(axes[0], self.tolerance), rule_for(axes[1], self.tolerance)
         error = SAFETY * math.hypot(*(rule.error for rule in found))
-        if error > _DOUBTFUL:
+        if error > _DOUBTFUL and not self.judged:
             warn(
                 f"the light of {sizes[0]} × {sizes[1]} samples, {max(pitches):.3g} m apart, at a distance of "
                 f"{abs(distance):.3g} m is known to about {100 * min(error, 1):.0f} % only: give a shorter distance, "
@@ -436,6 +439,8 @@ class linear_kernel:
         Along rows and columns: the field half a sample beyond each sample of the window.
     axes : tuple of int
         Axes along which light spreads: both, or one of fields of a single row or column.
+    judged : bool, optional
+        True if the caller predicts the error for its own field, so that none is predicted here.
     """
 
     transfer: Callable
@@ -444,6 +449,7 @@ class linear_kernel:
     tolerance: float = TOLERANCE
     halves: tuple[bool, bool] = (False, False)
     axes: tuple = (-2, -1)
+    judged: bool = field(default=False, compare=False)
 
     def __call__(self, grid: Grid):
         """Return the transfer function on a padded grid; each geometry of a batch has a rule of its own."""
@@ -469,8 +475,7 @@ class linear_kernel:
     def _build(self, grid: Grid, stored):
         own: dict[str, Any] = {field.name: getattr(grid, field.name) for field in fields(Grid)}
         own |= {"cutoff": self.cutoff, "pixel_fill": self.pixel_fill, "tolerance": self.tolerance, "stored": stored}
-        own["halves"] = self.halves
-        own["axes"] = self.axes
+        own |= {"halves": self.halves, "axes": self.axes, "judged": self.judged}
         linear = LinearGrid(**own)
         if self.transfer is angular_spectrum and linear.is_far():
             return linear.evaluate_far()

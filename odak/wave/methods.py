@@ -157,8 +157,8 @@ def _filter_intensity(field, request: Request):
 
 
 @functools.lru_cache(maxsize=16)
-def _linear_angular_spectrum(tolerance: float) -> linear_kernel:
-    return linear_kernel(tf.angular_spectrum, tolerance=tolerance)
+def _linear_angular_spectrum(tolerance: float, judged: bool) -> linear_kernel:
+    return linear_kernel(tf.angular_spectrum, tolerance=tolerance, judged=judged)
 
 
 def _fraunhofer(field, request: Request):
@@ -368,7 +368,7 @@ METHODS = (
     Method(
         "Linear Angular Spectrum",
         ("LAS",),
-        _Filter(lambda request: _linear_angular_spectrum(request.tolerance), linear=True),
+        _Filter(lambda request: _linear_angular_spectrum(request.tolerance, request.judged), linear=True),
         _never,
     ),
     Method(

@@ -306,6 +306,7 @@ def _plan(
     )
     method, error, warnings = find_method(propagation_type), 0.0, ()
     if method is None:
+        request = replace(request, judged=True)
         method, error = choose_method(shape[-2:], request)
         if math.isnan(error):
             # Lengths that cannot be read without waiting are not read for a rule of their own either.

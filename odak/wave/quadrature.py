@@ -30,6 +30,9 @@ _DENSITIES = (1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
 _REFERENCE_TURN, _REFERENCE_TAPS = 1.0, 32
 _LONGEST_REFERENCE = 1 << 18
 _MOST_NODES = 600
+# With fewer frequencies of the reference between the end of the band and waves along the plane, no rule serves: the
+# phase is not straight over its weights.
+_GRAZING = 200
 # Nodes of integrals beyond the band, and the largest curvature of the phase along them, relative to its decay: they are
 # exact to 1e-9 then.
 _TURNED_NODES, _STRAIGHT = 8, 3e-3
@@ -287,9 +290,15 @@ def reference_response(axis: Axis, transverse) -> np.ndarray:
     straight = _curvature_beyond(axis, reach) < _STRAIGHT
     if straight.any():
         found[straight] = _unlimited_response(axis, transverse[straight]) - _beyond_the_band(axis, transverse[straight])
-    limited = (
-        ~straight & np.isfinite(reach) & ((reach + axis.samples) * 2 * math.pi / _REFERENCE_TURN < _LONGEST_REFERENCE)
-    )
+    nodes, beyond = _nodes_beyond(axis, transverse)
+    # Where no wave beyond the band travels there is nothing between its end and waves along the plane.
+    places = (np.minimum(reach, _LONGEST_REFERENCE) + axis.samples) * axis.pitch
+    few = beyond * places * (2 * math.pi / _REFERENCE_TURN) < _GRAZING
+    summed = ~straight & few & (nodes <= _MOST_NODES)
+    if summed.any():
+        beyond = _waves_beyond_the_band(axis, transverse[summed], int(nodes[summed].max()))
+        found[summed] = _unlimited_response(axis, transverse[summed]) - beyond
+    limited = ~(straight | summed) & ((reach + axis.samples) * 2 * math.pi / _REFERENCE_TURN < _LONGEST_REFERENCE)
     # One rule for each octave of its length.
     lengths = np.where(limited, np.ceil(np.log2(np.where(limited, reach, 0) + axis.samples)), -1)
     for exponent in np.unique(lengths[limited]):
@@ -297,21 +306,23 @@ def reference_response(axis: Axis, transverse) -> np.ndarray:
         count = _even_fast(max(2**exponent * 2 * math.pi / _REFERENCE_TURN, 8 * _SHORTEST))
         rule = Rule(count, end_corrections(-_REFERENCE_TURN, _REFERENCE_TURN, _REFERENCE_TAPS))
         found[chosen] = response(axis, transverse[chosen], rule)
-    left = ~(straight | limited)
-    rest = transverse[left]
-    if len(rest) and _tail_nodes(axis) <= _MOST_NODES:
-        found[left] = _unlimited_response(axis, rest) - _decaying_tail(axis, rest)
-    elif len(rest):
+    left = ~(straight | summed | limited)
+    if left.any():
         # So close to the field that hardly any wave leaves the grid.
-        found[left] = response(axis, rest, Rule(_LONGEST_REFERENCE // 4))
+        found[left] = response(axis, transverse[left], Rule(_LONGEST_REFERENCE // 4))
     return found
 
 
 def _curvature_beyond(axis: Axis, reach) -> np.ndarray:
-    """Return how curved the phase beyond the band is, relative to its decay at the last lag; infinite near the band."""
-    outside = np.where(np.isfinite(reach), reach - axis.samples, 0) * axis.pitch
+    """Return how curved the phase beyond the band is, relative to its decay at the last lag; infinite near the band.
+
+    The second derivative of the phase is z·(q² + B²)/q³ at the axial frequency q = z·B/reach, and λz for small angles.
+    """
+    reach = np.where(np.isfinite(reach), reach, 0) * axis.pitch
+    outside, length = reach - axis.samples * axis.pitch, np.hypot(reach, axis.distance)
+    curved = reach * (length / axis.distance) ** 2 / axis.band if axis.distance else 0.0
     with np.errstate(divide="ignore"):
-        return np.where(outside > 0, axis.wavelength * axis.distance / (4 * math.pi * outside**2), np.inf)
+        return np.where(outside > 0, curved / (4 * math.pi * np.square(outside)), np.inf)
 
 
 def _unlimited_response(axis: Axis, transverse) -> np.ndarray:
@@ -348,23 +359,41 @@ def _beyond_the_band(axis: Axis, transverse) -> np.ndarray:
     return axis.pitch * found
 
 
-def _tail_nodes(axis: Axis) -> int:
-    """Return the nodes of a quadrature over the decaying waves, six for each cycle at the last lag."""
-    return 64 + int(6 * 40 / (2 * np.pi * axis.distance) * axis.samples * axis.pitch)
+def _nodes_beyond(axis: Axis, transverse) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nodes that :func:`_waves_beyond_the_band` takes, and the range of travelling waves beyond the band.
+
+    There are six nodes for each cycle at the last lag.
+    """
+    squared = np.maximum((1 / axis.wavelength) ** 2 - np.asarray(transverse) ** 2, axis.band**2)
+    beyond, width = np.sqrt(squared) - axis.band, axis.samples * axis.pitch
+    travelling = axis.distance * np.sqrt(squared - axis.band**2) + width * beyond
+    return 64 + 6 * np.maximum(40 / (2 * np.pi * axis.distance) * width, travelling), beyond
 
 
-def _decaying_tail(axis: Axis, transverse) -> np.ndarray:
-    """Return the integral over the frequencies beyond the band, where all waves decay."""
-    nodes, weights = np.polynomial.legendre.leggauss(_tail_nodes(axis))
-    squared = axis.band**2 - ((1 / axis.wavelength) ** 2 - np.asarray(transverse) ** 2)
-    # s² is the excess over the first decay constant; beyond 40 nepers nothing is left.
-    first = np.sqrt(np.maximum(squared, 0))[:, None]
-    longest = 40 / (2 * np.pi * axis.distance)
-    decay = first + longest * (nodes + 1) / 2
-    frequency = np.sqrt(decay**2 + (axis.band**2 - squared)[:, None])
-    amplitude = np.exp(-2 * np.pi * axis.distance * decay) * decay / frequency * weights * longest / 2
+def _waves_beyond_the_band(axis: Axis, transverse, count: int) -> np.ndarray:
+    """Return the integral over the frequencies beyond the band: waves that still travel, and those that decay.
+
+    The axial frequency q, real and then imaginary, is the variable, in which nothing is singular where waves turn from
+    one to the other: f² = s² − q² and df = −q/f dq.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    found = np.zeros((len(transverse), axis.samples), dtype=np.complex128)
     places = np.arange(axis.samples) * axis.pitch
-    return 2 * axis.pitch * np.einsum("tn,tnl->tl", amplitude, np.cos(2 * np.pi * frequency[..., None] * places))
+    # Beyond 40 nepers nothing is left.
+    longest = 40 / (2 * np.pi * axis.distance)
+    for k, squared in enumerate((1 / axis.wavelength) ** 2 - np.asarray(transverse) ** 2):
+        # The axial frequency at the end of the band.
+        end = np.emath.sqrt(squared - axis.band**2)
+        for axial, step in (
+            (np.real(end) * (1 - nodes) / 2, np.real(end) / 2),
+            (1j * (np.imag(end) + longest * (nodes + 1) / 2), -1j * longest / 2),
+        ):
+            if step:
+                frequency = np.sqrt(squared - np.real(axial**2))
+                waves = np.exp(2j * np.pi * axis.distance * axial) * axial / frequency * weights * step
+                cosines = np.cos(2 * np.pi * places[:, None] * frequency)
+                found[k] += cosines @ waves.real + 1j * (cosines @ waves.imag)
+    return 2 * axis.pitch * found
 
 
 def field_error(

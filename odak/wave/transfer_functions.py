@@ -567,7 +567,7 @@ class Request:
 
     `distance`, `wavelength` and `dx` are numbers or arrays that broadcast against the field's leading axes; a tuple or
     list `dx` holds the pitches along rows and columns. `window` says that the field is to be filtered on a grid of
-    twice its size, of which only its own window is kept.
+    twice its size, of which only its own window is kept; `judged`, that the caller predicts the error for its field.
     """
 
     dx: Any
@@ -579,6 +579,7 @@ class Request:
     samples: tuple[int, int, int, int] = (1, 1, 1, 1)
     window: bool = False
     tolerance: float = 1e-4
+    judged: bool = False
 
     def is_plain(self) -> bool:
         """Return whether the geometry is known as numbers, so that a kernel can be kept."""

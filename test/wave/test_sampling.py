@@ -1,6 +1,8 @@
+import itertools
 import json
 import math
 import tracemalloc
+import warnings
 
 import array_api_strict
 import numpy as np
@@ -164,6 +166,115 @@ def test_waves_along_the_plane_are_reported():
     found = odak.wave.propagate_beam(smooth, None, distance, dx, WAVELENGTH, "auto")
     exact = odak.wave.rayleigh_sommerfeld_sum(smooth, None, distance, dx, WAVELENGTH)
     assert np.linalg.norm(found - exact) < 1e-4 * np.linalg.norm(exact)
+
+
+def waves_of_a_fine_pitch(field, distance, dx, wavelength, nodes=110):
+    """Return a square field by Gauss-Legendre quadrature over its band, the angle of a wave as variable.
+
+    Waves that travel are summed over an angle, those that decay over a hyperbolic one, so that nothing is singular
+    where one turns into the other.
+    """
+    points, weights = np.polynomial.legendre.leggauss(nodes)
+    part, weights = (points + 1) / 2, weights / 2
+    band, lags = 0.5 / dx, np.arange(len(field)) * dx
+    response = np.zeros((len(field), len(field)), dtype=complex)
+    # The other axis holds decaying waves beyond the second frequency, and nothing else beyond the third.
+    turns = math.sqrt(max(wavelength**-2 - band**2, 0.0))
+    edges = sorted({0.0, min(turns, band), min(band, 1 / wavelength), band})
+    for low, high in itertools.pairwise(edges):
+        ends = np.pi * part
+        for across, share in zip(
+            low + (high - low) * (1 - np.cos(ends)) / 2, weights * np.pi / 2 * (high - low) * np.sin(ends), strict=True
+        ):
+            squared = wavelength**-2 - across**2
+            axial = np.emath.sqrt(squared)
+            along, waves = [], []
+            if squared > 0:
+                largest = math.asin(min(band / axial, 1.0))
+                along.append(axial * np.sin(largest * part))
+                turned = axial * np.cos(largest * part)
+                waves.append(weights * largest * turned * np.exp(2j * np.pi * distance * turned))
+                largest = math.acosh(max(band / axial, 1.0))
+                along.append(axial * np.cosh(largest * part))
+                turned = axial * np.sinh(largest * part)
+                waves.append(weights * largest * turned * np.exp(-2 * np.pi * distance * turned))
+            else:
+                along.append(band * part)
+                waves.append(weights * band * np.exp(-2 * np.pi * distance * np.sqrt(along[0] ** 2 - squared)))
+            line = np.cos(2 * np.pi * lags[:, None] * np.concatenate(along)) @ np.concatenate(waves)
+            response += 4 * dx**2 * share * np.cos(2 * np.pi * across * lags)[:, None] * line
+    lag = np.minimum(np.arange(2 * len(field)), 2 * len(field) - np.arange(2 * len(field))) % len(field)
+    spectrum = np.fft.fft2(response[lag[:, None], lag]) * np.fft.fft2(field, s=(2 * len(field),) * 2)
+    return np.fft.ifft2(spectrum)[: len(field), : len(field)]
+
+
+@pytest.mark.parametrize(
+    ("dx", "wavelength", "distance"),
+    [
+        (0.35e-6, 532e-9, 5e-6),
+        (0.25e-6, 400e-9, 6e-6),
+        (0.3e-6, 532e-9, 5e-6),
+        (0.376e-6, 532e-9, 8e-6),
+        (0.45e-6, 532e-9, 5e-6),
+    ],
+)
+def test_the_choice_at_pitches_of_half_a_wavelength_to_a_whole_one(dx, wavelength, distance, random):
+    """Light that fills the band of a fine pitch holds waves along the plane: the better method is taken for it."""
+    field = np.exp(2j * np.pi * random.random((48, 48)))
+    exact = waves_of_a_fine_pitch(field, distance, dx, wavelength)
+
+    def error(found):
+        return np.linalg.norm(np.asarray(found) - exact) / np.linalg.norm(exact)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", odak.SamplingWarning)
+        errors = {
+            name: error(odak.wave.propagate_beam(field, None, distance, dx, wavelength, name))
+            for name in ("Linear Angular Spectrum", "Rayleigh-Sommerfeld", "auto")
+        }
+        same = odak.learn.wave.propagate_beam(torch.from_numpy(field), None, distance, dx, wavelength)
+    assert errors["auto"] == min(errors.values()) < 0.02
+    assert error(same) < 1.001 * errors["auto"] + 1e-10
+    report = odak.wave.sampling_report(field.shape, dx, wavelength, distance, field=field)
+    assert errors[report.recommended] == errors["auto"]
+    assert errors["auto"] < 1.1 * report.predicted_error < 10 * errors["auto"] + 1e-6
+
+
+def test_the_reference_holds_where_the_band_ends_among_waves_along_the_plane():
+    """At each frequency across, the reference is the integral over the band, by an angle as variable."""
+    axis = quadrature_rules.Axis(24, 0.35e-6, 532e-9, 5e-6, 0.5 / 0.35e-6)
+    across = np.linspace(0, 0.999 / 532e-9, 97)
+    found = quadrature_rules.reference_response(axis, across)
+    points, weights = np.polynomial.legendre.leggauss(200)
+    part, weights = (points + 1) / 2, weights / 2
+    lags = np.arange(24) * axis.pitch
+    for frequency, line in zip(across, found, strict=True):
+        axial = math.sqrt(532e-9**-2 - frequency**2)
+        largest = math.asin(min(axis.band / axial, 1.0))
+        along, turned = axial * np.sin(largest * part), axial * np.cos(largest * part)
+        waves = weights * largest * turned * np.exp(2j * np.pi * axis.distance * turned)
+        largest = math.acosh(max(axis.band / axial, 1.0))
+        decaying, turned = axial * np.cosh(largest * part), axial * np.sinh(largest * part)
+        waves = np.append(waves, weights * largest * turned * np.exp(-2 * np.pi * axis.distance * turned))
+        exact = 2 * axis.pitch * np.cos(2 * np.pi * lags[:, None] * np.append(along, decaying)) @ waves
+        assert np.linalg.norm(line - exact) < 1e-9 * np.linalg.norm(exact)
+
+
+def test_light_that_auto_knows_well_is_not_called_doubtful(recwarn, monkeypatch):
+    """The whole band of a large fine grid takes too many frequencies; a smooth field does not hold them."""
+    # As for 512 × 512 samples at 0.1 mm. The lengths are of this test alone: rules are kept.
+    monkeypatch.setattr(quadrature_rules, "_MOST_FREQUENCIES", 8)
+    squared = (np.arange(64) - 32)[:, None] ** 2 + (np.arange(64) - 32) ** 2
+    geometry = (None, 1.23e-5, 0.341e-6, 531e-9)
+    field = np.exp(-squared / 9**2) + 0j
+    found = odak.wave.propagate_beam(field, *geometry)
+    assert not recwarn.list
+    exact = odak.wave.rayleigh_sommerfeld_sum(field, *geometry)
+    assert np.linalg.norm(found - exact) < 1e-4 * np.linalg.norm(exact)
+    # Where nothing predicts the error of the field itself the light of the band is called so.
+    transfer_functions.kernels.on("cpu").clear()
+    with pytest.warns(odak.SamplingWarning, match="is known to about .* % only"):
+        odak.wave.propagate_beam(field, *geometry, "Linear Angular Spectrum")
 
 
 def test_a_tolerance_is_kept(random):
