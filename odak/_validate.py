@@ -378,6 +378,20 @@ def pair(name: str, value, *, positive: bool = False) -> tuple:
     return several(name, value if isinstance(value, (tuple, list)) else (value, value), 2, positive=positive)
 
 
+def instance(name: str, value, kind, accepted: str):
+    """Return a value after checking that it is an instance of a class, or of one of several."""
+    if not isinstance(value, kind):
+        raise TypeError(f"{name} must be {accepted}, got {type(value).__name__}")
+    return value
+
+
+def listed(name: str, value, accepted: str):
+    """Return a sequence, or what else can be iterated, after checking that it is no string."""
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise TypeError(f"{name} must be {accepted}, got {type(value).__name__}")
+    return value
+
+
 def function(name: str, value):
     """Return a function after checking that it can be called."""
     if not callable(value):

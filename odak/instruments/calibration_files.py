@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from odak import _validate
 from odak.instruments.array_files import SUFFIXES, checked_array, checked_number, read_hdf5, write_hdf5
 from odak.instruments.calibration import UNITS, Calibration
 from odak.instruments.captures import LARGEST_DISTANCE, PITCHES, WAVELENGTHS
@@ -54,8 +55,7 @@ def save_calibration(path: str | os.PathLike[str], calibration: Calibration) -> 
     ...     load_calibration(name).distance
     0.02
     """
-    if not isinstance(calibration, Calibration):
-        raise TypeError(f"calibration must be a Calibration, got {type(calibration).__name__}")
+    _validate.instance("calibration", calibration, Calibration, "a Calibration")
     path = validate_path(path, [".npz", *SUFFIXES])
     header = {"format": FORMAT, "version": VERSION, **_values(_checked(_values(calibration)))}
     arrays = {name: header.pop(name) for name in (*_MAPS, "homography", "regional_phases") if name in header}

@@ -223,8 +223,7 @@ def save_captures(path: str | os.PathLike[str], captures: Captures) -> None:
     >>> found.frames.shape, bool((found.levels == levels).all())
     ((3, 2, 32, 32), True)
     """
-    if not isinstance(captures, Captures):
-        raise TypeError(f"captures must be Captures, got {type(captures).__name__}")
+    _validate.instance("captures", captures, Captures, "Captures")
     values = _checked(captures.__dict__).__dict__.copy()
     arrays = {name: np.asarray(values.pop(name)) for name in ("levels", "frames", "positions", "dark")}
     write_hdf5(path, arrays, {"format": CAPTURES, "version": CAPTURES_VERSION, **values}, CAPTURE_UNITS)

@@ -155,8 +155,7 @@ class HoloeyeModulator:
     __repr__ = _show.one_line
 
     def __init__(self, preselect: str = "", settling_time: float = 0.1):
-        if not isinstance(preselect, str):
-            raise TypeError(f"preselect must be a string, got {type(preselect).__name__}")
+        _validate.instance("preselect", preselect, str, "a string")
         self.settling_time = float(_validate.number("settling_time", settling_time, least=0))
         self._sdk = _imported("HEDS", "Holoeye's SLM Display SDK (with its folder of Python modules on the path)", "")
         self._check(self._sdk.SDK.Init(4, 0))

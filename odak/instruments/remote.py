@@ -131,8 +131,7 @@ def open_remote(
     from distributed import Client, Security
 
     options = {} if options is None else options
-    if not isinstance(options, Mapping):
-        raise TypeError(f"options must be a mapping, got {type(options).__name__}")
+    _validate.instance("options", options, Mapping, "a mapping")
     timeout = float(_validate.number("timeout", timeout, positive=True))
     check_transport("address", _validate.text("address", address), trusted_network)
     security = load_security(security)

@@ -132,6 +132,27 @@ def kind_of(value) -> str:
     return str(value.dtype) if isinstance(value, torch.Tensor) else type(value).__name__
 
 
+def floating_tensor(name: str, value, accepted: str = "a tensor of real floats") -> torch.Tensor:
+    """Return a tensor after checking that it is one of real floats."""
+    if not isinstance(value, torch.Tensor) or not value.is_floating_point():
+        raise TypeError(f"{name} must be {accepted}, got {kind_of(value)}")
+    return value
+
+
+def real_tensor(name: str, value, accepted: str = "a real tensor") -> torch.Tensor:
+    """Return a tensor after checking that it is one and not complex."""
+    if not isinstance(value, torch.Tensor) or value.is_complex():
+        raise TypeError(f"{name} must be {accepted}, got {kind_of(value)}")
+    return value
+
+
+def complex_tensor(name: str, value, accepted: str = "a complex tensor") -> torch.Tensor:
+    """Return a tensor after checking that it is a complex one."""
+    if not isinstance(value, torch.Tensor) or not value.is_complex():
+        raise TypeError(f"{name} must be {accepted}, got {kind_of(value)}")
+    return value
+
+
 def checked_dtype(name: str, value) -> torch.dtype:
     """Return a real floating dtype."""
     if not isinstance(value, torch.dtype) or not value.is_floating_point:
@@ -266,8 +287,7 @@ def checked_pair(
         the range.
     """
     for name, value in (("predictions", predictions), ("targets", targets)):
-        if not isinstance(value, torch.Tensor) or not value.is_floating_point():
-            raise TypeError(f"{name} must be a tensor of real floats, got {kind_of(value)}")
+        floating_tensor(name, value)
     _validate.alike(predictions=predictions, targets=targets)
     if not predictions.numel():
         raise ValueError(f"predictions and targets must not be empty, got {tuple(predictions.shape)}")
@@ -278,8 +298,7 @@ def checked_pair(
 
 def as_pictures(name: str, image: torch.Tensor, channels: int | None = 3) -> torch.Tensor:
     """Return real pictures ``[..., C, H, W]`` with at least four axes after checking them."""
-    if not isinstance(image, torch.Tensor) or not image.is_floating_point():
-        raise TypeError(f"{name} must be a tensor of real floats, got {kind_of(image)}")
+    floating_tensor(name, image)
     if image.ndim < 3 or (channels is not None and image.shape[-3] != channels):
         wanted = "C" if channels is None else channels
         raise ValueError(f"{name} must be pictures [..., {wanted}, H, W], got {tuple(image.shape)}")

@@ -198,10 +198,8 @@ class agent(Prepared):
         """
         if self.compute is None:
             raise ValueError("compute must be given to the agent before tasks are submitted; map() takes a function")
-        if not isinstance(args, (list, tuple)):
-            raise TypeError(f"args must be a list or tuple of positional arguments, got {type(args).__name__}")
-        if not isinstance(keywords, (Mapping, type(None))):
-            raise TypeError(f"keywords must be a dictionary, got {type(keywords).__name__}")
+        _validate.instance("args", args, (list, tuple), "a list or tuple of positional arguments")
+        _validate.instance("keywords", keywords, (Mapping, type(None)), "a dictionary")
         self.jobs.append((tuple(args), dict(keywords or {})))
         return len(self.jobs) - 1
 
@@ -328,10 +326,8 @@ class agent(Prepared):
         """
         if not callable(function):
             raise TypeError(f"function must be callable, got {type(function).__name__}")
-        if not isinstance(items, Iterable):
-            raise TypeError(f"items must be an iterable, got {type(items).__name__}")
-        if not isinstance(shared, (Mapping, type(None))):
-            raise TypeError(f"shared must be a dictionary, got {type(shared).__name__}")
+        _validate.instance("items", items, Iterable, "an iterable")
+        _validate.instance("shared", shared, (Mapping, type(None)), "a dictionary")
         compute = functools.partial(function, **shared) if shared else function
         return self._collect(compute, [((item,), {}) for item in items], on_failure)
 
@@ -588,8 +584,7 @@ def describe(value: Any) -> str:
 def _checked_depends(depends: Sequence) -> list[ModuleType | Callable | str]:
     if isinstance(depends, (str, Path, ModuleType)) or callable(depends):
         depends = [depends]
-    if not isinstance(depends, Iterable):
-        raise TypeError(f"depends must be modules, functions or paths, got {type(depends).__name__}")
+    _validate.instance("depends", depends, Iterable, "modules, functions or paths")
     checked: list[ModuleType | Callable | str] = []
     for item in depends:
         if isinstance(item, (str, Path)):

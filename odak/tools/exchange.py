@@ -72,8 +72,7 @@ def to_xarray(
     xarray = _package("xarray", "xarray")
     values = _numbers("field", field, 2, None)
     steps = _pitches(pitch)
-    if not isinstance(name, str):
-        raise TypeError(f"name must be a string, got {type(name).__name__}")
+    _validate.instance("name", name, str, "a string")
     coordinates: dict[str, Any] = {}
     dims, place = ["y", "x"], values.ndim - 2
     for dim, step, count in zip(dims, steps, values.shape[-2:], strict=True):

@@ -114,8 +114,7 @@ def list_files(path: str | os.PathLike[str], key: str = "*.*", recursive: bool =
     ['a.txt', 'b.txt']
     """
     folder = Path(validate_path(path))
-    if not isinstance(key, str):
-        raise TypeError(f"key must be a string, got {type(key).__name__}")
+    _validate.instance("key", key, str, "a string")
     if not key or ".." in Path(key).parts or Path(key).is_absolute():
         raise ValueError(f"key must be a pattern below the folder, such as '*.png'; got {key!r}")
     found = folder.rglob(key) if _validate.flag("recursive", recursive) else folder.glob(key)
@@ -395,8 +394,7 @@ def write_to_text_file(content: str | Iterable[Any], filename: str | os.PathLike
     """
     path = validate_path(filename)
     flag = one_of("write_flag", write_flag, _FLAGS)
-    if not isinstance(content, Iterable):
-        raise TypeError(f"content must be a string or an iterable of items, got {type(content).__name__}")
+    _validate.instance("content", content, Iterable, "a string or an iterable of items")
     items = [content] if isinstance(content, str) else content
     text = "".join(f"{item}\n" for item in items).encode()
     if flag in ("w", "w+"):
@@ -539,8 +537,7 @@ def validate_shell_command(cmd_list: list[str]) -> list[str]:
     >>> validate_shell_command(["python", "--version"])
     ['python', '--version']
     """
-    if not isinstance(cmd_list, list):
-        raise TypeError(f"cmd_list must be a list, got {type(cmd_list).__name__}")
+    _validate.instance("cmd_list", cmd_list, list, "a list")
     if not cmd_list:
         raise ValueError("cmd_list cannot be empty: its first item is the program")
     for index, item in enumerate(cmd_list):

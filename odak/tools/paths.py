@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import BinaryIO
 
+from odak import _validate
 from odak._validate import texts
 
 LONGEST_PATH = 260
@@ -52,8 +53,7 @@ def validate_path(
     >>> os.path.basename(validate_path("picture.png", [".png", ".jpg"]))
     'picture.png'
     """
-    if not isinstance(name, str):
-        raise TypeError(f"name must be a string, got {type(name).__name__}")
+    _validate.instance("name", name, str, "a string")
     text = _text(name, path)
     if ".." in re.split(r"[/\\]", text):
         raise ValueError(f"Path traversal ('..') is not accepted in {name}, got {text!r}")
@@ -218,8 +218,7 @@ def naming(path: str | os.PathLike[str]) -> Iterator[None]:
 
 
 def _name(filename):
-    if not isinstance(filename, (str, bytes, os.PathLike)):
-        raise TypeError(f"filename must be a string or a path object, got {type(filename).__name__}")
+    _validate.instance("filename", filename, (str, bytes, os.PathLike), "a string or a path object")
     return filename
 
 

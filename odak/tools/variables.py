@@ -68,8 +68,7 @@ def validate_positive_parameter(value: Any, name: str = "value", allow_zero: boo
     >>> validate_positive_parameter(3.5)
     3.5
     """
-    if not isinstance(name, str):
-        raise TypeError(f"name must be a string, got {type(name).__name__}")
+    _validate.instance("name", name, str, "a string")
     allow_zero = _validate.flag("allow_zero", allow_zero)
     if _array.is_array(value) and not isinstance(value, np.generic):
         xp = _array.namespace(value)

@@ -1,7 +1,7 @@
 """Incoherent imaging: pupils, optical transfer functions, point spread functions, and scenes made of planes."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Number
 from types import ModuleType
 from typing import Any
@@ -368,8 +368,7 @@ def _per_colour(apertures, colours, planes, scale):
                 f"apertures must be numbers or shaped like the propagated planes {grid}, got {tuple(apertures.shape)}"
             )
         return _validate.array("apertures", apertures)
-    if isinstance(apertures, str) or not isinstance(apertures, Iterable):
-        raise TypeError(f"apertures must be a number, an array or a sequence of them, got {type(apertures).__name__}")
+    _validate.listed("apertures", apertures, "a number, an array or a sequence of them")
     values = [_validate.given("apertures", value) for value in apertures]
     if len(values) != colours:
         raise ValueError(f"apertures must be one or {colours}, one for each colour; got {len(values)}")

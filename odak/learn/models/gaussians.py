@@ -100,8 +100,7 @@ class gaussian_2d(nn.Module):
         ValueError
             If a name is unknown or a range is not ascending.
         """
-        if not isinstance(ranges, (Mapping, type(None))):
-            raise TypeError(f"ranges must be a dict, got {type(ranges).__name__}")
+        _validate.instance("ranges", ranges, (Mapping, type(None)), "a dict")
         ranges = {} if ranges is None else dict(ranges)
         if unknown := sorted(set(ranges) - set(_RANGES)):
             raise ValueError(f"ranges must be of {', '.join(_RANGES)}; got {', '.join(map(repr, unknown))}")
@@ -1137,8 +1136,7 @@ class gaussian_3d_volume(nn.Module):
 
 def _check_same_samples(name, samples, ground_truth):
     for key, value in ((name, samples), ("ground_truth", ground_truth)):
-        if not isinstance(value, torch.Tensor):
-            raise TypeError(f"{key} must be a tensor, got {type(value).__name__}")
+        _validate.instance(key, value, torch.Tensor, "a tensor")
     if samples.shape != ground_truth.shape:
         raise ValueError(
             f"{name} and ground_truth must have the same number of samples, got {list(samples.shape)} and "

@@ -11,7 +11,7 @@ from torch import nn
 from odak import _validate
 from odak._array import phasor
 from odak._warnings import AccuracyWarning, warn
-from odak.learn._tensors import kind_of, trainable
+from odak.learn._tensors import floating_tensor, trainable
 from odak.learn.models.training import load_weights
 from odak.learn.tools.matrix import plane_indices, plane_masks
 from odak.wave.propagation import propagate_beam, propagate_within_window
@@ -324,8 +324,7 @@ def _planes(target, distance, depth) -> tuple[list[float], torch.Tensor]:
     flat = depth is None
     if flat:
         depth = target.new_zeros(target.shape[-2:])
-    if not isinstance(depth, torch.Tensor) or not depth.is_floating_point():
-        raise TypeError(f"depth must be a real floating tensor, got {kind_of(depth)}")
+    floating_tensor("depth", depth, "a real floating tensor")
     if depth.shape not in (target.shape[-2:], target.shape):
         raise ValueError(
             f"depth must be [rows, columns] or have a map for each picture of target {list(target.shape)}, "
@@ -342,6 +341,5 @@ def _planes(target, distance, depth) -> tuple[list[float], torch.Tensor]:
 
 
 def _intensity(target) -> torch.Tensor:
-    if not isinstance(target, torch.Tensor) or not target.is_floating_point():
-        raise TypeError(f"target must be a real floating tensor of intensities, got {kind_of(target)}")
+    floating_tensor("target", target, "a real floating tensor of intensities")
     return _validate.image("target", target)

@@ -13,7 +13,7 @@ from torch.nn.functional import scaled_dot_product_attention
 from torch.utils.checkpoint import checkpoint
 
 from odak import _validate
-from odak.learn._tensors import kind_of, trainable
+from odak.learn._tensors import floating_tensor, trainable
 
 _RELU = nn.ReLU()
 
@@ -909,8 +909,7 @@ def kernel(value, *, odd: bool = False) -> int:
 
 def activation_module(activation) -> nn.Module | None:
     """Return an activation after checking that it is a module, or None for no activation."""
-    if activation is not None and not isinstance(activation, nn.Module):
-        raise TypeError(f"activation must be a torch.nn.Module or None, got {type(activation).__name__}")
+    _validate.instance("activation", activation, (nn.Module, type(None)), "a torch.nn.Module or None")
     return activation
 
 
@@ -935,8 +934,7 @@ def with_older_form(
     """
     if isinstance(normalization, nn.Module):
         return default, normalization
-    if not isinstance(normalization, bool):
-        raise TypeError(f"normalization must be a bool, got {type(normalization).__name__}")
+    _validate.instance("normalization", normalization, bool, "a bool")
     return normalization, activation_module(activation)
 
 
@@ -958,8 +956,7 @@ def features(
     """
     if isinstance(value, torch.fx.Proxy):
         return value
-    if not isinstance(value, torch.Tensor) or not value.is_floating_point():
-        raise TypeError(f"{name} must be a real floating tensor, got {kind_of(value)}")
+    floating_tensor(name, value, "a real floating tensor")
     wanted = getattr(parameter, "dtype", value.dtype)
     if value.dtype != wanted and not torch.is_autocast_enabled(value.device.type):
         raise TypeError(f"{name} must have the dtype of the layer, {wanted}; got {value.dtype}")

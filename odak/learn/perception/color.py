@@ -8,7 +8,7 @@ in the precision and on the device of the input.
 import functools
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ParamSpec, TypeVar
 
@@ -19,7 +19,7 @@ from torch.nn import functional
 from odak import _array, _torch_private, _validate
 from odak._torch_private import in_own_precision, is_plain_on_cpu
 from odak._warnings import ArgumentWarning, warn
-from odak.learn._tensors import as_pictures, in_float32, in_float64, kind_of, tell_scale
+from odak.learn._tensors import as_pictures, floating_tensor, in_float32, in_float64, tell_scale
 from odak.learn.perception.hdr import pq_decode, pq_encode
 from odak.tools.paths import regular_file
 
@@ -200,8 +200,7 @@ class ColorTable:
 
     def __post_init__(self):
         values = _validate.real("values", self.values)
-        if not isinstance(values, torch.Tensor) or not values.is_floating_point():
-            raise TypeError(f"values must be a tensor of floats, got {kind_of(values)}")
+        floating_tensor("values", values, "a tensor of floats")
         if values.ndim not in (2, 4) or values.shape[-1] != 3 or min(values.shape[:-1]) < 2:
             raise ValueError(f"values must be [blue, green, red, 3] or [N, 3], got {list(values.shape)}")
         ends = [_validate.numbers(_validate.several(name, getattr(self, name), 3)) for name in ("lowest", "highest")]
@@ -416,8 +415,7 @@ def _constant(matrix, dtype, device):
 
 
 def _checked_space(primaries, white):
-    if not isinstance(primaries, Iterable) or isinstance(primaries, str):
-        raise TypeError(f"primaries must be three pairs (x, y), got {type(primaries).__name__}")
+    _validate.listed("primaries", primaries, "three pairs (x, y)")
     primaries, white = _validate.constants(primaries=primaries, white=white)
     pairs = tuple(tuple(_validate.numbers(_validate.real("primaries", pair))) for pair in primaries)
     if len(pairs) != 3 or any(len(pair) != 2 or pair[1] <= 0 for pair in pairs):
@@ -880,8 +878,7 @@ def rgb_to_gray(image: torch.Tensor) -> torch.Tensor:
     >>> [round(value, 4) for value in result.flatten().tolist()]
     [0.299]
     """
-    if not isinstance(image, torch.Tensor) or not image.is_floating_point():
-        raise TypeError(f"image must be a tensor of real floats, got {kind_of(image)}")
+    floating_tensor("image", image)
     if image.ndim != 3 or 3 not in (image.shape[0], image.shape[-1]):
         raise ValueError(f"image must be [3, H, W] or [H, W, 3], got {tuple(image.shape)}")
     return _luma(image)[None] if image.shape[0] == 3 else _luma(image.permute(2, 0, 1))

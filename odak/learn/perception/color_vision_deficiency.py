@@ -10,7 +10,7 @@ from torch import nn
 
 from odak import _array, _validate
 from odak._torch_private import in_own_precision
-from odak.learn._tensors import as_pictures, check_values, in_float32, kind_of
+from odak.learn._tensors import as_pictures, check_values, floating_tensor, in_float32
 from odak.learn.perception.color import mix, rows, srgb_decoded, srgb_encoded
 from odak.learn.tools.matrix import blur_gaussian
 
@@ -311,8 +311,7 @@ def compute_local_contrast_similarity(
     0.8
     """
     for name, patch in (("patch_x", patch_x), ("patch_y", patch_y)):
-        if not isinstance(patch, torch.Tensor) or not patch.is_floating_point():
-            raise TypeError(f"{name} must be a tensor of real floats, got {kind_of(patch)}")
+        floating_tensor(name, patch)
     if patch_x.shape != patch_y.shape or patch_x.ndim != 2:
         raise ValueError(
             f"patch_x and patch_y must be [D, N] of one shape, got {tuple(patch_x.shape)} and {tuple(patch_y.shape)}"
@@ -488,8 +487,7 @@ def _deviation(patches, axis):
 
 
 def _checked(name, image):
-    if not isinstance(image, torch.Tensor) or not image.is_floating_point():
-        raise TypeError(f"{name} must be a tensor of real floats, got {kind_of(image)}")
+    floating_tensor(name, image)
     if image.ndim != 4:
         raise ValueError(f"{name} must be [B, C, H, W], got {tuple(image.shape)}")
     return image

@@ -546,8 +546,7 @@ def foveated_budget(
         gaze=gaze, real_image_width=real_image_width, real_viewing_distance=real_viewing_distance
     )
     rows, columns = _validate.size("image_pixel_size", image_pixel_size)
-    if not isinstance(edges, (list, tuple)):
-        raise TypeError(f"edges must be a sequence of numbers, got {type(edges).__name__}")
+    _validate.instance("edges", edges, (list, tuple), "a sequence of numbers")
     edges = [_validate.constant("edges", edge) for edge in edges]
     if len(edges) < 2 or any(b <= a for a, b in pairwise(edges)):
         raise ValueError(f"edges must be two or more rising eccentricities, got {edges}")

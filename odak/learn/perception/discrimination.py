@@ -9,7 +9,7 @@ from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator
 
 from odak import _torch_private, _validate
 from odak._warnings import ConvergenceWarning, warn
-from odak.learn._tensors import check_values, in_float32, kind_of, takes_constants
+from odak.learn._tensors import check_values, floating_tensor, in_float32, takes_constants
 from odak.learn.perception.joint_statistics import descended
 
 Model = Callable[[torch.Tensor], Any]
@@ -317,8 +317,7 @@ def maximum_differentiation(
 
 def _checked(name, picture, shape=None):
     """Return a picture ``[..., H, W]`` without its graph after checking it."""
-    if not isinstance(picture, torch.Tensor) or not picture.is_floating_point():
-        raise TypeError(f"{name} must be a tensor of real floats [..., H, W], got {kind_of(picture)}")
+    floating_tensor(name, picture, "a tensor of real floats [..., H, W]")
     if picture.ndim < 2 or not picture.numel():
         raise ValueError(f"{name} must be [..., H, W], none empty, got {tuple(picture.shape)}")
     if shape is not None and picture.shape != shape:

@@ -21,7 +21,7 @@ from torch import nn
 from odak import _array, _validate
 from odak._attributes import Prepared
 from odak._torch_private import in_own_precision
-from odak.learn._tensors import as_pictures, checked_device, floating, in_float32, kind_of
+from odak.learn._tensors import as_pictures, checked_device, floating, floating_tensor, in_float32
 from odak.learn.perception.color import ciede2000, mix, xyz_to_lab
 from odak.tools.paths import regular_file
 
@@ -161,8 +161,7 @@ def spectrum_to_xyz(spectrum: torch.Tensor, wavelengths: torch.Tensor | Sequence
     >>> [round(value, 3) for value in (xyz[:2] / xyz.sum()).tolist()]
     [0.313, 0.329]
     """
-    if not isinstance(spectrum, torch.Tensor) or not spectrum.is_floating_point():
-        raise TypeError(f"spectrum must be a tensor of real floats, got {kind_of(spectrum)}")
+    floating_tensor("spectrum", spectrum)
     axis = _checked_axis("wavelengths", wavelengths).to(spectrum)
     if spectrum.ndim == 0 or spectrum.shape[-1] != len(axis) or len(axis) < 2 or not bool((axis.diff() > 0).all()):
         raise ValueError(
@@ -211,8 +210,7 @@ def read_spectra(
     tensor([[0.9000, 0.2000],
             [0.0500, 0.9000]], dtype=torch.float64)
     """
-    if not isinstance(path, (str, os.PathLike)):
-        raise TypeError(f"path must be a string or a path, got {type(path).__name__}")
+    _validate.instance("path", path, (str, os.PathLike), "a string or a path")
     if "\0" in os.fspath(path):
         raise ValueError(f"path must not hold a null byte, got {path!r}")
     try:
@@ -353,8 +351,7 @@ def _start(left, axis):
 
 
 def _checked(dataset):
-    if not isinstance(dataset, (torch.Tensor, np.ndarray)):
-        raise TypeError(f"dataset must be a tensor or an array, got {type(dataset).__name__}")
+    _validate.instance("dataset", dataset, (torch.Tensor, np.ndarray), "a tensor or an array")
     if "complex" in str(dataset.dtype):
         raise TypeError(f"dataset must be real, got {dataset.dtype}")
     table = dataset.detach().cpu().double().numpy() if isinstance(dataset, torch.Tensor) else dataset
@@ -740,8 +737,7 @@ def _checked_spectra(spectra):
         return gaussian_lines(torch.linspace(FIRST, LAST, 301, dtype=torch.float64), BACKLIGHT_GAUSSIANS).float()
     if isinstance(spectra, (str, os.PathLike)):
         return read_spectra(spectra)
-    if not isinstance(spectra, torch.Tensor) or not spectra.is_floating_point():
-        raise TypeError(f"primaries_spectrum must be a tensor of real floats or a file, got {kind_of(spectra)}")
+    floating_tensor("primaries_spectrum", spectra, "a tensor of real floats or a file")
     if spectra.ndim != 2 or spectra.shape[0] == 0 or spectra.shape[1] < 2:
         raise ValueError(f"primaries_spectrum must be [P, S] with two samples or more, got {tuple(spectra.shape)}")
     return _validate.real("primaries_spectrum", spectra)
@@ -1102,8 +1098,7 @@ def metameric_failure(
     matching = color_matching_functions(wavelengths).double()
     spectra = {"primaries": (primaries, 2), "reference": (reference, 1), "observers": (observers, 3)}
     for name, (value, axes) in spectra.items():
-        if not isinstance(value, torch.Tensor) or not value.is_floating_point():
-            raise TypeError(f"{name} must be a tensor of real floats, got {kind_of(value)}")
+        floating_tensor(name, value)
         if value.ndim != axes or value.shape[-1] != standard.shape[-1]:
             raise ValueError(f"{name} must have {standard.shape[-1]} wavelengths, got {tuple(value.shape)}")
         _validate.real(name, value.detach())

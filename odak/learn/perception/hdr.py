@@ -12,7 +12,7 @@ from typing import overload
 import torch
 
 from odak import _validate
-from odak.learn._tensors import in_float32, in_float64, kind_of, tell_scale
+from odak.learn._tensors import floating_tensor, in_float32, in_float64, tell_scale
 
 PQ_PEAK = 10000.0
 _M1, _M2 = 2610 / 16384, 2523 / 4096 * 128
@@ -410,6 +410,5 @@ def _signal(value):
 
 
 def _floats(name, value):
-    if not isinstance(value, torch.Tensor) or not value.is_floating_point():
-        raise TypeError(f"{name} must be a tensor of real floats, got {kind_of(value)}")
+    floating_tensor(name, value)
     return value

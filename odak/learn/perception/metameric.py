@@ -146,8 +146,7 @@ class _StatisticsLoss(_EachGaze):
 
     def _converted(self, picture, colourspace):
         """Return a picture padded for the pyramid and, if it is RGB, converted to Y′CrCb."""
-        if not isinstance(colourspace, str):
-            raise TypeError(f"image_colorspace must be a string, got {type(colourspace).__name__}")
+        _validate.instance("image_colorspace", colourspace, str, "a string")
         # Half precision would lose the digits of deviations, which are differences of means.
         picture = in_float32(pad_image_for_pyramid(picture, self.n_pyramid_levels))
         return rgb_2_ycrcb(picture) if picture.shape[1] == 3 and colourspace.upper() == "RGB" else picture

@@ -20,7 +20,7 @@ from torch import nn
 
 from odak import _validate, _warnings
 from odak._torch_private import in_own_precision
-from odak.learn._tensors import as_pictures, checked_device, checked_pair, kind_of
+from odak.learn._tensors import as_pictures, checked_device, checked_pair, real_tensor
 from odak.learn.perception.color import (
     BT709_PRIMARIES,
     IEC_WHITE,
@@ -934,8 +934,7 @@ def _require_positive(names, value):
 def _lightness(image, channel) -> torch.Tensor:
     """Return pictures ``[B, H, W]`` of 0 … 1."""
     channel = _validate.integer("lightness_channel", channel)
-    if not isinstance(image, torch.Tensor) or image.is_complex():
-        raise TypeError(f"image must be a real tensor, got {kind_of(image)}")
+    real_tensor("image", image)
     if image.ndim not in (2, 3, 4) or 0 in image.shape or (image.ndim == 3 and len(image) > 100):
         raise ValueError(
             f"image must be [H, W], [B, H, W] with B of at most 100, or [B, C, H, W]; got {tuple(image.shape)}"
@@ -1068,8 +1067,7 @@ class _DifferencePredictor(_Wrapper):
             If the package is missing.
         """
         predictions, targets = checked_pair(predictions, targets)
-        if not isinstance(dim_order, str):
-            raise TypeError(f"dim_order must be a string, got {type(dim_order).__name__}")
+        _validate.instance("dim_order", dim_order, str, "a string")
         if predictions.ndim == 5:
             if frames_per_second is None:
                 raise ValueError("frames_per_second must be given for videos, which have five axes")
@@ -1315,8 +1313,7 @@ class ImageQuality(_Wrapper):
     def __init__(self, name: str, *, required: bool = False):
         super().__init__(required)
         self.name = name
-        if not isinstance(name, str):
-            raise TypeError(f"name must be a string, got {type(name).__name__}")
+        _validate.instance("name", name, str, "a string")
         self.measure: Any = None
         self.lower_is_better: bool | None = None
         self.takes_reference: bool | None = None

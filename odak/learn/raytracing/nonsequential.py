@@ -374,12 +374,10 @@ class Element:
         detects: bool = False,
         name: str | None = None,
     ) -> None:
-        if not isinstance(shape, (Shape, triangle_mesh)):
-            raise TypeError(f"shape must be a Shape or a triangle_mesh, got {type(shape).__name__}")
+        _validate.instance("shape", shape, (Shape, triangle_mesh), "a Shape or a triangle_mesh")
         if isinstance(media, str) or not isinstance(media, Sequence) or len(media) != 2:
             raise ValueError(f"media must be two, one on each side, got {media!r:.80}")
-        if interface is not None and not isinstance(interface, Interface):
-            raise TypeError(f"interface must be an Interface, got {type(interface).__name__}")
+        _validate.instance("interface", interface, (Interface, type(None)), "an Interface")
         self.shape = shape
         self.media = tuple(_checked_medium(value) for value in media)
         self.interface = BARE if interface is None else interface
@@ -909,8 +907,7 @@ class Scene:
             raise TypeError(f"elements must be a sequence of Elements, got {type(elements).__name__}")
         self.elements = tuple(elements)
         for item in self.elements:
-            if not isinstance(item, Element):
-                raise TypeError(f"elements must be Elements, got {type(item).__name__}")
+            _validate.instance("elements", item, Element, "Elements")
         if not self.elements:
             raise ValueError("elements must hold one at least, got none")
         self.names = [str(i) if item.name is None else item.name for i, item in enumerate(self.elements)]
@@ -1011,8 +1008,7 @@ class Scene:
 
 
 def _checked_light(light) -> Light:
-    if not isinstance(light, Light):
-        raise TypeError(f"light must be a Light, as light_source returns it, got {type(light).__name__}")
+    _validate.instance("light", light, Light, "a Light, as light_source returns it")
     rays, power = reals_of(rays=light.rays, power=light.power)
     if rays.ndim != 3 or rays.shape[1:] != (2, 3) or len(rays) == 0 or power.shape != rays.shape[:1]:
         raise ValueError(f"light must be rays [m, 2, 3] with powers [m], got {[*rays.shape]} and {[*power.shape]}")

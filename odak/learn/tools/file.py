@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from odak import _torch_private, _validate
-from odak.learn._tensors import checked_device, kind_of
+from odak.learn._tensors import checked_device, real_tensor
 from odak.tools import file
 from odak.tools.paths import regular_file, replacing, validate_path
 
@@ -53,8 +53,7 @@ def resize(image: torch.Tensor, multiplier: float = 0.5, mode: str = "nearest") 
     """
     mode = _validate.one_of("mode", mode, _MODES)
     multiplier = _validate.constant("multiplier", multiplier, positive=True)
-    if not isinstance(image, torch.Tensor) or image.is_complex():
-        raise TypeError(f"image must be a real tensor, got {kind_of(image)}")
+    real_tensor("image", image)
     if image.ndim not in (2, 3, 4) or 0 in image.shape:
         raise ValueError(f"image must have 2, 3 or 4 axes, none empty; got {tuple(image.shape)}")
     last = image.ndim > 2 and image.shape[-1] in (3, 4) and image.shape[-3] not in (1, 3, 4)

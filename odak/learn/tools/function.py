@@ -9,7 +9,7 @@ import torch
 
 from odak import _array, _validate
 from odak._torch_private import in_own_precision
-from odak.learn._tensors import checked_device, checked_dtype, kind_of
+from odak.learn._tensors import checked_device, checked_dtype, floating_tensor
 from odak.tools.transformation import apply_matrix, rotation_matrix
 from odak.tools.zernike import fringe_to_nm as fringe_to_nm
 from odak.tools.zernike import noll_to_nm as noll_to_nm
@@ -67,8 +67,7 @@ def evaluate_3d_gaussians(
     for name, value in given.items():
         if not isinstance(value, torch.Tensor) or value.ndim != 2 or value.shape[-1] != 3:
             raise ValueError(f"{name} must be a tensor [n, 3], got {tuple(getattr(value, 'shape', ()))}")
-    if not isinstance(opacity, torch.Tensor):
-        raise TypeError(f"opacity must be a tensor [n, 1] or [n], got {type(opacity).__name__}")
+    _validate.instance("opacity", opacity, torch.Tensor, "a tensor [n, 1] or [n]")
     opacity = opacity.reshape(-1)
     counts = {len(centers), len(scales), len(angles), len(opacity)} - {1}
     if len(counts) > 1:
@@ -415,8 +414,7 @@ def _solve(image, rows, columns, regularization) -> torch.Tensor:
 
 
 def _picture(image) -> torch.Tensor:
-    if not isinstance(image, torch.Tensor) or not image.is_floating_point():
-        raise TypeError(f"image must be a real floating tensor, got {kind_of(image)}")
+    floating_tensor("image", image, "a real floating tensor")
     if image.ndim == 3 and len(image) == 1:
         image = image[0]
     if image.ndim != 2 or image.numel() == 0:

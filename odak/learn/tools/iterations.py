@@ -66,8 +66,7 @@ class Run:
         _validate.flag("progress", self.progress)
         _validate.function_or_none("callback", self.callback)
         _validate.integer("checkpoint_every", self.checkpoint_every, minimum=1)
-        if self.checkpoint is not None and not isinstance(self.checkpoint, (str, os.PathLike)):
-            raise TypeError(f"checkpoint must be a path, got {type(self.checkpoint).__name__}")
+        _validate.instance("checkpoint", self.checkpoint, (str, os.PathLike, type(None)), "a path")
         if "\0" in os.fspath(self.checkpoint or ""):
             raise ValueError(f"checkpoint must not hold a null byte, got {self.checkpoint!r}")
         _validate.integer("iterations", self.iterations, minimum=1)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 import torch
 
 from odak import _array, _validate
-from odak.learn._tensors import floating, kind_of
+from odak.learn._tensors import floating, real_tensor
 
 
 def total_variation_loss(frame: torch.Tensor) -> torch.Tensor:
@@ -363,8 +363,7 @@ def _differences(batch):
 
 def _as_batch(name, frame):
     """Return a real frame as ``[B, C, H, W]``, integers as float32."""
-    if not isinstance(frame, torch.Tensor) or frame.is_complex():
-        raise TypeError(f"{name} must be a real tensor, got {kind_of(frame)}")
+    real_tensor(name, frame)
     if frame.ndim not in (2, 3, 4) or 0 in frame.shape:
         raise ValueError(f"{name} must be [H, W], [C, H, W] or [B, C, H, W], none empty; got {tuple(frame.shape)}")
     frame = frame if frame.is_floating_point() else frame.float()
@@ -373,8 +372,7 @@ def _as_batch(name, frame):
 
 def _same_shape(name, value, other_name, other):
     for key, tensor in ((name, value), (other_name, other)):
-        if not isinstance(tensor, torch.Tensor) or tensor.is_complex():
-            raise TypeError(f"{key} must be a real tensor, got {kind_of(tensor)}")
+        real_tensor(key, tensor)
     _validate.alike(**{name: value, other_name: other})
 
 

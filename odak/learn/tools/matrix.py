@@ -9,7 +9,7 @@ import torch
 from odak import _array, _validate
 from odak._torch_private import in_own_precision
 from odak.learn._face import torch_face
-from odak.learn._tensors import checked_device, checked_dtype, kind_of, tensor
+from odak.learn._tensors import checked_device, checked_dtype, floating_tensor, real_tensor, tensor
 from odak.tools import matrix
 from odak.tools.matrix import convolve2d as convolve2d
 from odak.tools.matrix import correlation_2d as correlation_2d
@@ -23,8 +23,7 @@ _SMALLEST_SIGMA = 1e-5
 
 def _on_images(core, field, **options):
     """Apply a function of the last two axes to a field, which may have the layout of a colour image."""
-    if not isinstance(field, torch.Tensor):
-        raise TypeError(f"field must be a tensor, got {type(field).__name__}")
+    _validate.instance("field", field, torch.Tensor, "a tensor")
     if field.ndim in (3, 4) and field.shape[-1] == 3:
         return core(field.movedim(-1, -3), **options).movedim(-3, -1)
     result = core(field, **options)
@@ -91,8 +90,7 @@ def quantize(image_field: torch.Tensor, bits: int = 8, limits: Sequence[float] =
     [0, 1, 2, 3]
     """
     (limits,) = _validate.constants(limits=limits)
-    if not isinstance(image_field, torch.Tensor) or image_field.is_complex():
-        raise TypeError(f"image_field must be a real tensor, got {kind_of(image_field)}")
+    real_tensor("image_field", image_field)
     if _validate.integer("bits", bits, minimum=1) > _MOST_BITS:
         raise ValueError(f"bits must be at most {_MOST_BITS}, got {bits}")
     low, high = (float(limit) for limit in _validate.several("limits", limits, 2))
@@ -209,8 +207,7 @@ def blur_gaussian(
     >>> round(blur_gaussian(image, (5, 5), (1, 1), keep_sum=True).sum().item(), 4)
     3.0
     """
-    if not isinstance(field, torch.Tensor) or not field.is_floating_point():
-        raise TypeError(f"field must be a real floating tensor, got {kind_of(field)}")
+    floating_tensor("field", field, "a real floating tensor")
     _validate.image("field", field)
     lengths = _validate.size("kernel_length", kernel_length)
     scale = "sum" if _validate.flag("keep_sum", keep_sum) else "density"
@@ -472,8 +469,7 @@ def slice_rgbd_targets(
     """
     (depth_plane_positions,) = _validate.constants(depth_plane_positions=depth_plane_positions)
     for name, value in (("target", target), ("depth", depth)):
-        if not isinstance(value, torch.Tensor):
-            raise TypeError(f"{name} must be a tensor, got {type(value).__name__}")
+        _validate.instance(name, value, torch.Tensor, "a tensor")
     if target.ndim != 3 or depth.shape != target.shape[-2:]:
         raise ValueError(
             f"target must be [C, H, W] and depth [H, W], got {tuple(target.shape)} and {tuple(depth.shape)}"

@@ -58,8 +58,7 @@ def unfreeze(model: torch.nn.Module) -> None:
 
 
 def _module(model):
-    if not isinstance(model, torch.nn.Module):
-        raise TypeError(f"model must be a torch.nn.Module, got {type(model).__name__}")
+    _validate.instance("model", model, torch.nn.Module, "a torch.nn.Module")
     return model
 
 

@@ -172,8 +172,7 @@ class holobeam_multiholo(nn.Module):
         folder = validate_path(directory)
         every = _validate.integer("save_at_every", save_at_every, minimum=1)
         epochs = _validate.integer("number_of_epochs", number_of_epochs)
-        if isinstance(dataloader, str) or not isinstance(dataloader, Iterable):
-            raise TypeError(f"dataloader must be an iterable of batches, got {type(dataloader).__name__}")
+        _validate.listed("dataloader", dataloader, "an iterable of batches")
         check_directory(folder)
 
         def save_now_and_then(epoch, history):

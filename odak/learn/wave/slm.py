@@ -424,8 +424,7 @@ class temporal_modulator(torch.nn.Module):
         self.response_time = _validate.constant("response_time", response_time)
         if self.response_time < 0:
             raise ValueError(f"response_time must be at least 0, got {response_time!r}")
-        if slm is not None and not isinstance(slm, spatial_light_modulator):
-            raise TypeError(f"slm must be a spatial_light_modulator or None, got {type(slm).__name__}")
+        _validate.instance("slm", slm, (spatial_light_modulator, type(None)), "a spatial_light_modulator or None")
         self.slm = spatial_light_modulator(bits=None) if slm is None else slm
         start, end = _validate.numbers(_validate.several("lit", lit, 2))
         if not 0 <= start < end <= 1:
@@ -520,8 +519,7 @@ def temporal_average(intensity: torch.Tensor, dim: int = -3) -> torch.Tensor:
 
 def panel_map(name: str, value: torch.Tensor | None) -> torch.Tensor | None:
     """Return a map of the panel ``[..., rows, columns]``, or None, after checking that it is one."""
-    if value is not None and not isinstance(value, torch.Tensor):
-        raise TypeError(f"{name} must be a torch.Tensor, got {type(value).__name__}")
+    _validate.instance(name, value, (torch.Tensor, type(None)), "a torch.Tensor")
     return value if value is None else _validate.image(name, value)
 
 

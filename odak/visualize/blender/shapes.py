@@ -756,8 +756,7 @@ class Lenses:
                 f"system must be an odak.learn.raytracing.system.optical_system, got {type(system).__name__}"
             )
         segments = _validate.integer("segments", segments, minimum=8)
-        if not isinstance(name, str):
-            raise TypeError(f"name must be a string, got {type(name).__name__}")
+        _validate.instance("name", name, str, "a string")
         if isinstance(colors, str) or not isinstance(colors, Iterable) or not (colors := list(colors)):
             raise TypeError(f"colors must be a sequence of colours, got {colors!r:.80}")
         surfaces = list(system.surfaces)

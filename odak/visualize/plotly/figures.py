@@ -847,8 +847,7 @@ def share(name: str, value) -> float:
 
 def mapping(name: str, value, default: Mapping) -> dict:
     """Return settings of Plotly as a new dictionary, the default for None."""
-    if value is not None and not isinstance(value, Mapping):
-        raise TypeError(f"{name} must be a dictionary, got {type(value).__name__}")
+    _validate.instance(name, value, (Mapping, type(None)), "a dictionary")
     return dict(default if value is None else value)
 
 
@@ -867,8 +866,7 @@ def colour(name: str, value) -> str:
         graph.Scatter(marker={"color": value})
     except ValueError as error:
         raise ValueError(f"{name} must be a colour that Plotly takes, got {value!r:.80}") from error
-    if not isinstance(value, str):
-        raise TypeError(f"{name} must be a colour's name or code, got {type(value).__name__}")
+    _validate.instance(name, value, str, "a colour's name or code")
     return value
 
 

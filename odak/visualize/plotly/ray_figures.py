@@ -695,8 +695,7 @@ def system_show(
     from odak.learn.raytracing.system import launch, optical_system
     from odak.learn.raytracing.system.pupils import PATTERNS
 
-    if not isinstance(system, optical_system):
-        raise TypeError(f"system must be an odak.learn.raytracing.system.optical_system, got {type(system).__name__}")
+    _validate.instance("system", system, optical_system, "an odak.learn.raytracing.system.optical_system")
     import torch
 
     if not isinstance(pattern, torch.Tensor):

@@ -1114,8 +1114,7 @@ def zernike_fit(found: Wavefront, terms: int = 15, order: str = "noll") -> tuple
     >>> coefficients.shape[-1]
     15
     """
-    if not isinstance(found, Wavefront):
-        raise TypeError(f"found must be a Wavefront, got {type(found).__name__}")
+    _validate.instance("found", found, Wavefront, "a Wavefront")
     terms = _validate.integer("terms", terms, minimum=1)
     radius, angle = _polar(found.pupil)
     if radius.shape[-1] < terms:
@@ -1197,8 +1196,7 @@ def q_fit(found: Wavefront, radial: int = 4, azimuthal: int = 4) -> QFit:
     >>> bool(found.sine[1, 0, 1].abs().max() > 1e6 * found.cosine[1, 0, 1].abs().max())
     True
     """
-    if not isinstance(found, Wavefront):
-        raise TypeError(f"found must be a Wavefront, got {type(found).__name__}")
+    _validate.instance("found", found, Wavefront, "a Wavefront")
     radial, azimuthal = _validate.integer("radial", radial, minimum=1), _validate.integer("azimuthal", azimuthal)
     radius, angle = _polar(found.pupil)
     number = 2 + radial * (2 * azimuthal + 1)

@@ -489,8 +489,7 @@ def standard_design(
     """
     checked_system(system)
     limits = {} if limits is None else limits
-    if not isinstance(limits, Mapping):
-        raise TypeError(f"limits must be a mapping, got {type(limits).__name__}")
+    _validate.instance("limits", limits, Mapping, "a mapping")
     makers = _checked_makers(makers)
     aspheric = _validate.flag("aspheric", aspheric)
     for name, value in limits.items():

@@ -164,8 +164,7 @@ def needle_design(
     >>> len(design.coating.media), design.merit**2 < 0.0015
     (4, True)
     """
-    if not isinstance(start, Coating):
-        raise TypeError(f"start must be a Coating, got {type(start).__name__}")
+    _validate.instance("start", start, Coating, "a Coating")
     if not start.media or start.substrate is not None:
         raise ValueError("start must have at least one film and no substrate, which is the second of between")
     if isinstance(media, (str, bytes)) or not isinstance(media, Iterable) or not len(list(media)):

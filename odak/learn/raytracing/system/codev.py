@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from odak import _validate
 from odak.catalog.materials import MICROMETRES, Material, material, model_glass, tabulated
 from odak.learn.raytracing.system.paraxial import first_order
 from odak.learn.raytracing.system.specification import AIR, MIRROR, SystemAperture
@@ -348,8 +349,7 @@ def read_seq(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optic
     0.0
     """
     path = Path(_text("path", path))
-    if glasses is not None and not isinstance(glasses, Mapping):
-        raise TypeError(f"glasses must be a dictionary, got {type(glasses).__name__}")
+    _validate.instance("glasses", glasses, (Mapping, type(None)), "a dictionary")
     reader = _Reader([], [])
     with named_errors(path.name):
         for number, words in _commands(path):

@@ -834,8 +834,7 @@ class zoom_design(lens_design):
         count: int = 4,
         aim: str = "paraxial",
     ):
-        if not isinstance(zoom, configurations):
-            raise TypeError(f"zoom must be configurations of a system, got {type(zoom).__name__}")
+        _validate.instance("zoom", zoom, configurations, "configurations of a system")
         self.zoom = zoom
         options = {"pickups": pickups, "solves": solves, "pupil": pupil, "count": count, "aim": aim}
         listed = _listed(operands) if not isinstance(operands, (str, Operand)) else [operands]

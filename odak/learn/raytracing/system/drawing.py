@@ -331,8 +331,7 @@ def spots_figure(system: Any, found: Spots | None = None) -> Figure:
     """
     checked_system(system)
     found = spot_diagram(system, "rings", 8) if found is None else found
-    if not isinstance(found, Spots):
-        raise TypeError(f"found must be Spots, got {type(found).__name__}")
+    _validate.instance("found", found, Spots, "Spots")
     scale = MICROMETRES[system.unit]
     aperture = image_aperture(system)
     airy = 0.61 * system.wavelengths[system.reference] / aperture * scale if aperture else 0.0
@@ -1218,8 +1217,7 @@ def tolerance_figure(system: Any, found: Any, limit: float | None = None) -> Fig
         axes.set_xlabel(f"change of the RMS over the fields from {nominal:.3g} {unit} ({unit})")
         axes.legend(fontsize=8, frameon=False)
         return figure
-    if not isinstance(found, ToleranceResult):
-        raise TypeError(f"found must be a ToleranceResult or a Sensitivity, got {type(found).__name__}")
+    _validate.instance("found", found, ToleranceResult, "a ToleranceResult or a Sensitivity")
     merit = (found.merit.detach() * scale).reshape(len(found.merit), -1).cpu()
     figure, panels = _panels(1, 2, (9.0, 3.4))
     axes, share = panels[0, 0], np.arange(1, len(merit) + 1) / len(merit)
@@ -1249,8 +1247,7 @@ def tolerance_figure(system: Any, found: Any, limit: float | None = None) -> Fig
 
 def _quality(system, aim: str, given) -> FieldQuality:
     """Return the numbers of each field, those that are given where there are any."""
-    if given is not None and not isinstance(given, FieldQuality):
-        raise TypeError(f"quality must be a FieldQuality, got {type(given).__name__}")
+    _validate.instance("quality", given, (FieldQuality, type(None)), "a FieldQuality")
     return field_quality(system, aim) if given is None else given
 
 
@@ -1351,8 +1348,7 @@ def lens_report(
         "sensitivity": "Change of the spots by each deviation alone",
     }
     parts = [f"<h1>{html.escape(system.name or 'Optical system')}</h1>", f"<p>{html.escape(system.source)}</p>"]
-    if figures is not None and not isinstance(figures, dict):
-        raise TypeError(f"figures must be a result of report_figures, got {type(figures).__name__}")
+    _validate.instance("figures", figures, (dict, type(None)), "a result of report_figures")
     quality = _quality(system, aim, quality)
     figures = report_figures(system, aim, quality) if figures is None else figures
     for name in headings:

@@ -12,7 +12,7 @@ import torch
 from odak import _show, _torch_private, _validate
 from odak._array import is_readable
 from odak.catalog.materials import Material
-from odak.learn._tensors import kind_of, tensor
+from odak.learn._tensors import complex_tensor, kind_of, tensor
 from odak.learn.raytracing.system.analysis import wavefront
 from odak.learn.raytracing.system.specification import Conjugates, SystemRecord
 from odak.learn.raytracing.system.surfaces import optical_system, surface
@@ -686,8 +686,7 @@ def retinal_field(
     >>> divmod(int(seen.field.abs().argmax()), 128)
     (64, 64)
     """
-    if not isinstance(field, torch.Tensor) or not field.is_complex():
-        raise TypeError(f"field must be a complex tensor [..., rows, columns], got {kind_of(field)}")
+    complex_tensor("field", field, "a complex tensor [..., rows, columns]")
     rows, columns = _validate.image("field", field).shape[-2:]
     pitch = _validate.constant("pitch", pitch, positive=True)
     wavelength = _wavelengths(_validate.number("wavelength", wavelength, positive=True))[0]

@@ -370,8 +370,7 @@ def simulate_image(picture: torch.Tensor, spread: PointSpreadMap) -> torch.Tenso
     (3, 48, 64)
     """
     picture = floating("picture", picture)
-    if not isinstance(spread, PointSpreadMap):
-        raise TypeError(f"spread must be a PointSpreadMap, got {type(spread).__name__}")
+    _validate.instance("spread", spread, PointSpreadMap, "a PointSpreadMap")
     channels = spread.kernels.shape[0]
     if picture.ndim < 3 or tuple(picture.shape[-2:]) != spread.shape or picture.shape[-3] not in (channels, 1):
         raise ValueError(

@@ -13,7 +13,7 @@ from odak import _show, _validate
 from odak._array import is_readable, phasor_of_cycles
 from odak._warnings import AccuracyWarning, warn
 from odak.catalog.materials import MICROMETRES
-from odak.learn._tensors import kind_of
+from odak.learn._tensors import complex_tensor
 from odak.learn.raytracing.system.paraxial import check_image_space, check_media, matrix, signed_indices
 from odak.learn.raytracing.system.polarisation import jones_vector, polarized_trace
 from odak.learn.raytracing.system.prescriptions import Prescription
@@ -158,8 +158,7 @@ class TracedSystem:
         wavelength : float
             Wavelength in metres.
         """
-        if not isinstance(field, torch.Tensor) or not field.is_complex():
-            raise TypeError(f"field must be a complex tensor [..., rows, columns], got {kind_of(field)}")
+        complex_tensor("field", field, "a complex tensor [..., rows, columns]")
         unit = self._metres
         wave = _validate.constant("wavelength", wavelength, positive=True) / unit
         steps = [_validate.constant("pitch", step, positive=True) / unit for step in pitches(pitch)]

@@ -120,8 +120,7 @@ def levenberg_marquardt(
     _validate.function_or_none("callback", callback)
     _validate.number("damping", damping, positive=True)
     _validate.number("tolerance", tolerance, least=0)
-    if not isinstance(parameters, Iterable):
-        raise TypeError(f"parameters must be a sequence of tensors, got {type(parameters).__name__}")
+    _validate.instance("parameters", parameters, Iterable, "a sequence of tensors")
     parameters = list(parameters)
     if not parameters or not all(isinstance(p, torch.Tensor) and p.is_leaf and p.requires_grad for p in parameters):
         raise ValueError(f"parameters must be leaf tensors that require grad, at least one; got {parameters!r:.80}")

@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 
+from odak import _validate
 from odak.catalog.materials import MICROMETRES, tabulated
 from odak.learn.raytracing.system.codev import glass_by_name
 from odak.learn.raytracing.system.paraxial import first_order
@@ -81,8 +82,7 @@ def read_len(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optic
     0.0
     """
     path = Path(_text("path", path))
-    if glasses is not None and not isinstance(glasses, Mapping):
-        raise TypeError(f"glasses must be a dictionary, got {type(glasses).__name__}")
+    _validate.instance("glasses", glasses, (Mapping, type(None)), "a dictionary")
     ignored: list[str] = []
     with named_errors(path.name):
         head, surfaces = _commands(path, ignored)

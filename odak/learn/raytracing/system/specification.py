@@ -259,8 +259,7 @@ def checked_wavelengths(values) -> tuple[float, ...]:
 
 def checked_fields(values) -> tuple[tuple[float, float], ...]:
     """Return field points, numbers y or pairs (x, y), as pairs."""
-    if not isinstance(values, Iterable) or isinstance(values, str):
-        raise TypeError(f"fields must be a sequence of numbers y or pairs (x, y), got {type(values).__name__}")
+    _validate.listed("fields", values, "a sequence of numbers y or pairs (x, y)")
     (values,) = _validate.constants(fields=values)
     values = values.tolist() if hasattr(values, "tolist") else values
     points = [tuple(value) if isinstance(value, Iterable) else (0.0, value) for value in values]

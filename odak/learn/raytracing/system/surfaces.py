@@ -621,8 +621,7 @@ def _checked(name: str, value, kind: type):
 def _listed(name: str, values):
     if isinstance(values, torch.Tensor):
         return values
-    if isinstance(values, str) or not isinstance(values, Iterable):
-        raise TypeError(f"{name} must be a sequence of numbers, got {type(values).__name__}")
+    _validate.listed(name, values, "a sequence of numbers")
     return [_validate.constant(name, value) for value in values]
 
 

@@ -337,8 +337,7 @@ def system_from_dict(entry: dict[Any, Any]) -> optical_system:
     >>> len(system_from_dict(entry).surfaces) == len(load_system("cooke_triplet").surfaces)
     True
     """
-    if not isinstance(entry, Mapping):
-        raise TypeError(f"entry must be a dictionary, got {type(entry).__name__}")
+    _validate.instance("entry", entry, Mapping, "a dictionary")
     entry = dict(entry)
     surfaces = entry.pop("surfaces", None)
     if not isinstance(surfaces, list) or not surfaces:

@@ -779,8 +779,7 @@ def modulation_transfer_function(spread: Spread, axis: str = "y") -> tuple[torch
     >>> float(frequencies[0, 0, 0]), round(float(modulation[0, 0, 0]), 6)
     (0.0, 1.0)
     """
-    if not isinstance(spread, Spread):
-        raise TypeError(f"spread must be a Spread, got {type(spread).__name__}")
+    _validate.instance("spread", spread, Spread, "a Spread")
     axis = _validate.one_of("axis", axis, ("x", "y"))
     profile = spread.intensity.sum(-1 if axis == "y" else -2)
     size = profile.shape[-1]
@@ -1427,8 +1426,7 @@ def modulation_at(spread: Spread, frequency: float, axis: str = "y") -> torch.Te
     >>> bool(low > high > 0)
     True
     """
-    if not isinstance(spread, Spread):
-        raise TypeError(f"spread must be a Spread, got {type(spread).__name__}")
+    _validate.instance("spread", spread, Spread, "a Spread")
     axis = _validate.one_of("axis", axis, ("x", "y"))
     frequency = _validate.constant("frequency", frequency, least=0)
     profile = spread.intensity.sum(-1 if axis == "y" else -2)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from odak import _validate
 from odak.catalog.materials import MICROMETRES, Material, glass_makers, material, model_glass, nearest_materials
 from odak.learn.raytracing.system.paraxial import first_order, matrix, signed_indices
 from odak.learn.raytracing.system.specification import AIR, MIRROR, SETTINGS, SystemAperture
@@ -245,8 +246,7 @@ def read_zmx(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optic
     0.0
     """
     path = Path(_text("path", path))
-    if glasses is not None and not isinstance(glasses, Mapping):
-        raise TypeError(f"glasses must be a dictionary, got {type(glasses).__name__}")
+    _validate.instance("glasses", glasses, (Mapping, type(None)), "a dictionary")
     general, surfaces = read_lines(path)
     notes: list[str] = []
     ignored: list[str] = []

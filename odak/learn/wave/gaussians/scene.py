@@ -64,8 +64,7 @@ class Scene:
     """
 
     def __init__(self, gaussians: complex_3d_gaussians, args_prop: Any, *, rotate_as_points: bool = True):
-        if not isinstance(gaussians, complex_3d_gaussians):
-            raise TypeError(f"gaussians must be complex_3d_gaussians, got {type(gaussians).__name__}")
+        _validate.instance("gaussians", gaussians, complex_3d_gaussians, "complex_3d_gaussians")
         wavelengths, pitch, distances, pad_size, aperture = shared.settings(args_prop, _SETTINGS)
         self.gaussians, self.args_prop = gaussians, args_prop
         self.rotate_as_points = _validate.flag("rotate_as_points", rotate_as_points)

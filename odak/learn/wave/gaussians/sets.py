@@ -778,8 +778,7 @@ class Scene2D:
     """
 
     def __init__(self, gaussians: complex_2d_gaussians, args_prop: Any):
-        if not isinstance(gaussians, complex_2d_gaussians):
-            raise TypeError(f"gaussians must be complex_2d_gaussians, got {type(gaussians).__name__}")
+        _validate.instance("gaussians", gaussians, complex_2d_gaussians, "complex_2d_gaussians")
         wavelengths, pad_size = settings(args_prop, ("wavelengths", "pad_size"))
         self.gaussians, self.args_prop = gaussians, args_prop
         self.wavelengths = _validate.real("wavelengths", lengths(wavelengths), positive=True)
@@ -963,8 +962,7 @@ class complex_3d_gaussians(nn.Module):
             generate_dense_point = int(generate_dense_point)
         copies = _validate.integer("generate_dense_point", generate_dense_point)
         scatter = _validate.real("densepoint_scatter", densepoint_scatter)
-        if pointcloud_data is not None and not isinstance(pointcloud_data, Mapping):
-            raise TypeError(f"pointcloud_data must be a dictionary of tensors, got {type(pointcloud_data).__name__}")
+        _validate.instance("pointcloud_data", pointcloud_data, (Mapping, type(None)), "a dictionary of tensors")
         self.device, self.img_size = get_device(device), img_size
         seed = int(torch.randint(2**62, ())) if seed is None else _validate.integer("seed", seed)
         draw = torch.Generator().manual_seed(seed)
