@@ -253,6 +253,7 @@ TESTED_IN = {
     "odak.learn.raytracing.primitives": "learn/raytracing/test_ray.py",
     "odak.learn.raytracing.system.fused": "learn/raytracing/system/test_tracing.py",
     "odak.learn.raytracing.system.sequence": "learn/raytracing/system/test_tracing.py",
+    "odak.learn.raytracing.system.sketches": "visualize/test_system_figures.py",
     "odak.learn.raytracing.system.system_files": "learn/raytracing/system/test_zemax.py",
     "odak.learn.wave.displays.areas": "learn/wave/test_displays.py",
     "odak.learn.wave.displays.judge": "learn/wave/test_displays.py",

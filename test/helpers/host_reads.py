@@ -18,6 +18,7 @@ REASONS = {
         raytracing/system/automatic: automatic_design record
         raytracing/system/design: report
         raytracing/system/drawing: *
+        raytracing/system/sketches: *
         raytracing/system/system_files: *
         raytracing/system/codev: *
         raytracing/system/oslo: *

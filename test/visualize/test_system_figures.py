@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from odak.learn.raytracing.system import launch, load_system, optical_system, surface, trace
+from odak.learn.raytracing.system import launch, layout_figure, load_system, optical_system, surface, trace
 from odak.visualize.plotly import system_show
 
 
@@ -118,3 +118,24 @@ def test_only_systems_are_taken(tmp_path):
         system_show("cooke_triplet")
     system_show(load_system("cooke_triplet"), title="Triplet", filename=tmp_path / "lens.html")
     assert "Triplet" in (tmp_path / "lens.html").read_text(encoding="utf-8")
+
+
+def test_sections_and_scenes_show_the_same_rays():
+    """Rays of a near object are drawn once, and those of a telescope end behind it, not 1 m away."""
+    near = optical_system(
+        [surface(20.0, thickness=4.0, material="N-BK7"), surface(-20.0, thickness=100.0)],
+        aperture=6.0,
+        object_distance=80.0,
+    )
+    telescope = optical_system(
+        [surface(50.0, thickness=4.0, material="N-BK7"), surface(-50.0, thickness=10.0)], aperture=8.0, afocal=True
+    )
+    for system, start, end in ((near, -80.0, 104.0), (telescope, None, 14.0)):
+        drawn = [line for line in layout_figure(system, count=3).axes[0].lines if len(line.get_xdata()) == 4]
+        (part,) = fields(system_show(system, pattern="y", rings=3, show=False))
+        for line, ray in zip(drawn, lines(part, 4), strict=False):
+            z, y = line.get_data()
+            assert (np.diff(z) > 0).all() and z[-1] == pytest.approx(end) == ray[-1, 2]
+            assert start is None or z[0] == start == ray[0, 2]
+            assert y[1:] == pytest.approx(ray[1:, 1])
+        assert len(drawn) == 3

@@ -749,7 +749,9 @@ class Lenses:
         Rays and indices of glasses are for the reference wavelength. Surfaces without a semi-diameter are
         drawn as far as rays reach. Cemented lenses stand 1/10 000 of a thickness apart.
         """
-        from odak.learn.raytracing.system.surfaces import drawn_radii, is_glass
+        from odak.learn.raytracing.system import launch
+        from odak.learn.raytracing.system.sketches import system_scene
+        from odak.learn.raytracing.system.surfaces import is_glass
 
         if not isinstance(getattr(system, "surfaces", None), Iterable):
             raise TypeError(
@@ -765,12 +767,11 @@ class Lenses:
         if any(item.own_shape is not None for item in surfaces):
             raise ValueError("system must consist of planes, conics and even aspheres; other shapes cannot be drawn")
         unit = MICROMETRES[system.unit] * 1e-6 / self.metres
-        places = np.cumsum([0.0] + [float(item.thickness) for item in surfaces])
-        paths, fields = _traced(system, pupil, max(_validate.integer("count", count), 2), places)
-        reaches = np.nanmax(np.hypot(paths[:, 1:-1, 0], paths[:, 1:-1, 1]), axis=0, initial=0.0)
+        scene = system_scene(system, launch(system, pupil, max(_validate.integer("count", count), 2)))
+        places = [origin[2] for _, origin in scene.frames]
         profiles = [
             Profile(float(item.curvature), float(item.conic), tuple(item.coefficients.tolist()), radius)
-            for item, radius in zip(surfaces, drawn_radii(surfaces, reaches), strict=True)
+            for item, radius in zip(surfaces, scene.radii, strict=False)
         ]
         drawn = []
 
@@ -781,17 +782,20 @@ class Lenses:
             drawn.append(item)
 
         wavelength = system.wavelengths[system.reference]
+        in_front_of_glass = dict(scene.elements())
         for i, item in enumerate(surfaces):
             if item.reflects:
                 keep(profile_mesh(profiles[i], places[i], segments, facing=1), metal(), f"mirror {i}")
-            elif item.material != "air" and i + 1 < len(surfaces):
+            elif i in in_front_of_glass:
                 behind = item.material if item.material is not None else float(item.index)
                 mesh = _element(profiles[i : i + 2], places[i : i + 2], is_glass(surfaces, i - 1), segments)
                 keep(mesh, glass(behind, wavelength, system.unit), f"lens {i}", 2 * segments)
         if count:
+            fields, rays = scene.paths.shape[:2]
             coded = [coded_light(linear_color(color)) for color in colors]
-            color = [coded[field % len(coded)] for field in fields]
-            item = self.add_lines(paths * unit, radius=radius, color=color, name=f"{name} rays")
+            color = [coded[field % len(coded)] for field in range(fields) for _ in range(rays)]
+            lines = scene.paths.reshape(fields * rays, -1, 3) * unit
+            item = self.add_lines(lines, radius=radius, color=color, name=f"{name} rays")
             item.location, item.rotation = three("location", location), three("rotation", rotation)
             drawn.append(item)
         return drawn
@@ -829,28 +833,6 @@ def _check(front: Profile, back: Profile, thickness: float) -> None:
         raise ValueError(
             f"thickness must leave a positive thickness at the edge, got {thickness:g}, which leaves {edge:.4g}"
         )
-
-
-def _traced(system, pupil, count: int, places) -> tuple[np.ndarray, list[int]]:
-    """Return the paths of rays ``[rays, stations, 3]`` in the system's unit, and the field of each."""
-    import torch
-
-    from odak.learn.raytracing.system import launch, trace
-
-    with torch.no_grad():
-        rays = launch(system, pupil, count)
-        shape = np.broadcast_shapes(*(value.shape for value in rays))
-        x, y, z, u, v, w = (value.expand(shape)[:1] for value in rays)
-        back = 0.25 * float(np.ptp(places)) + z if system.at_infinity else torch.zeros_like(z)
-        stations = [torch.stack((x - back * u / w, y - back * v / w, z - back), -1)]
-        row = slice(system.reference, system.reference + 1)
-        for i in [*range(len(system.surfaces)), None]:
-            found = trace(system, rays, until=i)
-            last = places[len(system.surfaces) if i is None else i]
-            stations.append(torch.stack((found.x[row], found.y[row], found.z[row] + last), -1))
-        paths = torch.stack(stations, dim=-2)[0]
-    fields = np.repeat(np.arange(paths.shape[0]), paths.shape[1]).tolist()
-    return paths.reshape(-1, len(stations), 3).cpu().numpy(), fields
 
 
 def _element(faces: list[Profile], places, cemented: bool, segments: int) -> Mesh:

@@ -9,7 +9,6 @@ import numpy as np
 from odak import _validate
 from odak._array import Array
 from odak.visualize import _arrays
-from odak.visualize._arrays import to_numpy
 from odak.visualize.plotly import figures
 from odak.visualize.plotly.field_figures import surface_grid
 from odak.visualize.plotly.figures import Figure, graph, make_subplots
@@ -694,6 +693,7 @@ def system_show(
     """
     from odak.learn.raytracing.system import launch, optical_system
     from odak.learn.raytracing.system.pupils import PATTERNS
+    from odak.learn.raytracing.system.sketches import system_scene
 
     _validate.instance("system", system, optical_system, "an odak.learn.raytracing.system.optical_system")
     import torch
@@ -714,10 +714,9 @@ def system_show(
     figure.settings["margin"] = [10, 10, 30, 50]
     figure.fig.update_layout(legend={"x": 0.99, "xanchor": "right", "y": 0.99})
     with torch.no_grad():
-        paths = _paths(system, launch(system, pattern, rings, aim=aim))
-        frames = list(zip(*(to_numpy("frames", value) for value in system.frames()), strict=True))
-    _draw_surfaces(figure, system, frames, paths)
-    for i, (field, lines) in enumerate(zip(system.fields, paths, strict=True)):
+        scene = system_scene(system, launch(system, pattern, rings, aim=aim))
+    _draw_surfaces(figure, scene, system.stop)
+    for i, (field, lines) in enumerate(zip(system.fields, scene.paths, strict=True)):
         colour = figures.COLORS[i % len(figures.COLORS)]
         figure.add_path(lines, color=colour, show_legend=True, label=f"field {_field_name(field, system)}")
     _frame_from_the_side(figure)
@@ -728,61 +727,39 @@ def system_show(
     return figure
 
 
-def _paths(system, rays) -> np.ndarray:
-    """Return the paths of rays, ``[fields, rays, stations, 3]``, from in front of the system to the image plane."""
-    from odak.learn.raytracing.system import ray_paths
-
-    paths = to_numpy("rays", ray_paths(system, rays))[system.reference].copy()
-    along = np.stack([to_numpy("rays", part)[0] for part in rays[3:6]], axis=-1)
-    ahead = 0.25 * np.ptp(to_numpy("frames", system.frames()[1]), axis=0).max() or 1.0
-    if system.at_infinity or system.object_distance > 4 * ahead:
-        start = paths[..., 0, :]
-        paths[..., 0, :] = start + along * ((-ahead - start[..., 2:]) / along[..., 2:])
-    return paths
-
-
-def _draw_surfaces(figure, system, frames, paths) -> None:
+def _draw_surfaces(figure, scene, stop: int) -> None:
     """Draw each piece of glass as one closed mesh, mirrors as sheets, and the image plane."""
-    from odak.learn.raytracing.system.surfaces import drawn_radii, is_break
+    from odak.learn.raytracing.system.surfaces import is_break
 
-    reaches = [
-        np.nanmax(np.linalg.norm(((paths[..., i + 1, :] - origin) @ matrix)[..., :2], axis=-1), initial=0.0)
-        for i, (matrix, origin) in enumerate(frames[:-1])
-    ]
-    radii = drawn_radii(system.surfaces, reaches)
-    sheets = [_points_of(*drawn) for drawn in zip(system.surfaces, frames[:-1], radii, strict=True)]
-    for i, item in enumerate(system.surfaces):
+    sheets = [_points_of(scene, i) for i in range(len(scene.items) - 1)]
+    behind = dict(scene.elements())
+    for i, item in enumerate(scene.items[:-1]):
         if is_break(item):
             continue
         if item.reflects:
             figure.add_mesh(*_mesh(sheets[i]), color=MIRROR, opacity=0.6, label="mirror")
-        elif item.material != "air" and i + 1 < len(sheets):
-            behind = next((j for j in range(i + 1, len(sheets)) if not is_break(system.surfaces[j])), i)
-            figure.add_mesh(*_mesh(sheets[i], sheets[behind]), color=GLASS, opacity=0.35, label=f"element {i + 1}")
-        if i == system.stop:
+        elif i in behind:
+            figure.add_mesh(*_mesh(sheets[i], sheets[behind[i]]), color=GLASS, opacity=0.35, label=f"element {i + 1}")
+        if i == stop:
             rim = sheets[i][-1]
             ring = np.concatenate([rim, rim[:1]])[None]
             figure.add_path(ring, color="black", label="stop")
-    matrix, origin = frames[-1]
-    local = (paths[..., -1, :] - origin) @ matrix
+    matrix, origin = scene.frames[-1]
+    local = (scene.paths[..., -1, :] - origin) @ matrix
     reached = np.nanmax(np.abs(local[..., :2]), axis=(0, 1), initial=0.0)
-    x, y = np.maximum(1.1 * reached, max(radii))
+    x, y = np.maximum(1.1 * reached, max(scene.radii[:-1]))
     corners = np.array([(-x, -y, 0.0), (x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0)]) @ matrix.T + origin
     figure.add_mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), color=SCREEN, opacity=0.25, label="image plane")
 
 
-def _points_of(item, frame, rim: float) -> np.ndarray:
+def _points_of(scene, i: int) -> np.ndarray:
     """Return points on a surface in space ``[RADII + 1, ANGLES, 3]``, from the vertex to the rim, where it exists."""
-    radius = np.linspace(0, rim, RADII + 1)[:, None]
     angle = np.linspace(0, 2 * np.pi, ANGLES, endpoint=False)
-    x, y = radius * np.cos(angle), radius * np.sin(angle)
-    parameters = [to_numpy("shape", value) for value in item.shape.parameters()]
-    sag = type(item.shape)(*parameters).sag(x, y)
-    while not np.all(sag.defined) and rim > 0:
-        x, y, rim = 0.98 * x, 0.98 * y, 0.98 * rim
-        sag = type(item.shape)(*parameters).sag(x, y)
-    matrix, origin = frame
-    return np.stack([x, y, sag.height], axis=-1) @ matrix.T + origin
+    unit = np.linspace(0, 1, RADII + 1)[:, None] * np.stack([np.cos(angle), np.sin(angle)])[:, None]
+    rim = scene.radii[i]
+    while np.isnan(found := scene.points(i, *(rim * unit))).any() and rim > 0:
+        rim *= 0.98
+    return found
 
 
 def _mesh(front: np.ndarray, back: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:

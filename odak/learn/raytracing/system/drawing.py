@@ -52,7 +52,8 @@ from odak.learn.raytracing.system.pupils import (
     trace_fields,
     vignetting_factors,
 )
-from odak.learn.raytracing.system.surfaces import checked_system, drawn_radii, is_break, is_glass
+from odak.learn.raytracing.system.sketches import SystemScene, system_scene
+from odak.learn.raytracing.system.surfaces import checked_system, is_break, is_glass
 from odak.learn.raytracing.system.system_files import system_to_dict
 from odak.learn.raytracing.system.tracing import curved_paths, ray_paths
 from odak.learn.raytracing.system.waves import (
@@ -124,45 +125,28 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
     aim = _validate.one_of("aim", aim, AIMS)
     with torch.no_grad():
         rays = launch(system, pupil_samples("y", count), aim=aim)
-        paths = ray_paths(system, rays)[system.reference].cpu()
-        frames = [tuple(part.cpu().numpy() for part in pair) for pair in zip(*system.frames(), strict=True)]
+        scene = system_scene(system, rays, lead=0.15)
         curves = _curves(system, rays)
-    # The lens that an afocal system appends stands in for its image.
-    surfaces, image = list(system.surfaces), system.image
-    if system.afocal:
-        surfaces, image, paths, frames = surfaces[:-1], None, paths[..., :-1, :], frames[:-1]
-    start = paths[..., 0, :]
-    direction = torch.stack([value[0].cpu() for value in rays[3:]], -1)
-    extent = float(
-        (paths[..., 1:, :].nan_to_num().amax((0, 1, 2)) - paths[..., 1:, :].nan_to_num().amin((0, 1, 2))).max()
-    )
-    if system.at_infinity or system.object_distance > 0.5 * extent:
-        ahead = start - direction * ((start[..., 2:] + 0.15 * extent) / direction[..., 2:])
-        paths = torch.cat([ahead[..., None, :], paths], -2)
-    paths = paths.numpy()
-    items = [*surfaces, image]
-    radii = _radii(items, frames, paths[..., -len(frames) :, :])
-    profiles = [_profile(*pair) for pair in zip(items, frames, radii, strict=True)]
+    surfaces, frames, radii, paths = scene.items[:-1], scene.frames, scene.radii, scene.paths
+    profiles = [_profile(scene, i) for i in range(len(scene.items))]
     drawn = np.concatenate([*profiles, paths[..., [2, 1]].reshape(-1, 2)])
     width, height = np.nanmax(drawn, 0) - np.nanmin(drawn, 0)
     figure = _Figure(figsize=(10, 5) if height < width else (6, 6.6), layout="constrained")
     axes = figure.add_subplot()
     axes.set_aspect("equal", adjustable="datalim")
     axes.axis("off")
-    for i in range(len(surfaces)):
-        behind = next((j for j in range(i + 1, len(items)) if items[j] is None or not is_break(items[j])), None)
-        if behind is not None and behind < len(items) - 1 and is_glass(surfaces, i):
-            axes.fill(*_element(profiles, frames, radii, i, behind).T, color=GLASS, ec=FAINT, lw=0.6)
-            style: dict[str, Any] = {"textcoords": "offset points", "fontsize": 6, "color": INK, "parse_math": False}
-            ends = np.concatenate([profiles[place][[0, -1]] for place in (i, behind)])
-            if abs(frames[i][0][2, 2]) > 0.7:
-                place = (ends[[0, 2], 0].mean(), ends[:, 1].min())
-                style |= {"xytext": (0, -4), "rotation": 90, "ha": "center", "va": "top"}
-            else:
-                # Beside an element whose axis is turned up or down.
-                place = (ends[:, 0].max(), ends[:, 1].mean())
-                style |= {"xytext": (4, 0), "ha": "left", "va": "center"}
-            axes.annotate(_glass_name(surfaces, i), place, **style)
+    for i, behind in scene.elements():
+        axes.fill(*_element(profiles, frames, radii, i, behind).T, color=GLASS, ec=FAINT, lw=0.6)
+        style: dict[str, Any] = {"textcoords": "offset points", "fontsize": 6, "color": INK, "parse_math": False}
+        ends = np.concatenate([profiles[place][[0, -1]] for place in (i, behind)])
+        if abs(frames[i][0][2, 2]) > 0.7:
+            place = (ends[[0, 2], 0].mean(), ends[:, 1].min())
+            style |= {"xytext": (0, -4), "rotation": 90, "ha": "center", "va": "top"}
+        else:
+            # Beside an element whose axis is turned up or down.
+            place = (ends[:, 0].max(), ends[:, 1].mean())
+            style |= {"xytext": (4, 0), "ha": "left", "va": "center"}
+        axes.annotate(_glass_name(surfaces, i), place, **style)
     for f in range(paths.shape[0]):
         color = color_of(f)
         for p in range(paths.shape[1]):
@@ -265,28 +249,10 @@ def unit_of(system) -> str:
     return system.unit.replace("um", "µm")
 
 
-def _radii(items, frames, paths) -> list[float]:
-    """Return how far from its vertex each surface, the image last, is drawn."""
-    reaches = []
-    for i, (matrix, origin) in enumerate(frames):
-        local = (paths[..., i, :] - origin) @ matrix
-        reaches.append(float(np.nanmax(np.hypot(local[..., 0], local[..., 1]), initial=0.0)))
-    return drawn_radii(items[:-1], reaches[:-1]) + drawn_radii(items[-1:], reaches[-1:])
-
-
-def _profile(item, frame, radius: float) -> np.ndarray:
+def _profile(scene: SystemScene, i: int) -> np.ndarray:
     """Return a section of a surface in the plane x = 0 as points (z, y) in global coordinates."""
-    matrix, origin = frame
-    y = np.linspace(-radius, radius, POINTS)
-    z = np.zeros_like(y)
-    if item is not None and not is_break(item):
-        with torch.no_grad():
-            place = torch.from_numpy(y).to(item.curvature.device)
-            sag = item.shape.sag(torch.zeros_like(place), place)
-        kept = sag.defined.cpu().numpy()
-        y, z = y[kept], sag.height.cpu().numpy()[kept]
-    points = np.stack([np.zeros_like(y), y, z], -1) @ matrix.T + origin
-    return points[:, [2, 1]]
+    points = scene.points(i, np.zeros(1), np.linspace(-scene.radii[i], scene.radii[i], POINTS))
+    return points[np.isfinite(points).all(-1)][:, [2, 1]]
 
 
 def focus_unit(system) -> tuple[str, float]:
