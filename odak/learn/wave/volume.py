@@ -384,7 +384,8 @@ class display_volume(Prepared, torch.nn.Module):
         self.init_kernels()
 
     def _put_disc(self, radius: float) -> None:
-        mask = circular_binary_mask(*self.padded_shape, radius)[0, 0]
+        rows, columns = self.padded_shape
+        mask = circular_binary_mask(rows, columns, radius)[0, 0]
         self._put_stop("mask", f"round, radius {radius:g} samples", mask)
 
     def _put_round(self, words: str, cutoffs: list) -> None:
