@@ -50,8 +50,9 @@ def attach(package: str, file: str) -> tuple[Callable, Callable, list[str]]:
         if name in moved:
             from odak._warnings import warn
 
-            warn(f"{package}.{name} is deprecated: import it as {moved[name]}.{name}", DeprecationWarning)
-            return getattr(importlib.import_module(moved[name]), name)
+            place, _, renamed = moved[name].partition(":")
+            warn(f"{package}.{name} is deprecated: import it as {place}.{renamed or name}", DeprecationWarning)
+            return getattr(importlib.import_module(place), renamed or name)
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
 
     return load, lambda: public, public

@@ -174,8 +174,8 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.wave.vector": "odak.wave.fields",
 }
 
-# Names that were exposed in a package unintentionally, with the package they belong to; they come with a
-# DeprecationWarning.
+# Names that were exposed in a package unintentionally, with the package they belong to, or that are others now, with
+# package:name; they come with a DeprecationWarning.
 MOVED_NAMES: dict[str, dict[str, str]] = {
     "odak.learn.tools": {"read_PLY": "odak.tools"},
     "odak.learn.wave": {
@@ -184,6 +184,7 @@ MOVED_NAMES: dict[str, dict[str, str]] = {
         "quantize": "odak.learn.tools",
         "zero_pad": "odak.learn.tools",
     },
+    "odak.learn.wave.gaussians": {"Gaussians": "odak.learn.wave:complex_3d_gaussians"},
     "odak.raytracing": {"rotate_point": "odak.tools", "rotate_points": "odak.tools"},
     "odak.wave": {"save_image": "odak.tools", "zero_pad": "odak.tools"},
 }

@@ -381,7 +381,14 @@ def adjust_phase_only_slm_range(native_range: float, working_wavelength: float, 
     return native_range / working_wavelength * native_wavelength
 
 
-def normalize_phase(phase: Array, range_min: float = 0.0, range_max: float = 2 * math.pi) -> Array:
+def normalize_phase(
+    phase: Array,
+    range_min: float = 0.0,
+    range_max: float = 2 * math.pi,
+    *,
+    period: float | None = None,
+    multiplier: float | None = None,
+) -> Array:
     """Return `phase` mapped linearly so that its extremes are `range_min` and `range_max`.
 
     Parameters
@@ -392,6 +399,11 @@ def normalize_phase(phase: Array, range_min: float = 0.0, range_max: float = 2 *
         Lower end of the range, which the smallest phase becomes.
     range_max : float, default: 2π
         Upper end of the range, above `range_min`, which the largest phase becomes.
+    period : float, optional
+        With this or `multiplier`, the form of Odak 0.2.7, the result is the share of a period, (phase mod
+        period)/period, times `multiplier`, and the range has no part in it. 2π by default.
+    multiplier : float, optional
+        Value of a whole period, 1 by default.
 
     Returns
     -------
@@ -413,6 +425,12 @@ def normalize_phase(phase: Array, range_min: float = 0.0, range_max: float = 2 *
     phase = _phase("phase", phase, None)
     if 0 in phase.shape:
         raise ValueError(f"phase must not be empty, got {list(phase.shape)}")
+    if period is not None or multiplier is not None:
+        if (range_min, range_max) != (0.0, 2 * math.pi):
+            raise ValueError("range_min and range_max exclude period and multiplier, got both")
+        period = _validate.real("period", 2 * math.pi if period is None else period, positive=True)
+        multiplier = _validate.real("multiplier", 1.0 if multiplier is None else multiplier)
+        return phase % period / period * multiplier
     _validate.real("range_min", range_min)
     _validate.real("range_max", range_max)
     if not range_max > range_min:

@@ -72,8 +72,8 @@ def propagate_beam(
         Complex field ``[..., rows, columns]`` (a real one is taken as a field of phase zero). A Dask array may be
         larger than memory: it is propagated in chunks, by the methods that have a transfer function.
     k : float, optional
-        Wave number 2π/wavelength; kept for older callers, it must agree with `wavelength` to 1e-6. Calls that name
-        `distance`, `dx` and `wavelength` leave it out.
+        Wave number 2π/wavelength; kept for older callers. It must agree with `wavelength` to 1e-3, as with 2·3.14 in
+        place of 2π, and the exact one is used. Calls that name `distance`, `dx` and `wavelength` leave it out.
     distance : float or array
         Propagation distance in metres, negative to propagate back. An array broadcasts against the field's leading
         axes; a torch tensor that requires grad makes the result differentiable in it, like `dx` and `wavelength`.
@@ -89,6 +89,7 @@ def propagate_beam(
         GPU or transformed by torch.func as lengths take "Linear Angular Spectrum" without a prediction of its error.
     kernel : array, optional
         Transfer function for "custom", centred (zero frequency at index n // 2); ones by default, at any distance.
+        Of "custom" the lengths may be None.
     zero_padding : sequence of bool
         Pad the field to twice its size; pad the spectrum to twice its size (half the output pitch; no effect with
         Fraunhofer); crop the centre half at the end.
@@ -131,8 +132,7 @@ def propagate_beam(
     True
     """
     if distance is REQUIRED or dx is REQUIRED or wavelength is REQUIRED:
-        missing = [n for n, v in (("distance", distance), ("dx", dx), ("wavelength", wavelength)) if v is REQUIRED]
-        raise TypeError(f"propagate_beam needs distance, dx and wavelength; missing: {', '.join(missing)}")
+        k, distance, dx, wavelength = _lengths_of_custom(propagation_type, k, distance, dx, wavelength)
     # Kernels are looked up and warnings issued: no graph of torch.compile can hold that.
     if _array.is_compiling() and kernel is None and axes in ((-2, -1), [-2, -1]):
         geometry = (k, distance, _plain_pair(dx), wavelength, propagation_type, aperture, scale, tolerance)
@@ -154,6 +154,18 @@ def propagate_beam(
         field,
         *(k, distance, dx, wavelength, propagation_type, kernel, zero_padding, aperture, scale, samples, tolerance),
     )
+
+
+def _lengths_of_custom(propagation_type, k, distance, dx, wavelength):
+    """Return lengths where a kernel holds all of them; raise TypeError for other methods, naming what is missing."""
+    lengths = {"distance": distance, "dx": dx, "wavelength": wavelength}
+    method = find_method(propagation_type)
+    if method is None or not method.takes_kernel:
+        missing = [name for name, value in lengths.items() if value is REQUIRED]
+        raise TypeError(f"propagate_beam needs distance, dx and wavelength; missing: {', '.join(missing)}")
+    usual = (0.0, 1.0, 1.0)
+    given = [own if value is REQUIRED else value for own, value in zip(usual, lengths.values(), strict=True)]
+    return (None if wavelength is REQUIRED else k, *given)
 
 
 @_array.constant_in_graphs
@@ -683,9 +695,7 @@ def custom(field: Array, kernel: Array | None, zero_padding: bool = False, apert
     >>> bool(abs(custom(field, np.ones((8, 8), dtype=np.complex128)) - field).max() < 1e-12)
     True
     """
-    return propagate_beam(
-        field, None, 0.0, 1.0, 1.0, "custom", kernel=kernel, zero_padding=zero_padding, aperture=aperture
-    )
+    return propagate_beam(field, propagation_type="custom", kernel=kernel, zero_padding=zero_padding, aperture=aperture)
 
 
 @_validate.takes_units("distance", "dx", "wavelength")
@@ -1038,6 +1048,10 @@ def _check_aperture(aperture) -> None:
 
 
 def _check_method(method, request: Request) -> None:
+    if isinstance(request.kernel, (list, tuple)):
+        raise TypeError(
+            f"kernel must be an array, for propagation_type 'custom'; zero_padding={request.kernel!r} pads and crops"
+        )
     if request.kernel is not None and not method.takes_kernel:
         raise ValueError(f"kernel is for propagation_type 'custom' only, got it with {method.name!r}")
     kernelless = request.kernel is None and method.takes_kernel

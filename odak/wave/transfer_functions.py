@@ -7,6 +7,7 @@ to a tenth of a radian only.
 """
 
 import functools
+import logging
 import math
 import os
 import threading
@@ -26,7 +27,11 @@ from odak import _array, _validate
 from odak._array import convolve_plainly, make_complex, numpy_namespace, phasor_of_cycles
 from odak.tools.matrix import zero_pad
 
+_log = logging.getLogger("odak")
+
 _SLAB = 1 << 17
+# Relative error of a wave number that is taken for 2π/wavelength: 3.14 is 0.0005 below π.
+_ROUNDED_PI = 1e-3
 
 
 @dataclass(frozen=True)
@@ -715,10 +720,12 @@ def check_geometry(k, distance, dx, wavelength, batch: tuple[int, ...] | None = 
     count = max(len(numbers), len(lengths))
     for number, length in zip(*(v * count if len(v) == 1 else v for v in (numbers, lengths)), strict=True):
         expected = 2 * math.pi / length
-        if not abs(number - expected) <= 1e-6 * expected:
+        if not abs(number - expected) <= _ROUNDED_PI * expected:
             raise ValueError(
                 f"k must be 2π/wavelength = {expected:.9g} for wavelength {length!r}, or None; got {number!r}"
             )
+        if abs(number - expected) > 1e-6 * expected:
+            _log.info("k is 2π/wavelength = %.9g for wavelength %r; %r was given", expected, length, number)
 
 
 def _fits_within(shape: tuple[int, ...], batch: tuple[int, ...]) -> bool:

@@ -539,3 +539,37 @@ def test_lengths_on_a_gpu_are_not_read(field, monkeypatch):
     both = torch_wave.propagate_beam(torch.from_numpy(np.stack([field] * 2)), None, distance, DX, WAVELENGTH)
     # By one fixed rule instead of one within 1e-4.
     assert relative_error(both[0].numpy(), expected) < 5e-3
+
+
+@pytest.mark.parametrize(
+    ("propagate", "take"), [(odak.wave.propagate_beam, np.asarray), (torch_wave.propagate_beam, torch.from_numpy)]
+)
+class TestOlderCalls:
+    """Call forms of published scripts."""
+
+    PLAIN = (False, False, False)
+
+    def test_a_kernel_of_ones_own_needs_no_lengths(self, propagate, take, field, random):
+        kernel = random.normal(size=field.shape) + 1j * random.normal(size=field.shape)
+        expected = np.fft.ifft2(np.fft.ifftshift(kernel) * np.fft.fft2(field))
+        for lengths in ([None] * 4, [2 * np.pi / WAVELENGTH, None, None, None], [None, DISTANCE, None, WAVELENGTH]):
+            found = propagate(
+                take(field), *lengths, propagation_type="custom", kernel=take(kernel), zero_padding=self.PLAIN
+            )
+            np.testing.assert_allclose(np.asarray(found), expected, atol=1e-12)
+        with pytest.raises(TypeError, match="missing: distance, dx"):
+            propagate(take(field), None, None, None, WAVELENGTH, propagation_type="Angular Spectrum")
+
+    def test_a_list_in_the_place_of_the_kernel_is_answered_with_zero_padding(self, propagate, take, field):
+        for kind in ("Bandlimited Angular Spectrum", "custom"):
+            with pytest.raises(TypeError, match=r"kernel must be an array.*zero_padding=\[True, False, True\]"):
+                propagate(take(field), None, DISTANCE, DX, WAVELENGTH, kind, [True, False, True])
+
+    def test_a_wave_number_with_three_digits_of_pi_is_the_exact_one(self, propagate, take, field, caplog):
+        caplog.set_level(logging.INFO, "odak")
+        lengths = (DISTANCE, DX, WAVELENGTH, "Angular Spectrum")
+        found = propagate(take(field), 2 * 3.14 / WAVELENGTH, *lengths)
+        assert any("k is 2π/wavelength = 11810498" in record.message for record in caplog.records)
+        np.testing.assert_array_equal(np.asarray(found), np.asarray(propagate(take(field), None, *lengths)))
+        with pytest.raises(ValueError, match="k must be 2π/wavelength"):
+            propagate(take(field), 2 * 3.1 / WAVELENGTH, *lengths)

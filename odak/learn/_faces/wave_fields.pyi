@@ -18,6 +18,9 @@ def normalize_phase(
     phase: torch.Tensor,
     range_min: float = 0.0,
     range_max: float = 6.283185307179586,
+    *,
+    period: float | None = None,
+    multiplier: float | None = None,
 ) -> torch.Tensor:
     """Return `phase` mapped linearly so that its extremes are `range_min` and `range_max`."""
     ...

@@ -114,6 +114,52 @@ def test_noise_of_a_resumed_run_is_that_of_an_uninterrupted_one(tmp_path):
     assert torch.equal(run(checkpoint=tmp_path / "run.pt"), run())
 
 
+def multi_colour(**options):
+    display = wave.propagator(SIZE, COLOURS[:1], PITCH, aperture="open")
+    targets = 0.5 * draw(1, 1, *SIZE)
+    return wave.multi_color_hologram_optimizer(
+        COLOURS[:1], SIZE, targets, display, 1, 1, seed=2, progress=False, **options
+    )
+
+
+def test_forms_of_the_multi_colour_optimizer_of_odak_0_2_7():
+    made = multi_colour(learning_rate_floor=3e-3)
+    assert made.min_learning_rate == 3e-3
+    with pytest.raises(TypeError, match="learning_rate_floor are one argument"):
+        multi_colour(learning_rate_floor=3e-3, min_learning_rate=1e-3)
+    with pytest.warns(ArgumentWarning, match="scheduler_power has no effect"):
+        assert torch.equal(multi_colour(scheduler_power=2).optimize(2)[1], multi_colour().optimize(2)[1])
+    weights = [1.0, 1.0, 0.0]
+    # An integer in third place is the bits, a number in fourth place of gradient_descent the ratio of the noise.
+    older, newer = multi_colour().optimize(3, weights, 2), multi_colour().optimize(3, weights, bits=2)
+    assert torch.equal(older[1], newer[1]) and len(older[1].unique()) <= 4
+    older = multi_colour().optimize(3, weights, 2, True, 0.3)
+    assert torch.equal(older[1], multi_colour().optimize(3, weights, None, 2, True, 0.3)[1])
+    assert not torch.equal(older[1], newer[1])
+    older = multi_colour().gradient_descent(3, weights, True, 0.3)
+    assert torch.equal(older, multi_colour().gradient_descent(3, weights, True, noise_ratio=0.3))
+    eyebox = {"offset": 0.0, "diameter": 5}
+    assert torch.equal(
+        multi_colour().optimize(3, [1, 0, 0, 1], eyebox, 8)[1], multi_colour().optimize(3, [1, 0, 0, 1], eyebox)[1]
+    )
+
+
+def test_a_phase_as_the_share_of_a_period():
+    phase = torch.tensor([-1.0, 0.0, 2 * math.pi + 1.0], dtype=torch.float64)
+    turn = 2 * math.pi
+    expected = torch.tensor([255 * (1 - 1 / turn), 0.0, 255 / turn], dtype=torch.float64)
+    torch.testing.assert_close(wave.normalize_phase(phase, period=turn, multiplier=255), expected)
+    torch.testing.assert_close(wave.normalize_phase(phase, period=4.0), torch.remainder(phase, 4.0) / 4.0)
+    with pytest.raises(ValueError, match="range_min and range_max exclude period"):
+        wave.normalize_phase(phase, 0.0, 1.0, period=turn)
+
+
+def test_gaussians_have_their_name_of_odak_0_2_7():
+    with pytest.warns(DeprecationWarning, match="import it as odak.learn.wave.complex_3d_gaussians"):
+        from odak.learn.wave.complex_gaussians import Gaussians
+    assert Gaussians is wave.complex_3d_gaussians
+
+
 def test_the_bar_stays_with_the_final_loss(capsys):
     losses = []
     wave.stochastic_gradient_descent(

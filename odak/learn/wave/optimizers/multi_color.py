@@ -1,9 +1,11 @@
 """Optimizer of phase patterns shown in sequence, each lit by several colours, for images on several planes."""
 
+import functools
 import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from numbers import Real
 from typing import Any
 
 import torch
@@ -11,6 +13,7 @@ import torch
 from odak import _show, _validate
 from odak._attributes import Prepared
 from odak._torch_private import differentiates
+from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import checked_device, checked_generator, floating
 from odak.learn.tools.iterations import Run, minimise
 from odak.learn.wave.camera import captured_by, with_model_gradient
@@ -37,6 +40,21 @@ from odak.learn.wave.propagators import propagator as propagator_type
 from odak.learn.wave.slm import TURN, even_levels
 from odak.learn.wave.training import REGISTER, check_brightness, cosine, fingerprint, generator_from, linear, started
 from odak.wave.torch_convolution import Workspace, release_memory
+
+
+def _without_eyebox(place: int) -> Callable:
+    """Let a method be called as in Odak 0.2.7, with a number where the eyebox stands now, which is then left out."""
+
+    def decorated(method):
+        @functools.wraps(method)
+        def adapted(*args, **options):
+            if len(args) > place and isinstance(args[place], Real):
+                args = (*args[:place], None, *args[place:])
+            return method(*args, **options)
+
+        return adapted
+
+    return decorated
 
 
 class multi_color_hologram_optimizer(Prepared):
@@ -100,6 +118,10 @@ class multi_color_hologram_optimizer(Prepared):
         Iterations between two writings of that file; it is written at the end and on an interruption too.
     seed : int, optional
         Makes the random start reproducible; by default torch's own generator draws it.
+    learning_rate_floor : float, optional
+        `min_learning_rate` by its name in Odak 0.2.7.
+    scheduler_power : float, optional
+        Has no effect; an ArgumentWarning says so.
 
     Raises
     ------
@@ -166,7 +188,15 @@ class multi_color_hologram_optimizer(Prepared):
         checkpoint: str | os.PathLike[str] | None = None,
         checkpoint_every: int = 50,
         seed: int | None = None,
+        learning_rate_floor: float | None = None,
+        scheduler_power: float | None = None,
     ):
+        if learning_rate_floor is not None:
+            if min_learning_rate is not None:
+                raise TypeError("min_learning_rate and learning_rate_floor are one argument; give one of them")
+            min_learning_rate = learning_rate_floor
+        if scheduler_power is not None:
+            warn("scheduler_power has no effect: the learning rate falls along a cosine", ArgumentWarning)
         if not isinstance(propagator, propagator_type):
             raise TypeError(f"propagator must be an odak.learn.wave.propagator, got {propagator!r:.80}")
         device = checked_device("device", device)
@@ -284,6 +314,7 @@ class multi_color_hologram_optimizer(Prepared):
         self.learning_rates = cosine(self.learning_rate, self.min_learning_rate, number_of_iterations)
 
     @differentiates
+    @_without_eyebox(4)
     def gradient_descent(
         self,
         number_of_iterations: int = 100,
@@ -343,6 +374,7 @@ class multi_color_hologram_optimizer(Prepared):
             return self._pattern()[0].detach()
 
     @differentiates
+    @_without_eyebox(3)
     def optimize(
         self,
         number_of_iterations: int = 100,
