@@ -65,7 +65,7 @@ def run(job: EyeboxSettings, notices: files.Notices = files.SILENT) -> dict:
     display = wave.Display(panel, job.wavelength, wave.Eyes(job.distance, places, job.pupil), job.frames).to(device)
     wanted = targets.expand(len(places), *job.resolution)
     solver = "lbfgs" if job.learning_rate is None else wave.Descent("adam", job.learning_rate)
-    with progress(job, "eyebox") as clock:
+    with progress("eyebox", job.iterations, job.quiet) as clock:
         steps = wave.Run(job.iterations, False, clock.tick, seed=job.seed)
         hologram = wave.optimise(display, wanted[:, None], solver=solver, run=steps)
     for name, phase in zip(names, hologram.phases, strict=True):

@@ -27,6 +27,8 @@ from odak.cli.options import InputError
 from odak.cli.target import Target
 
 LIT = 0.1
+# Nothing is gained any more where the loss falls by less than this share (0.1 dB) over so many iterations.
+LEAST_GAIN, GAINED_OVER = 0.023, 10
 DEFINITIONS = {
     "target": "The picture's stored values, 0 to 1, taken as intensity; resized (bicubic) to the largest size that "
     "fits the resolution with its aspect ratio kept, black around it.",
@@ -37,7 +39,7 @@ DEFINITIONS = {
     "With the methods multiplane and multi-color: brightness times the sum of the squares of source_amplitudes.",
     "brightness": "Methods multiplane and multi-color: the one factor of the intensities of all colours, as the "
     "sources give them, at which the picture is closest to T over its window; no colour is rescaled by itself.",
-    "psnr_points_db": "As psnr_db, with I at the middles of pixels that emit as points, which no sensor sees.",
+    "psnr_points_db": "As psnr_db, with I at the middles of pixels, which no sensor sees.",
     "psnr_area_db": "As psnr_db, for square pixels of verification.pixel.fill_factor (1 if none is given) behind a "
     "stop that passes |f| < 1/(2*pitch) along each axis, with I averaged over the area of each pixel.",
     "psnr_db": "10*log10(1/mean((s*I - T)^2)) over the picture's window, without the black borders; overall, the mean "
@@ -491,28 +493,48 @@ def _height(font) -> int:
 
 
 class Clock:
-    """Moves the progress bar and times the iterations, the first one (which builds the kernel) left out."""
+    """Moves the progress bar, times the iterations, the first one (which builds the kernel) left out, and ends them.
 
-    def __init__(self, bar: tqdm) -> None:
-        self.bar, self.ticks, self.first, self.last = bar, 0, 0.0, 0.0
+    Attributes
+    ----------
+    ticks : int
+        Number of iterations so far.
+    loss : float, optional
+        Loss after the last one.
+    interrupted : bool
+        Whether Ctrl-C ended the iterations.
+    """
+
+    def __init__(self, bar: tqdm, settles: bool = False) -> None:
+        self.bar, self.settles = bar, settles
+        self.ticks, self.first, self.last = 0, time.perf_counter(), 0.0
         self.loss: float | None = None
+        self.settled = self.interrupted = False
         self._value: torch.Tensor | None = None
+        self._losses: list[float] = []
 
-    def tick(self, _: int, value: torch.Tensor) -> None:
-        """Count an iteration, and store its loss."""
+    def tick(self, _: int, value: torch.Tensor) -> bool:
+        """Count an iteration, keep its loss, show the quality so far, and return whether nothing is gained any more."""
         self.bar.update()
         self.ticks += 1
-        # The loss, or with Gerchberg-Saxton the phase; it is read once at the end, as reading it waits for the device.
-        self._value = value if value.ndim == 0 else None
+        # The loss, or with Gerchberg-Saxton the phase. On a GPU it is read now and then, as reading it waits for it.
+        self._value = value.detach() if value.ndim == 0 else None
         if self.ticks == 1:
             self.first = time.perf_counter()
+        if self._value is not None and (self._value.is_cpu or self.ticks % GAINED_OVER == 0):
+            self.loss = float(self._value)
+            self.bar.set_postfix_str(f"{-10 * math.log10(max(self.loss, 1e-30)):.1f} dB, loss {self.loss:.4g}")
+            self._losses.append(self.loss)
+        if self.settles and len(self._losses) > GAINED_OVER:
+            self.settled = self._losses[-1] > (1 - LEAST_GAIN) * self._losses[-1 - GAINED_OVER]
+        return self.settled
 
     def end(self) -> None:
         """Store the time of the last iteration and its loss."""
         self.last = time.perf_counter()
         if self._value is not None:
-            self.loss = float(self._value.detach())
-            self.bar.set_postfix_str(f"loss {self.loss:.4g}")
+            self.loss = float(self._value)
+            self.bar.set_postfix_str(f"{-10 * math.log10(max(self.loss, 1e-30)):.1f} dB, loss {self.loss:.4g}")
 
     def seconds_per_tick(self) -> float | None:
         """Return the mean time of an iteration after the first in seconds, None if there was only one."""
@@ -520,15 +542,26 @@ class Clock:
 
 
 @contextmanager
-def progress(job, description: str):
-    """Show a progress bar, and yield the clock whose `tick` moves it."""
-    start = time.perf_counter()
-    with tqdm(total=job.iterations, desc=description, unit="it", disable=job.quiet) as bar:
-        clock = Clock(bar)
-        clock.first = start
+def progress(description: str, iterations: int, quiet: bool, settles: bool = False, partial: bool = False):
+    """Show a progress bar, and yield the clock whose `tick` moves it.
+
+    Parameters
+    ----------
+    description : str
+        What is computed.
+    iterations : int
+        Number of iterations.
+    quiet : bool
+        Show no bar.
+    settles : bool
+        End when nothing is gained any more.
+    partial : bool
+        Whether a result that Ctrl-C cut short is of use; it is the best one so far. Otherwise the interruption goes on.
+    """
+    with tqdm(total=iterations, desc=description, unit="it", disable=quiet) as bar:
+        clock = Clock(bar, settles)
         yield clock
         clock.end()
-    if clock.ticks < job.iterations:
-        # After Ctrl-C the optimizers return their best result so far, which must not be saved as the result of the
-        # whole run.
+    clock.interrupted = clock.ticks < iterations and not clock.settled
+    if clock.interrupted and not partial:
         raise KeyboardInterrupt
