@@ -185,6 +185,9 @@ def hologram(values: dict[str, Any], spread: SpreadSettings) -> None:
     report = _single(job, None if spread.cluster is None else spread.workers or os.cpu_count())
     if not job.quiet:
         _summarise(job, report)
+    if report.get("interrupted"):
+        typer.echo(f"odak: {report['reached']}: the best patterns so far are in {job.output}", err=True)
+        raise typer.Exit(INTERRUPTED)
 
 
 def _single(job: Job, workers: int | None) -> dict:

@@ -340,6 +340,8 @@ def hologram(
             # The warnings are part of the report. They are shown from there, with the name of the picture.
             with collected_warnings(lambda text: None):
                 report = compute(job)
+            if report["interrupted"]:
+                raise KeyboardInterrupt
         except InputError as error:
             raise InputError(str(error).replace(image, picture.name)) from None
         written = {path.name: path.read_bytes() for path in sorted(job.output.iterdir()) if path.name != REPORT}

@@ -96,7 +96,9 @@ def run(job: Job, notices: files.Notices = files.SILENT) -> dict:
         "seconds_total": time.perf_counter() - start,
     }
     written = [*names, "reconstruction.png", "comparison.png"]
-    return files.write_report(folder, summary, files.fingerprint_of(job), written)
+    # What was cut short is not the result that a second run looks for.
+    mark = "" if result["interrupted"] else files.fingerprint_of(job)
+    return files.write_report(folder, summary, mark, written)
 
 
 def check_propagation_type(name: str) -> None:
@@ -276,33 +278,46 @@ def _shares_frames(job: Job) -> bool:
 
 def _compute(job: Job, target: Target, folder: Path, device: torch.device) -> dict:
     """Compute, save, read back and measure the patterns of a picture; return their part of the report."""
-    results = [_group(job, target, colours, names, folder, device) for colours, names in _groups(job, target)]
+    results: list[dict] = []
+    for colours, names in _groups(job, target):
+        # After Ctrl-C the colours that are left get the least.
+        count = 1 if any(result["interrupted"] for result in results) else int(job.iterations or 1)
+        results.append(_group(job, target, colours, names, folder, device, count))
     seconds = [result["seconds_per_iteration"] for result in results if result["seconds_per_iteration"] is not None]
     return {
         **results[0],
         "images": torch.cat([result["images"] for result in results]),
         "phases": torch.cat([result["phases"] for result in results]),
         "channels": [channel for result in results for channel in result["channels"]],
+        "interrupted": any(result["interrupted"] for result in results),
+        "reached": next((result["reached"] for result in results if result["interrupted"]), results[0]["reached"]),
         "seconds_per_iteration": sum(seconds) / len(seconds) if seconds else None,
     }
 
 
-def _group(job: Job, target: Target, colours: list[int], names: list[str], folder: Path, device: torch.device) -> dict:
+def _group(
+    job: Job, target: Target, colours: list[int], names: list[str], folder: Path, device: torch.device, count: int
+) -> dict:
     """Compute, save, read back and measure the patterns of colours that are one problem."""
     part = replace(
         target, intensity=target.intensity[colours], wavelengths=tuple(target.wavelengths[c] for c in colours)
     )
     volume, response = load_volume(job, part, device), files.response_of(job)
     display = display_of(job, part.wavelengths, volume.distances, len(names), device)
-    computed, ideal, clock = _solved(job, part, volume, display)
+    found, clock = _solved(job, part, volume, display, count)
+    ideal = found.phases
     grating = grating_phase(job.resolution, device) if job.grating else torch.zeros(1, device=device)
     for name, phase in zip(names, ideal, strict=True):
         modulated = wave.unit_phasor(phase.double() + grating)
         files.save_pattern(folder / name, files.quantise(modulated, job.bits, response), job.bits)
     stored = torch.stack([files.load_pattern(folder / name, job.bits, response) for name in names])
     saved = (stored.to(device) - grating).to(ideal)
-    (images, other), (before, _) = (_judged(job, computed, phases) for phases in (saved, ideal))
-    channels, scales, brightness, powers = _channels(job, part, volume, computed.powers, images, before, other)
+    images, other = _judged(job, found.display, saved)
+    if job.fill_factor is not None:
+        before = found.images / found.brightness[:, None, None]
+    else:
+        before = _judged(job, found.display, ideal)[0]
+    channels, scales, brightness, powers = _channels(job, part, volume, found.display.powers, images, before, other)
     result: dict[str, Any] = {
         "images": (images * scales * volume.masks).sum(0).cpu(),
         "phases": stored,
@@ -311,6 +326,8 @@ def _group(job: Job, target: Target, colours: list[int], names: list[str], folde
             for wavelength, channel in zip(part.wavelengths, channels, strict=True)
         ],
         "seconds_per_iteration": clock.seconds_per_tick() if job.iterates else None,
+        "reached": clock.reached(count) if job.iterates else f"all that the method {job.method} does",
+        "interrupted": clock.interrupted,
     }
     if not _shares_frames(job):
         (channel,) = result["channels"]
@@ -357,23 +374,24 @@ def display_of(
 
 
 def _solved(
-    job: Job, target: Target, volume: Volume, display: wave.Display
-) -> tuple[wave.Display, torch.Tensor, report.Clock]:
-    """Return the display with the sources found, the phases ``[frames, rows, columns]`` and the clock of the run."""
+    job: Job, target: Target, volume: Volume, display: wave.Display, count: int
+) -> tuple[wave.DisplayedHologram, report.Clock]:
+    """Return the hologram of a problem as computed, without levels, and the clock of the run."""
     name = f"{job.planes} planes" if job.planes > 1 else f"{target.wavelengths[0] * 1e9:.6g} nm"
     if _shares_frames(job) and job.planes == 1:
         name = f"{display.frames} frames"
-    with report.progress(name, job.iterations if job.iterates else 0, job.quiet) as clock:
+    count = count if job.iterates else 0
+    with report.progress(name, count, job.quiet, job.settles, partial=True) as clock:
         found = wave.optimise(
             display,
             volume.images if volume.loss is None else volume.loss,
             solver=_solver(job, target, volume),
             start=_start(job, display),
-            run=wave.Run(job.iterations, False, clock.tick, seed=job.seed),
+            run=wave.Run(max(1, count), False, clock.tick, seed=job.seed),
         )
         if display.powers.is_cuda:
             torch.cuda.synchronize(display.powers.device)
-    return found.display, found.phases, clock
+    return found, clock
 
 
 def _solver(job: Job, target: Target, volume: Volume) -> Any:
@@ -516,7 +534,9 @@ def _at_points(job: Job, problem: wave.Problem) -> Any:
         **options,
     )
     # The light loss would drive all sources to full power, and with them colours that the picture does not have.
-    _, phases, _, amplitudes, _, _ = optimizer.optimize(job.iterations, {"eyebox": 0.0, "light": 0.0}, bits=None)
+    _, phases, _, amplitudes, _, _ = optimizer.optimize(
+        problem.run.iterations, {"eyebox": 0.0, "light": 0.0}, bits=None
+    )
     return phases, amplitudes.square()
 
 

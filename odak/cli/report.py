@@ -57,6 +57,8 @@ DEFINITIONS = {
     "belong to the plane (psnr_in_focus_db), all with the scale of the colour.",
     "source_amplitudes": "Amplitude of each wavelength's source in each frame. I is the sum over frames, divided by "
     "the sum of their squares: what a source of that light would give, spread evenly.",
+    "reached": "Where the iterations ended: all of --quality or --iterations done, nothing gained any more (less than "
+    "0.1 dB of the loss in ten iterations), or interrupted by Ctrl-C: the best patterns so far are written.",
     "seconds_per_iteration": "Mean over all iterations but the first, which builds the kernel.",
 }
 
@@ -535,6 +537,16 @@ class Clock:
         if self._value is not None:
             self.loss = float(self._value)
             self.bar.set_postfix_str(f"{-10 * math.log10(max(self.loss, 1e-30)):.1f} dB, loss {self.loss:.4g}")
+
+    def reached(self, iterations: int) -> str:
+        """Return in words where the iterations ended."""
+        if self.settled:
+            return f"nothing was gained any more after {self.ticks} iterations"
+        return (
+            f"interrupted after {self.ticks} of {iterations} iterations"
+            if self.interrupted
+            else f"{self.ticks} iterations"
+        )
 
     def seconds_per_tick(self) -> float | None:
         """Return the mean time of an iteration after the first in seconds, None if there was only one."""

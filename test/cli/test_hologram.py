@@ -1,5 +1,6 @@
 import math
 import os
+import re
 import subprocess
 import sys
 
@@ -239,6 +240,7 @@ def test_report_holds_every_parameter_and_version(grey_file, tmp_path):
         "frames": None,
         "method": "sgd",
         "propagation_type": "Bandlimited Angular Spectrum",
+        "quality": "good",
         "iterations": 5,
         "learning_rate": 0.05,
         "optimizer": "adam",
@@ -271,6 +273,49 @@ def test_lbfgs_is_the_default_and_better_than_adam(grey_file, tmp_path):
         solver = {"usual": ("lbfgs", None)}.get(name, ("adam", 0.2))
         assert (report["parameters"]["optimizer"], report["parameters"]["learning_rate"]) == solver
     assert quality["adam"] == quality["rate"] < quality["usual"] - 1
+
+
+@pytest.mark.parametrize(
+    ("options", "iterations", "reached"),
+    [
+        (["--quality", "fast"], 4, "4 iterations"),
+        (["--quality", "fast", "--optimizer", "adam"], 20, "20 iterations"),
+        (["--quality", "best", "--iterations", 3], 3, "3 iterations"),
+        (["--quality", "best"], 400, "nothing was gained any more after "),
+    ],
+)
+def test_quality_is_a_number_of_iterations_or_ends_where_nothing_is_gained(options, iterations, reached, tmp_path):
+    size = ["--resolution", 32, 48, "--distance", "3mm", "--device", "cpu"]
+    said = run("photo", "--grey", "--output", tmp_path, *size, *options)
+    report = read_report(tmp_path)
+    assert report["parameters"]["iterations"] == iterations and report["reached"].startswith(reached)
+    # The bar shows the quality before the last step and before quantisation.
+    (stated,) = {float(part) for part in re.findall(r"([\d.]+) dB, loss", said.stderr.rpartition("\r")[2])}
+    assert stated == pytest.approx(report["channels"][0]["psnr_before_quantisation_db"], abs=1.5)
+    if "nothing" in reached:
+        assert 11 <= int(report["reached"].split()[-2]) < 400
+
+
+def test_control_c_writes_the_best_so_far(grey_file, tmp_path, monkeypatch):
+    whole, tick = [*SMALL, "--iterations", "9"], report.Clock.tick
+
+    def interrupted(clock, *values):
+        tick(clock, *values)
+        if clock.ticks == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(report.Clock, "tick", interrupted)
+    said = run(grey_file, "-o", tmp_path, *whole, *["-w", "638nm", "-w", "520nm", "-w", "450nm"], expect=130)
+    assert f"interrupted after 3 of 9 iterations: the best patterns so far are in {tmp_path}" in said.stderr
+    made = read_report(tmp_path)
+    assert made["interrupted"] and made["reached"] == "interrupted after 3 of 9 iterations"
+    assert len(made["channels"]) == 3 and made["channels"][0]["psnr_db"] > 15
+    # The others begin with the phases of alternating projections, and one iteration.
+    assert min(channel["psnr_db"] for channel in made["channels"]) > 10
+    monkeypatch.setattr(report.Clock, "tick", tick)
+    said = run(grey_file, "-o", tmp_path, *whole)
+    assert "already holds" not in said.stdout and not read_report(tmp_path)["interrupted"]
+    assert read_report(tmp_path)["psnr_db"] > made["channels"][0]["psnr_db"]
 
 
 def test_more_iterations_show_the_picture_better(grey_file, tmp_path):
