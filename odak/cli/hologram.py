@@ -8,6 +8,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,7 +32,7 @@ from odak.cli.target import Target, Volume, load_target, load_volume
 from odak.instruments import Lens
 from odak.learn import wave
 from odak.learn.models.hologram_networks import FARTHEST, RATIOS, SPREADS, hologram_network
-from odak.learn.wave import holograms
+from odak.learn.wave.training import best_scale
 from odak.wave import sampling_report
 from odak.wave.methods import METHODS, PROPAGATION_TYPES, find_method
 
@@ -458,28 +459,34 @@ def _by_network(job: Job, target: Target, volume: Volume, problem: wave.Problem)
 
 
 def _retrieved(job: Job, problem: wave.Problem) -> torch.Tensor:
-    """Return the pattern by the method of Gerchberg and Saxton."""
-    intensity, display = problem.target[0, 0], problem.display
-    hologram, _ = wave.gerchberg_saxton(
-        wave.generate_complex_field(intensity.sqrt(), torch.zeros_like(intensity)),
-        problem.run.iterations,
-        job.distance,
-        job.pixel_pitch,
-        display.wavelengths[0],
-        2 * math.pi,
-        job.propagation_type,
-        initial_phase=problem.start[0],
-        progress=False,
-        callback=problem.run.callback,
-        pixel_fill=job.fill_factor,
-        aperture="open",
-    )
-    return wave.calculate_phase(hologram)[None]
+    """Return the pattern by the method of Gerchberg and Saxton, after Ctrl-C that of the last iteration."""
+    intensity, display, phase = problem.target[0, 0], problem.display, problem.start[0]
+
+    def callback(iteration: int, latest: torch.Tensor) -> Any:
+        nonlocal phase
+        phase = latest
+        return problem.run.callback(iteration, latest)  # type: ignore[misc]
+
+    with suppress(KeyboardInterrupt):
+        wave.gerchberg_saxton(
+            wave.generate_complex_field(intensity.sqrt(), torch.zeros_like(intensity)),
+            problem.run.iterations,
+            job.distance,
+            job.pixel_pitch,
+            display.wavelengths[0],
+            2 * math.pi,
+            job.propagation_type,
+            initial_phase=phase,
+            progress=False,
+            callback=callback,
+            pixel_fill=job.fill_factor,
+        )
+    return phase[None]
 
 
 def _at_points(job: Job, problem: wave.Problem) -> Any:
     """Return the patterns whose light is the picture at the middles of pixels, by any propagation type."""
-    display, rate = problem.display, job.learning_rate or LEARNING_RATE
+    display, profile, rate = problem.display, problem.display.profile, job.learning_rate or LEARNING_RATE
     if not _shares_frames(job):
         hologram, _ = wave.stochastic_gradient_descent(
             problem.target[0, 0],
@@ -494,7 +501,7 @@ def _at_points(job: Job, problem: wave.Problem) -> Any:
             scale=job.scale,
             frames=display.frames,
             pixel_fill=job.fill_factor,
-            slm=None if display.profile is None else lambda phase: display.profile[0] * wave.unit_phasor(phase),
+            slm=None if profile is None else lambda phase: profile[0] * wave.unit_phasor(phase),
             progress=False,
             callback=problem.run.callback,
         )
@@ -512,6 +519,7 @@ def _at_points(job: Job, problem: wave.Problem) -> Any:
         propagator_type="forward",
         device=problem.target.device,
         pixel_fill=job.fill_factor,
+        aperture="open",
         **options,
     )
     optimizer = wave.multi_color_hologram_optimizer(
@@ -570,7 +578,7 @@ def _channels(
     wanted = target.intensity.to(powers.device).double()
     window = (slice(None), *target.window)
     sharp = [(part * volume.masks).sum(0).double() for part in stacks]
-    best = [holograms.best_scale(part[window], wanted[window]) for part in sharp]
+    best = [best_scale(part[window], wanted[window]) for part in sharp]
     if job.scale or not job.iterates:
         # The sources of each colour are dimmed to the picture, the brightest one being at full power.
         powers = powers / powers.sum(0) * best[0].flatten().to(powers).clamp_min(1e-6)
@@ -578,7 +586,7 @@ def _channels(
     light = powers.double().sum(0)[:, None, None]
     # One brightness for all colours: the powers of the sources are part of the hologram.
     whole = wanted[window].reshape(1, -1)
-    bright = [float(holograms.best_scale((light * part)[window].reshape(1, -1), whole)) for part in sharp]
+    bright = [float(best_scale((light * part)[window].reshape(1, -1), whole)) for part in sharp]
     scales = [brightness * light for brightness in bright] if _shares_frames(job) else best
     channels = [
         {

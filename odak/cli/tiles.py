@@ -136,7 +136,7 @@ def _channel(job: Job, target: Target, index: int, folder: Path, stem: str) -> d
     }
     try:
         phase = hologram_in_chunks(
-            intensity, state, job.iterations, job.distance, job.pixel_pitch, wavelength, **options
+            intensity, state, int(job.iterations or 1), job.distance, job.pixel_pitch, wavelength, **options
         )
     except ImportError as error:
         raise InputError(str(error)) from None
