@@ -76,6 +76,7 @@ from .displays.display import Display as Display
 from .displays.panels import AmplitudePanel as AmplitudePanel
 from .displays.panels import Iris as Iris
 from .displays.panels import Modulator as Modulator
+from .displays.paths.free import Free as Free
 from .elements import airy_beam as airy_beam
 from .elements import aspheric_lens_phase as aspheric_lens_phase
 from .elements import axicon_phase as axicon_phase

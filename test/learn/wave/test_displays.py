@@ -15,6 +15,7 @@ from odak.learn.wave import (
     AmplitudePanel,
     Descent,
     Display,
+    Free,
     Iris,
     Modulator,
     Network,
@@ -22,6 +23,7 @@ from odak.learn.wave import (
     Run,
     multiplane_loss,
     optimise,
+    propagator,
     spatial_light_modulator,
     stochastic_gradient_descent,
     training,
@@ -764,3 +766,71 @@ def test_each_colour_in_sequence_has_its_own_table():
 
 def test_an_iris_takes_lengths_with_units():
     assert Iris("2mm", "20cm") == Iris(2e-3, 0.2)
+
+
+def older(distances, **options):
+    """Return the older display of planes with the panel and the colours of the tests below."""
+    return propagator(
+        (16, 20), [639e-9, 515e-9], PITCH, 1, 2, len(distances), distances=distances, pixel_fill=0.9, **options
+    )
+
+
+@pytest.mark.parametrize(
+    ("method", "relay"), [("Transfer Function Fresnel", 0.0), ("Bandlimited Angular Spectrum", 0.3), ("auto", 0.0)]
+)
+def test_free_space_by_other_methods_and_relays_is_that_of_the_older_display(method, relay, random):
+    phases = torch.from_numpy(random.uniform(0, 6, (2, 16, 20)))
+    mask = torch.from_numpy(random.uniform(0, 1, (32, 40)))
+    distances = [relay + 2e-3, relay + 3e-3]
+    kind = "back and forth" if relay else "forward"
+    old = older(distances, propagation_type=method, aperture=mask, propagator_type=kind, image_location_offset=relay)
+    # Frame f in the light of source f.
+    expected = old.reconstruct(phases, get_complex=True).diagonal(dim1=0, dim2=2)
+    display = Display(Modulator((16, 20), PITCH, None), [639e-9, 515e-9], Free(distances, relay, method, mask), 2)
+    torch.testing.assert_close(display.fields(phases).diagonal(dim1=0, dim2=2), expected)
+    assert display.distances == pytest.approx((2e-3, 3e-3))
+
+
+def test_a_mask_is_in_what_is_judged(random):
+    """Of random phases: the judge computes with a grid and a method of its own, and the mask makes a difference."""
+    phases = torch.from_numpy(random.uniform(0, 6, (1, 32, 32)))
+    panel, mask = Modulator((32, 32), PITCH), torch.ones(32, 20).double()
+    masked, open_ = (
+        Display(panel, WAVELENGTH, Free(2e-3, mask=m)) for m in (torch.nn.functional.pad(mask, (6, 6)), None)
+    )
+    inside = np.s_[..., 4:-4, 4:-4]
+    areas, _ = masked.judge(phases)
+    shown = masked(phases)
+    assert (areas - shown)[inside].abs().max() < 0.02 * shown.max()
+    assert (shown - open_(phases))[inside].abs().max() > 0.2 * shown.max()
+    assert masked.fingerprint() != open_.fingerprint()
+
+
+def test_gradients_of_distances_are_those_of_the_older_display(random):
+    phases = torch.from_numpy(random.uniform(0, 6, (2, 16, 20)))
+    slopes = []
+    for new in (True, False):
+        distances = torch.tensor([2e-3, 3e-3], dtype=torch.float64, requires_grad=True)
+        if new:
+            display = Display(Modulator((16, 20), PITCH, None), [639e-9, 515e-9], Free(distances), 2)
+            light = display.fields(phases).abs().square()
+            light = torch.stack([light[0, :, 0], light[1, :, 1]])
+        else:
+            light = older(distances, propagator_type="forward").reconstruct(phases, no_grad=False)
+            light = torch.stack([light[0, :, 0], light[1, :, 1]])
+        slopes.append(torch.autograd.grad(light.square().mean(), distances)[0])
+    torch.testing.assert_close(*slopes)
+    image = display(phases)
+    assert float(torch.autograd.grad(image.square().mean(), display.path.ends.distances)[0].abs().min()) > 0
+
+
+def test_what_does_not_fit_free_space():
+    panel = Modulator((16, 20), PITCH)
+    with pytest.raises(ValueError, match="without a mask or method where more than one order passes the iris"):
+        Display(panel, WAVELENGTH, Free(1e-3, method="Transfer Function Fresnel"), iris=None)
+    with pytest.raises(ValueError, match=r"mask must be \[16, 20\] or \[32, 40\], for one panel, got \[16, 16\]"):
+        Display(panel, WAVELENGTH, Free(1e-3, mask=torch.ones(16, 16)))
+    with pytest.raises(ValueError, match="for one panel, got two panels"):
+        Display(replace(panel, lit_through=AmplitudePanel()), WAVELENGTH, Free(1e-3, mask=torch.ones(16, 20)))
+    with pytest.raises(ValueError, match=r"distances must be \[planes\] where it is a tensor"):
+        Free(torch.ones(1, 1, requires_grad=True))

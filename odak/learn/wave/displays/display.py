@@ -21,6 +21,7 @@ from odak.learn.wave.displays.panels import Iris, Modulator
 from odak.learn.wave.displays.parts import Part, Shares, frames_lit
 from odak.learn.wave.displays.paths.base import Kept, Lights, listed
 from odak.learn.wave.displays.paths.choice import path_to
+from odak.learn.wave.displays.paths.free import Free
 from odak.learn.wave.displays.sections import view_of
 from odak.learn.wave.eyes import Eyes
 from odak.learn.wave.fields import exposure, intensity
@@ -41,11 +42,11 @@ class Display(Prepared, torch.nn.Module):
         The panel.
     wavelengths : float or sequence of float
         Wavelengths of the C light sources in metres.
-    distances : float, sequence of float, odak.instruments.Lens or Eyes
+    distances : float, sequence of float, odak.instruments.Lens, Eyes or Free
         Distances of the D planes from the panel, or from its image by a relay, in metres; or the lens behind which a
         single plane is: the points of its images are λ·focal_length/(rows·pitch) and λ·focal_length/(columns·pitch)
         apart, the axis at rows // 2 and columns // 2, over all that the pixels reach; or :class:`Eyes`, whose D retinal
-        images take the place of planes.
+        images take the place of planes; or :class:`Free`, with a mask, learned distances or another propagation method.
     frames : int, optional
         Patterns F that are shown one after another, faster than an eye tells apart; one for each source by default.
     powers : torch.Tensor, optional
@@ -100,7 +101,7 @@ class Display(Prepared, torch.nn.Module):
         self,
         modulator: Modulator,
         wavelengths: float | Sequence[float],
-        distances: float | Sequence[float] | Lens | Eyes,
+        distances: float | Sequence[float] | Lens | Eyes | Free,
         frames: int | None = None,
         powers: torch.Tensor | None = None,
         profile: torch.Tensor | None = None,

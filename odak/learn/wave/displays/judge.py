@@ -61,6 +61,8 @@ def _field_at(at, lights, colour: int, image: int) -> tuple[torch.Tensor, int]:
         finer = orders_through(at.iris, at.wavelengths, at.pitches)
         # Without a round stop the grid has no frequencies but those that pass.
         passed = _passed(at, finer, colour, at.iris, lights[0].device) if isinstance(at.iris, Iris) else 1.0
+        if at.mask is not None:
+            passed = passed * torch.fft.ifftshift(at.mask).to(lights[0].device)
         field = _sampled(at, lights[0], finer, at.fill, passed)
     return _spread_freely(at, field, at.wavelengths[colour] / at.medium, at.distances[image], finer), finer
 

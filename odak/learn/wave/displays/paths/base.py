@@ -2,15 +2,15 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 
-from odak import _array, _torch_private
-from odak.instruments import Lens
+from odak import _array, _torch_private, _validate
 from odak.learn.wave.displays.panels import AmplitudePanel, Iris, Modulator, orders_through
-from odak.learn.wave.eyes import Eyes
+from odak.learn.wave.training import fingerprint
 
 Lights = tuple[torch.Tensor, ...]
 
@@ -156,8 +156,10 @@ class Path:
 
 def _plain(value):
     """Return a part of a path as numbers, texts and tuples of them."""
-    if isinstance(value, (Lens, Eyes)):
+    if is_dataclass(value) and not isinstance(value, Iris):
         return (type(value).__name__, *(_plain(getattr(value, one.name)) for one in fields(value)))
+    if isinstance(value, torch.Tensor):
+        return fingerprint(value)
     if isinstance(value, Iris):
         return float(value.radius), float(value.focal_length)
     if isinstance(value, tuple):
@@ -175,3 +177,13 @@ def keep(path: Path, **values: Any) -> None:
     """Set what follows from the numbers of a path, while it is made."""
     for name, value in values.items():
         object.__setattr__(path, name, value)
+
+
+def checked_numbers(name: str, values: Any, positive: bool = False) -> tuple[float, ...]:
+    """Return one number or several as a tuple of floats after checking them."""
+    (values,) = _validate.constants(**{name: values})
+    given = [values] if np.ndim(values) == 0 else values
+    checked = tuple(float(value) for value in _validate.several(name, given, positive=positive))
+    if not checked:
+        raise ValueError(f"{name} must contain at least one number, got none")
+    return checked

@@ -2,13 +2,11 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from odak import _validate
 from odak.instruments import Lens
 from odak.learn.wave.displays.panels import Iris, Modulator, checked_iris, pitch_pair
-from odak.learn.wave.displays.paths.base import Path
-from odak.learn.wave.displays.paths.free import FreePath
+from odak.learn.wave.displays.paths.base import Path, checked_numbers
+from odak.learn.wave.displays.paths.free import Free, FreePath
 from odak.learn.wave.displays.paths.lens import LensPath
 from odak.learn.wave.displays.paths.retina import RetinaPath
 from odak.learn.wave.displays.paths.two_panels import TwoPanelsPath
@@ -21,27 +19,18 @@ PATHS: tuple[type[Path], ...] = (RetinaPath, LensPath, TwoPanelsPath, FreePath)
 def path_to(
     modulator: Modulator,
     wavelengths: float | Sequence[float],
-    distances: float | Sequence[float] | Lens | Eyes,
+    distances: float | Sequence[float] | Lens | Eyes | Free,
     iris: Iris | str | None,
     medium: float,
 ) -> Path:
     """Return the path of the light of a modulator to images at some distances, behind a lens or in eyes."""
-    wavelengths = _numbers("wavelengths", wavelengths, positive=True)
-    ends = distances.distance if isinstance(distances, Eyes) else distances
-    found = _numbers("distances", ends.after if isinstance(ends, Lens) else ends)
+    wavelengths = checked_numbers("wavelengths", wavelengths, positive=True)
+    found = distances
+    if not isinstance(distances, (Lens, Eyes, Free)):
+        found = checked_numbers("distances", distances)
     _validate.lengths_together(wavelengths, modulator.pitch, names=("wavelengths", "pitch", "distances"))
     medium = _validate.constant("medium", medium, positive=True)
     checked_iris(iris)
-    ends = distances if isinstance(distances, (Lens, Eyes)) else found
-    kind = next(kind for kind in PATHS if kind.leads(modulator, ends))
+    kind = next(kind for kind in PATHS if kind.leads(modulator, found))
     pixels = tuple(modulator.resolution), pitch_pair(modulator.pitch), modulator.fill
-    return kind(*pixels, modulator.lit_through, wavelengths, ends, iris, medium)  # type: ignore[arg-type]
-
-
-def _numbers(name, values, positive=False) -> tuple[float, ...]:
-    (values,) = _validate.constants(**{name: values})
-    given = [values] if np.ndim(values) == 0 else values
-    checked = tuple(float(value) for value in _validate.several(name, given, positive=positive))
-    if not checked:
-        raise ValueError(f"{name} must contain at least one number, got none")
-    return checked
+    return kind(*pixels, modulator.lit_through, wavelengths, found, iris, medium)  # type: ignore[arg-type]

@@ -2,20 +2,83 @@
 
 import itertools
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 
-from odak import _array
+from odak import _array, _validate
 from odak._warnings import AccuracyWarning, warn
+from odak.learn._tensors import tensor
 from odak.learn.wave.displays.panels import Iris
-from odak.learn.wave.displays.paths.base import Path, keep, listed
+from odak.learn.wave.displays.paths.base import Path, checked_numbers, keep, listed
+from odak.tools.matrix import zero_pad
 from odak.wave.linear_kernels import linear_kernel
+from odak.wave.methods import check_has_kernel, linear_kernel_of, linear_method
 from odak.wave.torch_convolution import convolve
-from odak.wave.transfer_functions import Request, angular_spectrum, divided_pitch, plane_wave_transfer
+from odak.wave.transfer_functions import Request, divided_pitch, plane_wave_transfer
 
 # Where an iris passes fewer periods across the panel, its spot is wider than all that is computed.
 _FEWEST_PERIODS = 0.5
+
+
+@_validate.takes_units("distances", "relay")
+@dataclass(frozen=True, eq=False)
+class Free:
+    """Free space between a panel and planes, with more to say than distances: what a display takes in place of them.
+
+    Use it as `distances` of a :class:`Display` for a mask in the Fourier plane, for distances that are learned, or to
+    see what an approximate propagation method does.
+
+    Parameters
+    ----------
+    distances : float, sequence of float or torch.Tensor
+        Distances of the D planes from the panel in metres. A tensor that requires gradients gets them from images.
+    relay : float
+        Distance from the panel of its image by a relay, from which the light travels on to the planes.
+    method : str
+        Propagation type with a transfer function, see :func:`odak.learn.wave.propagate_beam`. Light is propagated
+        without wrap-around, where all exact methods are the same.
+    mask : torch.Tensor, optional
+        Amplitudes that a filter in the Fourier plane of a relay passes, real or complex, ``[2·rows, 2·columns]``, or
+        ``[rows, columns]``, surrounded by zeros; zero frequency is in the middle. The iris must pass one order.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Notes
+    -----
+    :meth:`Display.judge` computes with the exact method, whatever `method` is.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import Display, Free, Modulator
+    >>> distances = torch.tensor([2e-3, 3e-3], dtype=torch.float64, requires_grad=True)
+    >>> display = Display(Modulator((32, 48), 8e-6), 532e-9, Free(distances))
+    >>> phases = torch.rand(32, 48, generator=torch.Generator().manual_seed(0))
+    >>> display(phases).square().mean().backward()
+    >>> distances.grad.shape
+    torch.Size([2])
+    """
+
+    distances: Any
+    relay: float = 0.0
+    method: str = "auto"
+    mask: torch.Tensor | None = None
+
+    def __post_init__(self):
+        keep(self, relay=_validate.constant("relay", self.relay))
+        check_has_kernel(self.method)
+        if not _array.is_traced(self.distances):
+            (distances,) = _validate.constants(distances=self.distances)
+            keep(self, distances=checked_numbers("distances", distances))
+        elif self.distances.ndim != 1:
+            raise ValueError(f"distances must be [planes] where it is a tensor, got {list(self.distances.shape)}")
+        if self.mask is not None:
+            keep(self, mask=_validate.image("mask", tensor("mask", self.mask)).detach())
 
 
 @dataclass(frozen=True)
@@ -26,14 +89,22 @@ class FreePath(Path):
     ----------
     window : tuple of int
         Rows and columns in which light is followed.
+    method : str
+        Name of the propagation method.
+    mask : torch.Tensor, optional
+        What passes of the frequencies of a grid of twice the size of the panel, zero frequency in the middle.
     """
 
     window: tuple[int, int] = field(init=False)
+    method: str = field(init=False, default="Angular Spectrum")
+    mask: torch.Tensor | None = field(init=False, default=None)
 
     starts = ("quadratic", "flat", "random", "double phase", "gs", "network")
 
     def __post_init__(self):
-        keep(self, distances=self.ends, window=self.sizes)
+        space = self.ends if isinstance(self.ends, Free) else Free(self.ends)
+        net = tuple(float(z) - space.relay for z in _validate.numbers(space.distances))
+        keep(self, distances=net, window=self.sizes, samples=2 * self.passing(self.iris))
         if isinstance(self.iris, Iris):
             across = min(n * p for n, p in zip(self.sizes, self.pitches, strict=True))
             periods = across * min(self.iris.cutoff(wavelength) for wavelength in self.wavelengths)
@@ -43,12 +114,22 @@ class FreePath(Path):
                     f"the images: is its radius of {self.iris.radius:g} m right?",
                     AccuracyWarning,
                 )
-        keep(self, samples=2 * self.passing(self.iris))
+        if space.method != "auto":
+            lengths = [wavelength / self.medium for wavelength in self.wavelengths], list(net)
+            keep(self, method=linear_method(space.method, self.sizes, self.pitches, *lengths))
+        if self.samples > 2 and (space.mask is not None or self.method != "Angular Spectrum"):
+            raise ValueError("distances must be without a mask or method where more than one order passes the iris")
+        if space.mask is not None:
+            whole = tuple(2 * n for n in self.sizes)
+            if self.first is not None or tuple(space.mask.shape) not in (self.sizes, whole):
+                got = "two panels" if self.first is not None else list(space.mask.shape)
+                raise ValueError(f"mask must be {list(self.sizes)} or {list(whole)}, for one panel, got {got}")
+            keep(self, mask=zero_pad(space.mask, whole).reshape(whole))
 
     @classmethod
     def leads(cls, modulator, ends):
         """Say whether the light of a modulator takes this kind of path to the images."""
-        return isinstance(ends, tuple)
+        return isinstance(ends, (tuple, Free))
 
     def points(self, kept, lights, colour, planes):
         """Return the fields of some images at the points of pixels."""
@@ -68,6 +149,9 @@ class FreePath(Path):
 
     def kernels(self, kept, colour: int, dtype: torch.dtype, planes) -> torch.Tensor:
         """Return the transfer functions to all points of a pixel on some planes, ``[planes·samples², 2m, 2n]``."""
+        if isinstance(self.ends, Free) and _array.is_traced(self.ends.distances):
+            each = [kernel for plane in planes for kernel in self._of_plane(kept.device, colour, plane, dtype)]
+            return torch.stack(each)
         return kept(type(self)._of_planes, self, colour, dtype, tuple(planes))
 
     def _of_planes(self, device, colour, dtype, planes):
@@ -85,15 +169,20 @@ class FreePath(Path):
         wavelength, orders, cutoff = self.wavelengths[colour] / self.medium, self.samples // 2, self.cutoff(colour)
         # Light that has passed two panels has the spectrum of their pixels already.
         fill, xp = self.fill if self.first is None else None, _array.namespace(torch.empty(0))
+        distance = self.distances[plane]
+        if isinstance(self.ends, Free) and _array.is_traced(self.ends.distances):
+            distance = self.ends.distances[plane].to(device) - self.ends.relay
 
         def grid(samples):
             shape = tuple(2 * n * samples for n in self.window)
             pitch = divided_pitch(self.pitches, samples)
-            return Request(pitch, wavelength, self.distances[plane]).grid(shape, xp, device, dtype)
+            return Request(pitch, wavelength, distance).grid(shape, xp, device, dtype)
 
         if orders == 1:
-            quarters = itertools.product((False, True), repeat=2)
-            yield from (linear_kernel(angular_spectrum, cutoff, fill, halves=h)(grid(1)) for h in quarters)
+            mask = 1.0 if self.mask is None else torch.fft.ifftshift(self.mask).to(device)
+            for halves in itertools.product((False, True), repeat=2):
+                kernel = replace(linear_kernel_of(self.method, cutoff, fill), halves=halves)(grid(1))
+                yield kernel if self.mask is None else (kernel * mask).to(dtype)
         else:
             # The response at all points of the pixels of the image. Each point takes its own lags, every so many of
             # them, and with them the repetitions of the spectrum.

@@ -36,7 +36,7 @@ class TwoPanelsPath(FreePath):
     @classmethod
     def leads(cls, modulator, ends):
         """Say whether the light of a modulator takes this kind of path to the images."""
-        return isinstance(ends, tuple) and modulator.lit_through is not None
+        return super().leads(modulator, ends) and modulator.lit_through is not None
 
     def points(self, kept, lights, colour, planes):
         """Return the fields of some images at the points of pixels."""
