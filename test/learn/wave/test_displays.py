@@ -791,6 +791,44 @@ def test_free_space_by_other_methods_and_relays_is_that_of_the_older_display(met
     assert display.distances == pytest.approx((2e-3, 3e-3))
 
 
+@pytest.mark.parametrize("response", [None, spatial_light_modulator(bits=4)])
+def test_phases_scale_with_the_wavelength_as_in_the_older_display(response, random):
+    phases, scale = torch.from_numpy(random.uniform(0, 6.2, (1, 16, 20))), [1.0, 639 / 515]
+    old = propagator(
+        *((16, 20), [639e-9, 515e-9], PITCH), distances=[2e-3], propagator_type="forward", pixel_fill=0.9,
+        slm=response, laser_channel_power=torch.ones(1, 2),
+    )  # fmt: skip
+    old.phase_scale = torch.tensor(scale, dtype=torch.float64)
+    panel = Modulator((16, 20), PITCH, None, response=response, phase_scale=scale)
+    display = Display(panel, [639e-9, 515e-9], 2e-3, 1, torch.ones(1, 2))
+    torch.testing.assert_close(display.fields(phases), old.reconstruct(phases, get_complex=True))
+    turned = phases + 2 * torch.pi * (phases > 3)
+    torch.testing.assert_close(display(turned), display(phases), rtol=1e-5, atol=1e-5)
+    inside = np.s_[..., 3:-3, 3:-3]
+    assert (display.judge(phases)[0] - display(phases))[inside].abs().max() < 0.03 * display(phases).max()
+    torch.testing.assert_close(display(phases.expand(3, 1, 16, 20))[2], display(phases))
+
+
+def test_holograms_of_a_panel_whose_phases_scale(disc):
+    """What a solver asks for at the colour of a frame is what the panel shows there."""
+    scale = [1.0, 639 / 515]
+    scaled, plain = (
+        Display(Modulator(disc.shape, PITCH, None, phase_scale=s), [639e-9, 515e-9], 2e-3) for s in (scale, None)
+    )
+    target = disc.expand(1, 2, -1, -1)
+    for solver in ("gs", "lbfgs"):
+        found, expected = (optimise(display, target, solver=solver, run=BRIEF) for display in (scaled, plain))
+        torch.testing.assert_close(found.psnr, expected.psnr, rtol=0, atol=0.01 if solver == "gs" else 5.0)
+    assert scaled.fingerprint() != plain.fingerprint()
+    wanted = torch.linspace(0, 6.2, 50)
+    near = Modulator((1, 50), PITCH, phase_scale=[0.8]).asked(wanted, 0) * 0.8
+    apart = (near - wanted + torch.pi).remainder(2 * torch.pi) - torch.pi
+    # A fifth of the circle is out of reach, and half of it from the nearer end.
+    assert apart.abs().max() < 0.1 * 2 * torch.pi + 1e-4 and near.max() < 0.8 * 2 * torch.pi
+    with pytest.raises(ValueError, match="phase_scale must have 2 factors"):
+        Display(Modulator((4, 4), PITCH, phase_scale=[1.0]), [639e-9, 515e-9], 1e-3)
+
+
 def test_a_mask_is_in_what_is_judged(random):
     """Of random phases: the judge computes with a grid and a method of its own, and the mask makes a difference."""
     phases = torch.from_numpy(random.uniform(0, 6, (1, 32, 32)))

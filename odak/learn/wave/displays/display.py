@@ -52,8 +52,7 @@ class Display(Prepared, torch.nn.Module):
     powers : torch.Tensor, optional
         Power of each source in each frame, ``[F, C]``; by default frame f is lit by source f mod C alone. Images are
         normalised to one unit of power of each source, shared out among its frames. All sources of a frame meet the
-        same phases in radians; for a panel that shows one path difference to all of them, use
-        :class:`odak.learn.wave.propagator` and its `phase_scale`.
+        same phases in radians, unless the modulator has a `phase_scale`.
     profile : torch.Tensor, optional
         Amplitude of the light on the modulator, ``[rows, columns]`` or ``[C, rows, columns]``; one by default.
     iris : Iris or str, optional
@@ -118,6 +117,8 @@ class Display(Prepared, torch.nn.Module):
         self.lens = distances if isinstance(distances, Lens) else None
         self.eyes = distances if isinstance(distances, Eyes) else None
         colours = len(self.wavelengths)
+        if modulator.phase_scale is not None and len(modulator.phase_scale) != colours:
+            raise ValueError(f"phase_scale must have {colours} factors, one a wavelength, got {modulator.phase_scale}")
         self.frames = colours if frames is None else _validate.integer("frames", frames, minimum=1)
         if (responses := len(modulator.responses())) not in (0, self.frames):
             raise ValueError(
@@ -240,7 +241,7 @@ class Display(Prepared, torch.nn.Module):
         given = [self.powers] if self.profile is None else [self.powers, self.profile]
         if isinstance(panel.response, torch.nn.Module):
             given += panel.response.state_dict().values()
-        words = self.path.words(), panel.bits, None if first is None else first.bits
+        words = self.path.words(), panel.bits, None if first is None else first.bits, *(panel.phase_scale or ())
         return fingerprint(torch.tensor(list(repr(words).encode())), *given)
 
     def fields(self, phases: torch.Tensor, amplitudes: torch.Tensor | None = None) -> torch.Tensor:
@@ -326,7 +327,7 @@ class Display(Prepared, torch.nn.Module):
     def lights(self, phases: torch.Tensor, amplitudes: torch.Tensor | None = None) -> Lights:
         """Return what each panel does to the light, in the order in which it meets them, ``[..., F, rows, columns]``.
 
-        The modulator is the last of them.
+        The modulator is the last of them; with a `phase_scale`, it has an axis of colours in front.
         """
         light, amplitudes = self._light(phases), self._amplitudes(amplitudes)
         return (light,) if amplitudes is None else (amplitudes.to(light.dtype), light)
@@ -337,7 +338,14 @@ class Display(Prepared, torch.nn.Module):
                 f"phases must be in radians, got integers up to {int(phases.max())}: levels of the panel? Their phases "
                 "are 2π·level/2^bits"
             )
-        return self.modulator.light(self._patterns("phases", floating("phases", phases)))
+        phases, panel = self._patterns("phases", floating("phases", phases)), self.modulator
+        if panel.phase_scale is None:
+            return panel.light(phases)
+        return torch.stack([panel.light(phases, scale) for scale in panel.phase_scale])
+
+    def _of_colour(self, light, colour):
+        """Return the light of the modulator in a colour."""
+        return light if self.modulator.phase_scale is None else light[colour]
 
     def _patterns(self, name: str, values: torch.Tensor) -> torch.Tensor:
         """Return the values of pixels in each frame, ``[..., F, rows, columns]``, on the device of the display."""
@@ -386,14 +394,15 @@ class Display(Prepared, torch.nn.Module):
 
     def lit_by_source(self, lights: Lights, color: int) -> Lights:
         """Return what panels do to light, the first lit by the source of a colour."""
-        return self._lit(lights[0], color), *lights[1:]
+        first, *others = *lights[:-1], self._of_colour(lights[-1], color)
+        return self._lit(first, color), *others
 
     @torch.no_grad()
     def flat_light(self, color: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Return what the light of a flat pattern has: amplitude, of mean square one, and phase, such as aberration."""
         if self.profile is None and self.modulator.response is None:
             return self.powers.new_ones(()), self.powers.new_zeros(())
-        flat = self._light(self.powers.new_zeros(self.frames, *self.modulator.resolution))
+        flat = self._of_colour(self._light(self.powers.new_zeros(self.frames, *self.modulator.resolution)), color)
         light = self._lit(flat, color)[self.lit_frames[color][0]]
         return light.abs() / intensity(light).mean().sqrt(), light.angle()
 

@@ -27,8 +27,9 @@ def judged(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the images of patterns on a display, and those at points; see :meth:`odak.learn.wave.Display.judge`."""
     lights, at = display.lights(phases, amplitudes), display.path
-    if lights[-1].ndim > 3:
-        raise ValueError(f"phases must be without a batch, [frames, rows, columns], got {list(lights[-1].shape)}")
+    given = display.lit_by_source(lights, 0)[-1].shape
+    if len(given) > 3:
+        raise ValueError(f"phases must be without a batch, [frames, rows, columns], got {list(given)}")
     like = lights[-1].real
     images = torch.stack([torch.zeros(display.shape, device=like.device, dtype=like.dtype)] * 2)
     for c in range(display.shape[1]):
@@ -36,7 +37,7 @@ def judged(
         for d in range(display.shape[0]):
             for f in display.lit_frames[c]:
                 # One frame at a time, which takes less memory.
-                own = display.lit_by_source(tuple(one[f : f + 1] for one in lights), c)
+                own = display.lit_by_source(tuple(one[..., f : f + 1, :, :] for one in lights), c)
                 shown, finer = _field_at(at, [one[0] for one in own], c, d)
                 images[0, d, c] += power[f] * mean_over_areas(shown, at.sizes, finer)
                 images[1, d, c] += power[f] * _middles(intensity(shown), at.sizes, finer)

@@ -128,6 +128,10 @@ class Modulator:
         such as a table for each colour of a panel that shows colours in sequence.
     lit_through : AmplitudePanel, optional
         Panel that the light passes first, for two panels in series.
+    phase_scale : sequence of float, optional
+        Factor of the phases for each of the C wavelengths of a display, such as λ0/λ for a panel that shows the same
+        path differences to all, whose phases 0 … 2π are those at λ0. A response is called as ``response(phase,
+        scale)`` then. None for the same phases at all wavelengths.
 
     Examples
     --------
@@ -142,6 +146,7 @@ class Modulator:
     fill: float = 0.9
     response: Callable[..., Any] | Sequence[torch.nn.Module] | None = None
     lit_through: AmplitudePanel | None = None
+    phase_scale: Sequence[float] | None = None
 
     def __post_init__(self):
         object.__setattr__(self, "resolution", _validate.size("resolution", self.resolution))
@@ -150,6 +155,9 @@ class Modulator:
         if not (self.lit_through is None or isinstance(self.lit_through, AmplitudePanel)):
             raise TypeError(f"lit_through must be an AmplitudePanel or None, got {type(self.lit_through).__name__}")
         checked_pixel_fill(self.fill)
+        if self.phase_scale is not None:
+            scale = tuple(float(one) for one in _validate.several("phase_scale", self.phase_scale, positive=True))
+            object.__setattr__(self, "phase_scale", scale)
         if isinstance(self.response, (list, tuple)) and all(isinstance(one, torch.nn.Module) for one in self.response):
             object.__setattr__(self, "response", torch.nn.ModuleList(self.response))
         for one in self.responses() or [_validate.function_or_none("response", self.response)]:
@@ -162,19 +170,35 @@ class Modulator:
         """Return the responses of the frames where each has its own."""
         return list(self.response) if isinstance(self.response, torch.nn.ModuleList) else []
 
-    def _of_frames(self, method: str, phases: torch.Tensor) -> torch.Tensor:
+    def _of_frames(self, method: str, phases: torch.Tensor, *given: float) -> torch.Tensor:
         """Return what a method gives for phases ``[..., frames, rows, columns]``, each frame by its own response."""
         alone = [replace(self, response=one) for one in self.responses()]
         if phases.ndim < 3 or phases.shape[-3] != len(alone):
             raise ValueError(f"phases must be of {len(alone)} frames, one for each response, got {list(phases.shape)}")
         parts = zip(alone, phases.unbind(-3), strict=True)
-        return torch.stack([getattr(one, method)(part) for one, part in parts], -3)
+        return torch.stack([getattr(one, method)(part, *given) for one, part in parts], -3)
 
-    def light(self, phases: torch.Tensor) -> torch.Tensor:
-        """Return the field of phases ``[..., rows, columns]`` in radians, at the pixels."""
+    def light(self, phases: torch.Tensor, scale: float | None = None) -> torch.Tensor:
+        """Return the field of phases ``[..., rows, columns]`` in radians, at the pixels.
+
+        With a `scale`, one of `phase_scale`, the phases that the panel shows, 0 … 2π, are multiplied by it.
+        """
+        given = () if scale is None else (scale,)
         if self.responses():
-            return self._of_frames("light", phases)
-        return unit_phasor(phases) if self.response is None else self.response(phases)  # type: ignore[operator]
+            return self._of_frames("light", phases, *given)
+        phases = phases if scale is None else torch.remainder(phases, TURN)
+        if self.response is None:
+            return unit_phasor(phases if scale is None else phases * scale)
+        return self.response(phases, *given)  # type: ignore[operator]
+
+    def asked(self, phases: torch.Tensor, color: int) -> torch.Tensor:
+        """Return the phases to show for the light of a colour to have some phases, as nearly as the panel reaches."""
+        if self.phase_scale is None:
+            return phases
+        scale, wanted = self.phase_scale[color], torch.remainder(phases, TURN)
+        most = scale * TURN * (1 - 1e-6)
+        # Beyond the largest phase of a colour the nearer end: that one, or zero, a turn above.
+        return torch.where(wanted - most > TURN - wanted, 0.0, wanted.clamp(max=most)) / scale
 
     def shown(self, phases: torch.Tensor) -> torch.Tensor:
         """Return the nearest phases that the levels of the panel can show, 0 … 2π."""

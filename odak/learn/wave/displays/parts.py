@@ -69,7 +69,7 @@ class Shares:
                     images[plane][part.colour] = images[plane][part.colour] + image
         if self.ranks is None:
             return torch.stack([torch.stack(row, -3) for row in images], -4)
-        nothing = torch.zeros_like(lights[-1].real[..., 0, :, :])
+        nothing = torch.zeros_like(self.parts[0][0].lit_by_source(lights, 0)[-1].real[..., 0, :, :])
         return self.ranks.sum(torch.stack([torch.stack([nothing + one for one in row], -3) for row in images], -4))
 
 

@@ -135,7 +135,7 @@ def starting_phases(display, target, start, seed) -> torch.Tensor:
         for frame, phase in zip(frames, found.reshape(len(frames), *shape[1:]), strict=True):
             if begun != name:
                 phase = _projected(display, target, colour, phase)
-            phases[frame] = phase - aberration
+            phases[frame] = display.modulator.asked(phase - aberration, colour)
     return phases
 
 

@@ -55,7 +55,8 @@ class DoublePhase:
                 zero_padding=[True, False, True],
             )
             illumination, aberration = display.flat_light(colour)
-            phases[frame] = encode_double_phase(there / illumination.clamp_min(_DIMMEST)) - aberration
+            encoded = encode_double_phase(there / illumination.clamp_min(_DIMMEST))
+            phases[frame] = display.modulator.asked(encoded - aberration, colour)
         return phases
 
 

@@ -43,6 +43,7 @@ class AlternatingProjections:
         phases = problem.start.clone()
         for frame, plane, colour in frames_alone(display, "alternating projections"):
             illumination, aberration = display.flat_light(colour)
+            scale = 1.0 if display.modulator.phase_scale is None else display.modulator.phase_scale[colour]
             hologram = phase_retrieval.retrieve(
                 problem.target[plane, colour].sqrt() + 0j,
                 range(problem.run.iterations),
@@ -51,12 +52,12 @@ class AlternatingProjections:
                 display.wavelengths[colour] / display.medium,
                 TURN,
                 "Bandlimited Angular Spectrum",
-                phases[frame] + aberration,
+                phases[frame] * scale + aberration,
                 problem.run.seed,
                 fill=display.modulator.fill,
                 cutoff=display.path.cutoff(colour),
                 accelerated=True,
                 illumination=illumination.to(phases),
             )[0]
-            phases[frame] = hologram.angle() - aberration
+            phases[frame] = display.modulator.asked(hologram.angle() - aberration, colour)
         return phases
