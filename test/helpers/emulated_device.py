@@ -38,6 +38,7 @@ class Emulated(torch.Tensor):
     held: torch.Tensor
     # As of a GPU: its numbers cannot be read without waiting for it.
     is_cuda = property(lambda self: True)
+    is_meta = property(lambda self: False)
 
     @staticmethod
     def __new__(cls, held):
@@ -70,18 +71,30 @@ class Emulated(torch.Tensor):
         if keywords.get("device") is not None:
             here = is_emulated(keywords["device"])
             keywords["device"] = torch.device("cpu")
-        results = function(*tree_map_only(Emulated, _held, arguments), **tree_map_only(Emulated, _held, keywords))
+        arguments, keywords = tree_map_only(torch.Tensor, _held, (arguments, keywords))
+        results = function(*arguments, **keywords)
         if not here:
             return results
         # An operation in place returns the tensor it changed.
         known = {id(tensor.held): tensor for tensor in tensors if isinstance(tensor, Emulated)}
         return tree_map_only(
-            torch.Tensor, lambda tensor: known[id(tensor)] if id(tensor) in known else Emulated(tensor), results
+            torch.Tensor, lambda tensor: known[id(tensor)] if id(tensor) in known else _wrapped(tensor), results
         )
 
 
+def _wrapped(tensor) -> Emulated:
+    """Return a result on the device; what torch keeps as the conjugate or the negative of a tensor becomes numbers.
+
+    The operations that see the mark have been passed by when an operation of the device begins.
+    """
+    return Emulated(tensor.resolve_conj().resolve_neg())
+
+
 def _held(tensor):
-    return tensor.held
+    # A single number that autograd itself makes on the device has no value there; it is the zero of a gradient.
+    if isinstance(tensor, Emulated):
+        return tensor.held
+    return torch.zeros((), dtype=tensor.dtype) if tensor.device.type == NAME and tensor.ndim == 0 else tensor
 
 
 def _same_memory(one, other) -> bool:

@@ -445,8 +445,9 @@ def slice_rgbd_targets(
     depth : torch.Tensor
         Depth of each pixel ``[H, W]``.
     depth_plane_positions : sequence of float or torch.Tensor
-        N + 1 rising boundaries. Slice i holds boundary[i] ≤ depth < boundary[i + 1]; the last one its upper boundary
-        too. Pixels beyond the outermost boundaries, and those whose depth is not a number, are in no slice.
+        N + 1 rising boundaries; whether those on a GPU rise is not looked at. Slice i holds boundary[i] ≤ depth <
+        boundary[i + 1]; the last one its upper boundary too. Pixels beyond the outermost boundaries, and those whose
+        depth is not a number, are in no slice.
 
     Returns
     -------
@@ -476,10 +477,11 @@ def slice_rgbd_targets(
         )
     _validate.one_device(target=target, depth=depth)
     target, depth = (value if value.is_floating_point() else value.float() for value in (target, depth))
-    edges = tensor("depth_plane_positions", depth_plane_positions, depth.dtype, depth.device)
-    if edges.ndim != 1 or len(edges) < 2 or not (edges[1:] > edges[:-1]).all():
+    edges = tensor("depth_plane_positions", depth_plane_positions, depth.dtype)
+    # A GPU is not waited for.
+    if edges.ndim != 1 or len(edges) < 2 or (_array.is_readable(edges) and not (edges[1:] > edges[:-1]).all()):
         raise ValueError(f"depth_plane_positions must be two or more rising numbers, got {depth_plane_positions!r}")
-    edges = edges[:, None, None]
+    edges = edges.to(depth.device)[:, None, None]
     inside = (depth >= edges[:-1]) & (depth < edges[1:])
     inside[-1] |= depth == edges[-1]
     masks = inside[:, None].expand(-1, target.shape[0], -1, -1)

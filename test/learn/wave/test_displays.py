@@ -471,7 +471,7 @@ def test_a_replayed_graph_gives_the_same(disc, method, monkeypatch):
 
 
 def test_a_recorded_step_reads_no_number_of_the_device():
-    """Which a graph of CUDA cannot do."""
+    """Which a graph of CUDA cannot do. Before one is recorded, the first step makes the transfer functions."""
     with EmulatedDevice():
         display = Display(Modulator((8, 12), PITCH), WAVELENGTH, 2e-3).to(NAME)
         target, phases = torch.rand(1, 1, 8, 12).to(NAME), torch.rand(1, 8, 12).to(NAME).detach().requires_grad_()
@@ -485,7 +485,7 @@ def test_a_recorded_step_reads_no_number_of_the_device():
         display.powers.tolist()
         # What is counted is counted.
         assert sum(reads.values()) > before
-    assert found == [0, 0]
+    assert found[1] == 0
 
 
 def test_where_no_graph_can_be_recorded(disc):
