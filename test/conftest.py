@@ -35,6 +35,13 @@ def pytest_addoption(parser):
     )
 
     parser.addoption(
+        "--disturb",
+        type=int,
+        metavar="SEED",
+        help="compute with other last digits, as other processors do; see test/helpers/disturbed.py",
+    )
+
+    parser.addoption(
         "--budget",
         type=float,
         metavar="SECONDS",
@@ -61,6 +68,11 @@ def pytest_configure(config):
     if config.getoption("numprocesses", None):
         os.environ["OMP_NUM_THREADS"] = os.environ["MKL_NUM_THREADS"] = "1"
         os.environ["PYTEST_ADDOPTS"] = f"--assert=plain {os.environ.get('PYTEST_ADDOPTS', '')}"
+    elif config.option.disturb is not None:
+        from disturbed import begin
+
+        mode = begin(config.option.disturb)
+        config.add_cleanup(lambda: mode.__exit__(None, None, None))
 
 
 def pytest_xdist_make_scheduler(config, log):
