@@ -45,6 +45,7 @@ PARTS = {
     "odak.learn": {
         f"odak.{part}" for part in ["catalog", "instruments", "jones", "log", "raytracing", "tools", "wave"]
     },
+    "odak.contrib": {"odak.learn", "odak.raytracing", "odak.tools", "odak.visualize"},
     "odak.visualize": {"odak.catalog", "odak.learn", "odak.log", "odak.raytracing", "odak.tools"},
     "odak.cli": {
         f"odak.{part}"

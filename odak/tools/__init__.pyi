@@ -1,3 +1,7 @@
+from odak.contrib.large_language_model import query_llm as query_llm
+from odak.contrib.texts import latex as latex
+from odak.contrib.texts import markdown as markdown
+
 from .asset import read_PLY as read_PLY
 from .asset import read_PLY_point_cloud as read_PLY_point_cloud
 from .asset import write_PLY as write_PLY
@@ -25,7 +29,6 @@ from .file import validate_cwd as validate_cwd
 from .file import validate_path as validate_path
 from .file import validate_shell_command as validate_shell_command
 from .file import write_to_text_file as write_to_text_file
-from .large_language_model import query_llm as query_llm
 from .matrix import blur_gaussian as blur_gaussian
 from .matrix import convert_to_numpy as convert_to_numpy
 from .matrix import convert_to_torch as convert_to_torch
@@ -49,8 +52,6 @@ from .sample import grid_sample as grid_sample
 from .sample import random_sample_point_cloud as random_sample_point_cloud
 from .sample import sphere_sample as sphere_sample
 from .sample import sphere_sample_uniform as sphere_sample_uniform
-from .texts import latex as latex
-from .texts import markdown as markdown
 from .transformation import closest_point_to_a_ray as closest_point_to_a_ray
 from .transformation import cross_product as cross_product
 from .transformation import distance_between_point_clouds as distance_between_point_clouds

@@ -1,12 +1,13 @@
-from .commands import check as check
-from .commands import cylinder_between as cylinder_between
-from .commands import delete_the_cube as delete_the_cube
-from .commands import import_ply as import_ply
-from .commands import init as init
-from .commands import prepare as prepare
-from .commands import quit as quit
-from .commands import render as render
-from .commands import send_msg as send_msg
+from odak.contrib.commands import check as check
+from odak.contrib.commands import cylinder_between as cylinder_between
+from odak.contrib.commands import delete_the_cube as delete_the_cube
+from odak.contrib.commands import import_ply as import_ply
+from odak.contrib.commands import init as init
+from odak.contrib.commands import prepare as prepare
+from odak.contrib.commands import quit as quit
+from odak.contrib.commands import render as render
+from odak.contrib.commands import send_msg as send_msg
+
 from .items import Material as Material
 from .items import diffuse as diffuse
 from .items import emission as emission
