@@ -795,6 +795,37 @@ def read_levels(fn: str | os.PathLike, torch_style: bool = False, color_managed:
     return np.ascontiguousarray(np.moveaxis(levels, -1, 0) if torch_style and levels.ndim == 3 else levels)
 
 
+def embedded_profile(fn: str | os.PathLike) -> bytes | None:
+    """Return the ICC profile in the file of an image that :func:`read_levels` has read.
+
+    Parameters
+    ----------
+    fn : str or os.PathLike
+        The file.
+
+    Returns
+    -------
+    bytes or None
+        The profile; None if there is none.
+    """
+    path = validate_path(fn, _READABLE)
+    if holds_light(path):
+        return None
+    with _open(path) as image:
+        return image.info.get("icc_profile") or None
+
+
+def holds_light(fn: str | os.PathLike) -> bool:
+    """Return whether an image's format holds linear light by definition: OpenEXR and Radiance.
+
+    Parameters
+    ----------
+    fn : str or os.PathLike
+        The file.
+    """
+    return extension_of(os.fspath(fn)) in (_RADIANCE, _OPEN_EXR)
+
+
 def white_level(levels: np.ndarray) -> float:
     """Return the value of white in an image as :func:`read_levels` gives it.
 

@@ -164,6 +164,9 @@ from .older.single_plane import stochastic_gradient_descent as stochastic_gradie
 from .optimizers import mixed_color_hologram_optimizer as mixed_color_hologram_optimizer
 from .optimizers import multi_color_hologram_optimizer as multi_color_hologram_optimizer
 from .optimizers import multiplane_hologram_optimizer as multiplane_hologram_optimizer
+from .pictures import PictureLight as PictureLight
+from .pictures import light_of as light_of
+from .pictures import picture_of as picture_of
 from .propagation import disk_source as disk_source
 from .propagation import gaussian_spectrum as gaussian_spectrum
 from .propagation import impulse_response_fresnel as impulse_response_fresnel

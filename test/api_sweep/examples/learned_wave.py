@@ -330,6 +330,7 @@ NOT_CALLED = {
     "odak.learn.wave.STEFunction*": "torch calls its methods; users call StraightThroughEstimator, or its apply",
 }
 ALLOWED = {
+    ("odak.learn.wave.light_of", "picture", "a text"): "is the path of a file, which the message names",
     ("odak.learn.wave.optimise", "target", "in double precision"): "iterations amplify rounding",
     ("odak.learn.wave.optimise", "target", "in half precision"): "iterations amplify rounding",
     ("odak.learn.wave.aspheric_lens_phase", "radius", "a negative number"): "a surface that diverges",
