@@ -88,7 +88,8 @@ class _MovedModules:
 
     def find_spec(self, fullname, path=None, target=None):
         if fullname in MOVED_MODULES:
-            return importlib.machinery.ModuleSpec(fullname, self)  # type: ignore[arg-type]
+            # Paths below it may have moved too.
+            return importlib.machinery.ModuleSpec(fullname, self, is_package=True)  # type: ignore[arg-type]
         return None
 
     def create_module(self, spec):

@@ -66,13 +66,13 @@ REASONS = {
         wave/holograms/optimising: optimise
         wave/holograms/starts: starting_phases
         wave/holograms/targets: checked_target
-        wave/eyebox: eyebox_hologram
+        wave/older/eyebox: eyebox_hologram
         wave/eyes: __post_init__ angles_of_each of_each seen
         wave/gaussians/scene: chosen
         wave/gaussians/sets: prune
         wave/loss: _checked_geometry _checked_picture
-        wave/optimizers/terms: eyebox_mask
-        wave/propagators: checked_powers is_diagonal
+        wave/older/terms: eyebox_mask
+        wave/older/propagators: checked_powers is_diagonal
         wave/training: check_brightness checked_intensities started
     """,
     "the size of the result, or the memory that it takes, depends on the numbers": """
@@ -108,7 +108,7 @@ REASONS = {
         raytracing/mesh: embree_scene nearest_faces_by_embree
         raytracing/system/pupils: _key
         tools/matrix: _gaussian_lines
-        wave/propagators: holograms
+        wave/older/propagators: holograms
     """,
     "a search ends when it has converged: one reading for an iteration of many operations": """
         raytracing/system/coatings: _cleaned _doubles _needles _refined needle_design

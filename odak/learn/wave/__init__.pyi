@@ -110,7 +110,6 @@ from .elements import spiral_phase as spiral_phase
 from .elements import thin_film_transfer as thin_film_transfer
 from .elements import zernike_basis as zernike_basis
 from .elements import zernike_phase as zernike_phase
-from .eyebox import eyebox_hologram as eyebox_hologram
 from .eyes import Eyes as Eyes
 from .fields import exposure as exposure
 from .fields import generate_complex_field as generate_complex_field
@@ -141,29 +140,36 @@ from .holograms.solvers.descent import Descent as Descent
 from .holograms.solvers.double_phase import DoublePhase as DoublePhase
 from .holograms.solvers.network import Network as Network
 from .holograms.solvers.projections import AlternatingProjections as AlternatingProjections
-from .kernels import get_angular_spectrum_kernel as get_angular_spectrum_kernel
-from .kernels import get_band_limited_angular_spectrum_kernel as get_band_limited_angular_spectrum_kernel
-from .kernels import get_impulse_response_fresnel_kernel as get_impulse_response_fresnel_kernel
-from .kernels import get_incoherent_angular_spectrum_kernel as get_incoherent_angular_spectrum_kernel
-from .kernels import get_light_kernels as get_light_kernels
-from .kernels import get_point_wise_impulse_response_fresnel_kernel as get_point_wise_impulse_response_fresnel_kernel
-from .kernels import get_propagation_kernel as get_propagation_kernel
-from .kernels import get_seperable_impulse_response_fresnel_kernel as get_seperable_impulse_response_fresnel_kernel
-from .kernels import get_transfer_function_fresnel_kernel as get_transfer_function_fresnel_kernel
 from .loss import multiplane_loss as multiplane_loss
 from .loss import perceptual_multiplane_loss as perceptual_multiplane_loss
 from .loss import phase_gradient as phase_gradient
 from .loss import speckle_contrast as speckle_contrast
 from .models import focal_surface_light_propagation as focal_surface_light_propagation
 from .models import holobeam_multiholo as holobeam_multiholo
+from .older.eyebox import eyebox_hologram as eyebox_hologram
+from .older.kernels import get_angular_spectrum_kernel as get_angular_spectrum_kernel
+from .older.kernels import get_band_limited_angular_spectrum_kernel as get_band_limited_angular_spectrum_kernel
+from .older.kernels import get_impulse_response_fresnel_kernel as get_impulse_response_fresnel_kernel
+from .older.kernels import get_incoherent_angular_spectrum_kernel as get_incoherent_angular_spectrum_kernel
+from .older.kernels import get_light_kernels as get_light_kernels
+from .older.kernels import (
+    get_point_wise_impulse_response_fresnel_kernel as get_point_wise_impulse_response_fresnel_kernel,
+)
+from .older.kernels import get_propagation_kernel as get_propagation_kernel
+from .older.kernels import (
+    get_seperable_impulse_response_fresnel_kernel as get_seperable_impulse_response_fresnel_kernel,
+)
+from .older.kernels import get_transfer_function_fresnel_kernel as get_transfer_function_fresnel_kernel
+from .older.multi_color import mixed_color_hologram_optimizer as mixed_color_hologram_optimizer
+from .older.multi_color import multi_color_hologram_optimizer as multi_color_hologram_optimizer
+from .older.multiplane import multiplane_hologram_optimizer as multiplane_hologram_optimizer
+from .older.propagators import propagator as propagator
 from .older.single_plane import double_phase_hologram as double_phase_hologram
 from .older.single_plane import gerchberg_saxton as gerchberg_saxton
 from .older.single_plane import point_wise as point_wise
 from .older.single_plane import shift_w_double_phase as shift_w_double_phase
 from .older.single_plane import stochastic_gradient_descent as stochastic_gradient_descent
-from .optimizers import mixed_color_hologram_optimizer as mixed_color_hologram_optimizer
-from .optimizers import multi_color_hologram_optimizer as multi_color_hologram_optimizer
-from .optimizers import multiplane_hologram_optimizer as multiplane_hologram_optimizer
+from .older.volume import holographic_display as holographic_display
 from .pictures import PictureLight as PictureLight
 from .pictures import light_of as light_of
 from .pictures import picture_of as picture_of
@@ -173,8 +179,6 @@ from .propagation import impulse_response_fresnel as impulse_response_fresnel
 from .propagation import propagate_beam as propagate_beam
 from .propagation import propagate_partially_coherent as propagate_partially_coherent
 from .propagation import seperable_impulse_response_fresnel as seperable_impulse_response_fresnel
-from .propagators import propagator as propagator
 from .slm import spatial_light_modulator as spatial_light_modulator
 from .slm import temporal_average as temporal_average
 from .slm import temporal_modulator as temporal_modulator
-from .volume import holographic_display as holographic_display

@@ -1,6 +1,7 @@
 """Amplitude, phase, intensity and exposure of fields as tensors, with memory-efficient gradients."""
 
 import itertools
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -369,3 +370,21 @@ def _slope(field, gradient, power, one_each, result=None):
 
 def _overlap(field, slope):
     return sum((intensity(plane) * own).sum((-2, -1)) for plane, own in zip(field, slope, strict=True))
+
+
+def disc(shape: Sequence[int], radius: float, offset: Sequence[float] = (0.0, 0.0)) -> torch.Tensor:
+    """Return ones closer than `radius` to a point, zeros elsewhere, float32 ``[rows, columns]``.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns.
+    radius : float
+        In samples.
+    offset : tuple of float
+        Distance of the point from sample n // 2 of each axis.
+    """
+    rows, columns = (
+        torch.arange(n, dtype=torch.float64) - n // 2 - shift for n, shift in zip(shape, offset, strict=True)
+    )
+    return (rows[:, None] ** 2 + columns**2 < radius**2).float()

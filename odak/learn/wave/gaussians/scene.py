@@ -10,11 +10,11 @@ from odak import _torch_private, _validate
 from odak._array import is_readable
 from odak.learn._tensors import rows_of, shaped, tensor
 from odak.learn.tools.transformation import PerspectiveCamera
+from odak.learn.wave.fields import disc
 from odak.learn.wave.gaussians import sets as shared
 from odak.learn.wave.gaussians.sets import complex_3d_gaussians
 from odak.learn.wave.gaussians.splatting import FAINTEST, Tiling, composite_gaussians, finer_tiling
 from odak.learn.wave.propagation import propagate_beam
-from odak.learn.wave.volume import disc
 
 _SETTINGS = ("wavelengths", "pixel_pitch", "distances", "pad_size", "aperture_size")
 _TILE = 64

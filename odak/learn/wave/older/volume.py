@@ -160,7 +160,7 @@ class display_volume(Prepared, torch.nn.Module):
     pixel_pitch : float or sequence of float
         Pixel pitch in metres, one number or a pair (rows, columns).
     distances : torch.Tensor
-        Distances of the D planes in metres, see :func:`odak.learn.wave.volume.plane_distances`.
+        Distances of the D planes in metres, see :func:`odak.learn.wave.older.volume.plane_distances`.
     propagation_type : str
         A propagation type, see :func:`odak.learn.wave.propagate_beam`, or "auto"; not "custom".
     relay : float, optional
@@ -657,24 +657,6 @@ def _checked_wavelengths(wavelengths) -> list:
     if not listed:
         raise ValueError("wavelengths must contain at least one wavelength, got none")
     return [value if _array.is_traced(value) else float(value) for value in listed]
-
-
-def disc(shape: Sequence[int], radius: float, offset: Sequence[float] = (0.0, 0.0)) -> torch.Tensor:
-    """Return ones closer than `radius` to a point, zeros elsewhere, float32 ``[rows, columns]``.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns.
-    radius : float
-        In samples.
-    offset : tuple of float
-        Distance of the point from sample n // 2 of each axis.
-    """
-    rows, columns = (
-        torch.arange(n, dtype=torch.float64) - n // 2 - shift for n, shift in zip(shape, offset, strict=True)
-    )
-    return (rows[:, None] ** 2 + columns**2 < radius**2).float()
 
 
 def disc_of_frequencies(shape: Sequence[int], pitch: Any, cutoff: float) -> torch.Tensor:

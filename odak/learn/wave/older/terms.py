@@ -8,9 +8,8 @@ from odak import _validate
 from odak.learn._tensors import floating, kind_of
 from odak.learn.tools.file import torch_load
 from odak.learn.tools.loss import multi_scale_total_variation_loss
-from odak.learn.wave.fields import unit_phasor
+from odak.learn.wave.fields import disc, unit_phasor
 from odak.learn.wave.training import checked_intensities, parameters_of
-from odak.learn.wave.volume import disc
 from odak.tools.paths import validate_path
 from odak.wave.fields import decompose_double_phase
 

@@ -18,7 +18,9 @@ from odak.learn._tensors import checked_device, checked_generator, floating
 from odak.learn.tools.iterations import Run, minimise
 from odak.learn.wave.camera import captured_by, with_model_gradient
 from odak.learn.wave.fields import squared_error
-from odak.learn.wave.optimizers.terms import (
+from odak.learn.wave.older.propagators import power_method
+from odak.learn.wave.older.propagators import propagator as propagator_type
+from odak.learn.wave.older.terms import (
     WEIGHTS,
     check_pair,
     checked_eyebox,
@@ -35,8 +37,6 @@ from odak.learn.wave.optimizers.terms import (
     roughness,
     zero_mean,
 )
-from odak.learn.wave.propagators import power_method
-from odak.learn.wave.propagators import propagator as propagator_type
 from odak.learn.wave.slm import TURN, even_levels
 from odak.learn.wave.training import REGISTER, check_brightness, cosine, fingerprint, generator_from, linear, started
 from odak.wave.torch_convolution import Workspace, release_memory

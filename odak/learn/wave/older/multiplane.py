@@ -13,8 +13,8 @@ from odak._torch_private import differentiates
 from odak._warnings import ArgumentWarning, warn
 from odak.learn.tools.iterations import Run, minimise
 from odak.learn.wave.fields import mean_intensity, unit_phasor
-from odak.learn.wave.optimizers.terms import checked_pattern, checked_targets, checkerboard, zero_mean
-from odak.learn.wave.propagators import propagator
+from odak.learn.wave.older.propagators import propagator
+from odak.learn.wave.older.terms import checked_pattern, checked_targets, checkerboard, zero_mean
 from odak.learn.wave.training import check_brightness, fingerprint, generator_from, seeded_loss, started
 from odak.wave.transfer_functions import checked_pitch
 

@@ -10,8 +10,8 @@ from odak import _array, _torch_private, _validate
 from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import ValuesRead, checked_device, floating, kind_of, tensor
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
+from odak.learn.wave.older.volume import PROPAGATOR_TYPES, checked_slice, display_volume, plane_distances
 from odak.learn.wave.slm import pixel_fill_of
-from odak.learn.wave.volume import PROPAGATOR_TYPES, checked_slice, display_volume, plane_distances
 from odak.wave.methods import method_named
 from odak.wave.torch_convolution import Workspace, convolve
 

@@ -1,6 +1,0 @@
-"""Optimizers of holograms for displays of several planes, colours and frames."""
-
-from odak._lazy import attach
-
-# The names belong to odak.learn.wave, which lists them.
-__getattr__, __dir__, _ = attach(__name__, __file__)

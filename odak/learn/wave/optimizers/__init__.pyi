@@ -1,3 +1,0 @@
-from .multi_color import mixed_color_hologram_optimizer as mixed_color_hologram_optimizer
-from .multi_color import multi_color_hologram_optimizer as multi_color_hologram_optimizer
-from .multiplane import multiplane_hologram_optimizer as multiplane_hologram_optimizer
