@@ -262,6 +262,12 @@ def in_own_precision(function: F) -> F:
 product = in_own_precision(torch.matmul)
 
 
+def spread_means(means: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
+    """Return the adjoint of ``adaptive_avg_pool2d`` of means ``[B, C, h, w]``: pixels ``[B, C, *size]``."""
+    above = means.new_empty(*means.shape[:2], *size)
+    return torch.ops.aten._adaptive_avg_pool2d_backward(means, above)
+
+
 def kept_constant(tensor: torch.Tensor) -> torch.Tensor:
     """Return a kept tensor, contiguous while torch.export records, which warns of any other constant as it writes."""
     if torch.compiler.is_dynamo_compiling() or not is_recording():

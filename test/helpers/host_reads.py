@@ -99,7 +99,7 @@ REASONS = {
         perception/appearance: _planckian_locus
         perception/color: _column rows tone_map
         perception/display_color: _checked read_spectra
-        perception/pyramids: keep _quadrature_taps _unsteered
+        perception/pyramids: keep _quadrature_taps
         perception/quality: <module>
     """,
     "on the CPU only: an extreme that is read spares work there, and the device takes another way": """
@@ -114,6 +114,7 @@ REASONS = {
         raytracing/system/coatings: _cleaned _doubles _needles _refined needle_design
         models/gaussians: _improve refine
         perception/discrimination: maximum_differentiation twice
+        perception/pyramids: _largest_share
         raytracing/nonsequential: follow
         raytracing/surfaces: _search plain
         raytracing/system/automatic: _optimised _set_next_stage _with_equal_spots grow

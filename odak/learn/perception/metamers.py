@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from torch.nn import functional
@@ -10,7 +9,7 @@ from torch.nn import functional
 from odak import _validate
 from odak.learn.perception.color import rgb_2_ycrcb, ycrcb_2_rgb
 from odak.learn.perception.foveation import level_weights
-from odak.learn.perception.pyramids import SpatialSteerablePyramid
+from odak.learn.perception.pyramids import SpatialSteerablePyramid, nearest_picture
 
 RMS_FLOOR = 1e-6
 # Evaluations of the distance by which a metamer is made.
@@ -33,6 +32,8 @@ ROUNDING = 1e-6
 # Number of times that the local statistics of the bands are matched to the picture's before the descent, and the
 # largest factor by which a deviation is increased at a time.
 RESCALINGS, LARGEST_GAIN = 4, 4.0
+# Accuracy to which a picture is made of such bands, as a share of its largest value.
+TOLERANCE = 1e-2
 # Weight of the squared distance from the bounds. Nearly all pixels at sharp edges are at their bounds.
 OUTSIDE_WEIGHT = 1e-4
 # Bounds of a local gamut: channels of Y′CrCb and their factors, each alone and two at a time. Differences of colour
@@ -211,17 +212,16 @@ def rescaled(
     torch.Tensor
         ``[B, C, H, W]``. Bands overlap, so that its own statistics are nearer to those wanted, but not equal to them.
     """
-    levels: list[list[torch.Tensor]] = []
+    levels: list[torch.Tensor] = []
     place = 0
     for bands in groups:
-        levels.append([])
+        scaled = []
         for band in bands.unbind(2):
             gain = (wanted[place + 1] / found[place + 1]).clamp_max(largest_gain)
-            levels[-1].append((band - found[place]) * gain + wanted[place])
+            scaled.append((band - found[place]) * gain + wanted[place])
             place += 2
-    pyramid: list[dict[str, Any]] = [{"b": bands} for bands in levels[1:]]
-    pyramid[0]["h"] = levels[0][0]
-    return maker.reconstruct_from_pyramid([*pyramid, {"l": wanted[place]}])
+        levels.append(torch.stack(scaled, 2))
+    return nearest_picture(maker, levels, wanted[place], TOLERANCE)
 
 
 def local_range(picture: torch.Tensor, levels: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
