@@ -1,16 +1,12 @@
 """Checks of arguments; their errors name the argument, what was given and what is accepted."""
 
 import difflib
-import functools
-import inspect
 import itertools
 import math
-import re
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import fields, replace
+from collections.abc import Iterable, Sequence
 from numbers import Integral, Number, Real
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import numpy
 
@@ -26,6 +22,9 @@ from odak._array import (
     real_dtype,
 )
 from odak._array import library as library
+from odak._call_forms import takes_fields as takes_fields
+from odak._call_forms import takes_units as takes_units
+from odak._lengths import lengths_together as lengths_together
 from odak._warnings import AccuracyWarning, ArgumentWarning, warn
 
 # More samples along one axis than any memory holds along two; refused before anything is allocated.
@@ -35,20 +34,8 @@ _OVERSHOT = 8
 # Stacks of so many planes of at least so many rows, each 3 or 4 samples wide, are pictures with their colours last.
 _LEAST_PICTURE = 16
 
-UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12}
-# Wavelengths per pixel of no grid: light does not leave the pixels of the first, and is evanescent behind the second.
-# Between the second pair there are grids, of near fields and of telescopes, which are rare: a warning.
-COARSEST, FINEST = 5e6, 1e-3
-_COARSE, _FINE = 1e5, 1e-2
-# A pixel of so many Fresnel zones casts its own shadow: the distance was meant to be the pitch.
-_FRESNEL_ZONES = 1e5
-# Lengths in an array that are compared, one for each field of a batch.
-_MOST_LENGTHS = 64
 # Kinds of numbers whose checks need no question about libraries.
 _NUMBERS = (float, int)
-F = TypeVar("F", bound=Callable)
-P = ParamSpec("P")
-R = TypeVar("R")
 
 
 def one_of(name: str, value: str, options: Iterable[str]) -> str:
@@ -480,308 +467,6 @@ def place_in(name: str, value, count: int) -> int:
     if not -count <= int(value) < count:
         raise ValueError(f"{name} must be {-count} to {count - 1}, got {value}")
     return int(value) % count
-
-
-def takes_units(*lengths: str, degrees: Sequence[str] = ()) -> Callable[[F], F]:
-    """Return a decorator by which named arguments are lengths in metres, or angles in degrees.
-
-    Lengths may be numbers, texts such as "15cm" and "532nm", quantities with a method ``to(unit)`` as in pint and
-    astropy, or lists of these; the function gets numbers. A wavelength, a pixel pitch and a distance that cannot belong
-    together are refused, with what was probably meant. Keywords that the function does not have are named, with the
-    nearest one. Tensors are left alone: a GPU is never waited for.
-
-    Parameters
-    ----------
-    *lengths : str
-        Names of arguments in metres; the wavelength, the pitch and the distance are recognised by their names.
-    degrees : sequence of str
-        Names of arguments in degrees.
-
-    Returns
-    -------
-    callable
-        Decorator of a function, of a method, or of a class by its constructor.
-    """
-
-    def decorated(function):
-        if isinstance(function, type):
-            function.__init__ = decorated(function.__init__)
-            return function
-        parameters = inspect.signature(function).parameters
-        own, kinds = list(parameters), [parameter.kind for parameter in parameters.values()]
-        keywords = None if inspect.Parameter.VAR_KEYWORD in kinds else frozenset(own)
-        places = [(name, own.index(name), in_metres) for name in lengths]
-        places += [(name, own.index(name), in_degrees) for name in degrees]
-        told = tuple(next((n for n in lengths if n in names), "") for names in _ROLES)
-        compared = bool(told[0])
-        (wave, pitch, distance), usual = told, {name: parameters[name].default if name else None for name in told}
-
-        @functools.wraps(function)
-        def run(*args, **options):
-            if keywords is not None and not keywords.issuperset(options):
-                options = _by_known_names(function, own, options)
-            found = usual.copy()
-            for name, place, converted_by in places:
-                if name in options:
-                    made = value = options[name]
-                    if type(value) is not float or converted_by is in_degrees:
-                        made = options[name] = converted_by(name, value)
-                elif place < len(args):
-                    made = converted_by(name, args[place])
-                    if made is not args[place]:
-                        args = (*args[:place], made, *args[place + 1 :])
-                else:
-                    continue
-                found[name] = made
-            if compared:
-                lengths_together(found[wave], found[pitch], found[distance], names=told)
-            return function(*args, **options)
-
-        run.__units__ = {name: converted_by for name, _, converted_by in places}
-        return run
-
-    return decorated
-
-
-# Names of the wavelength, of the pitch and of the distance, which are compared.
-_ROLES = (("wavelength", "wavelengths"), ("dx", "pixel_pitch", "pitch", "slm_pixel_pitch"), ("distance", "distances"))
-
-
-# Words for one thing: a function takes each of them for the one that it has itself.
-_WORDS = (
-    ("iterations", "n_iteration", "n_iterations", "number_of_iterations"),
-    ("pitch", "pixel_pitch", "slm_pixel_pitch", "dx"),
-    ("focal_length", "focal"),
-    ("center", "centre"),
-    ("color", "colour"),
-)
-
-
-def _known_name(word: str, own: list[str]) -> str:
-    """Return the parameter that a word stands for, or the word where that is not one."""
-    same = [name for words in _WORDS if word in words for name in words if name in own]
-    return word if word in own or len(same) != 1 else same[0]
-
-
-def _by_known_names(function, own: list[str], options) -> dict[str, Any]:
-    """Return keyword arguments by the names of a function's parameters."""
-    found = {}
-    for word, value in options.items():
-        name = _known_name(word, own)
-        if name not in own:
-            callee = function.__qualname__.removesuffix(".__init__")
-            raise TypeError(f"{callee} has no argument {word!r}.{did_you_mean(word, own)}")
-        if name in found or (name != word and name in options):
-            raise TypeError(f"{name} and {word} are one argument; give one of them")
-        found[name] = value
-    return found
-
-
-def takes_fields(older: str, **kinds: type) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator by which fields of dataclasses may be arguments of their own, which is the older form.
-
-    Fields that are given beside an object of the class replace those of the object. Where None is the default of an
-    argument, the function gets the object of no arguments in its place.
-
-    Parameters
-    ----------
-    older : str
-        Names of the positional arguments of the older form.
-    **kinds : type
-        Dataclasses by the names of the arguments that are objects of them.
-    """
-
-    def decorated(function):
-        parameters = inspect.signature(function).parameters
-        newer = [name for name, parameter in parameters.items() if parameter.kind is not inspect.Parameter.KEYWORD_ONLY]
-
-        @functools.wraps(function)
-        def form(*args, **options):
-            names = newer if any(isinstance(arg, tuple(kinds.values())) for arg in args) else older.split()
-            if len(args) > len(names):
-                raise TypeError(f"{function.__name__} takes at most {len(names)} positional arguments, got {len(args)}")
-            placed = dict(zip(names, args, strict=False))
-            if twice := placed.keys() & options.keys():
-                raise TypeError(f"{function.__name__} got {', '.join(sorted(twice))} twice")
-            options |= placed
-            for name, kind in kinds.items():
-                optional = parameters[name].default is None
-                if optional and options.get(name, name) is None:
-                    del options[name]
-                own = [field.name for field in fields(kind) if field.name in options]
-                numbers = {key: options.pop(key) for key in own if not isinstance(options[key], kind)}
-                given = options.get(name)
-                if given is None and (numbers or optional):
-                    options[name] = kind(**numbers)
-                elif name in options and not isinstance(given, kind):
-                    raise TypeError(f"{name} must be {kind.__name__}, got {given!r:.80}")
-                elif numbers:
-                    options[name] = replace(given, **numbers)
-            return function(**options)
-
-        return form
-
-    return decorated
-
-
-def did_you_mean(value: str, names: Iterable[str]) -> str:
-    """Return a question with the name nearest to a misspelt one, empty if none is near."""
-    names, value = list(names), value.casefold()
-    near = difflib.get_close_matches(value, names, n=1, cutoff=0.6)
-    near = near or [name for name in names if len(value) > 2 and name.casefold().startswith(value)]
-    return f" Did you mean {near[0]!r}?" if near else ""
-
-
-def in_metres(name: str, value):
-    """Return a length, or a list of lengths, in metres: texts and quantities as numbers, numbers as they are."""
-    if type(value) is float or is_torch(value):
-        return value
-    if type(value) is str:
-        try:
-            return parse_length(value)
-        except ValueError as error:
-            raise ValueError(f"{name} must be a length in metres, or with a unit: {error}") from None
-    if type(value) in (list, tuple):
-        made = [in_metres(name, entry) for entry in value]
-        return type(value)(made) if any(a is not b for a, b in zip(made, value, strict=True)) else value
-    return _of_quantity(name, value, "m", "a length") if hasattr(value, "to") else value
-
-
-def in_degrees(name: str, value):
-    """Return an angle, or a list of angles, in degrees, with a warning of one that is a whole angle in radians."""
-    if type(value) is float:
-        turned = math.degrees(value)
-        # A number of degrees hits a whole number of half degrees in radians once in ten million times.
-        if 0.5 < abs(turned) <= 360 and abs(turned * 2 - round(turned * 2)) < 1e-9 * abs(turned):
-            warn(
-                f"{name} is in degrees: {value:.6g} is {turned:.4g} degrees in radians, was that meant?",
-                ArgumentWarning,
-            )
-        return value
-    if type(value) in (list, tuple):
-        made = [in_degrees(name, entry) for entry in value]
-        return type(value)(made) if any(a is not b for a, b in zip(made, value, strict=True)) else value
-    return _of_quantity(name, value, "deg", "an angle") if hasattr(value, "to") and not is_torch(value) else value
-
-
-def _of_quantity(name: str, value, unit: str, what: str):
-    """Return the numbers of a quantity of pint, astropy or another library in a unit; other values as they are."""
-    if not (hasattr(value, "magnitude") or hasattr(value, "unit") or hasattr(value, "units")):
-        return value
-    try:
-        made = value.to(unit)
-    except Exception as error:
-        raise ValueError(f"{name} must be {what}, got {value!r:.80}: {error}") from error
-    made = made.magnitude if hasattr(made, "magnitude") else made.value
-    return made if is_array(made) and made.ndim else float(made)
-
-
-def parse_length(text: str | float) -> float:
-    """Return a length in metres from a number, or from a number and a unit such as ``532nm``, ``8um`` or ``15cm``."""
-    if not isinstance(text, str):
-        return text
-    found = re.fullmatch(r"\s*([^a-zA-Zµμ]*(?:[eE][+-]?\d+)?|nan|inf)\s*([a-zµμ]*)\s*", text)
-    unit = (found[2] or "m").replace("µ", "u").replace("μ", "u") if found else ""
-    try:
-        value = float(found[1]) if found else math.nan
-    except ValueError:
-        unit = ""
-    if unit not in UNITS:
-        raise ValueError(f"{text!r} is not a length; write it as 8e-6 (metres), 8um, 532nm or 15cm")
-    return value * UNITS[unit] if unit != "m" else value
-
-
-def likely_length(value: float, least: float, most: float, unit: str) -> str:
-    """Return a length that is likely to have been meant by a number that was taken for metres."""
-    for factor in (1e-3, 1e-6, 1e-9, 1e3, 1e6):
-        if least <= value * factor <= most:
-            return f"{value * factor / UNITS[unit]:g}{unit}"
-    return f"{float(f'{math.sqrt(least * most) / UNITS[unit]:.1g}'):g}{unit}"
-
-
-def lengths_together(wave, pitch, distance=None, *, names=("wavelength", "dx", "distance")) -> None:
-    """Raise ValueError for lengths that cannot belong to one propagation; warn of those that rarely do."""
-    numbers = type(wave) is type(pitch) is type(distance) is float
-    if numbers and 0 < _FINE * wave <= pitch <= _COARSE * wave and pitch <= abs(distance):
-        return
-    message = _doubt(names, wave, pitch, distance)
-    if message is not None:
-        warn(message, ArgumentWarning)
-
-
-def _doubt(names: tuple[str, str, str], wave, pitch, distance) -> str | None:
-    """Return the text of a warning where wavelength, pitch and distance rarely belong together, None if they do.
-
-    ValueError is raised where they cannot, with what was probably meant.
-    """
-    wave_name, pitch_name, distance_name = names
-    waves = _range_of(wave)
-    if waves is None:
-        return None
-    shortest, longest = waves
-    pixels = _range_of(pitch)
-    if pixels is None:
-        if pitch is None and 100 <= longest <= 1e4:
-            meant = likely_length(longest, 1e-7, 2e-5, "nm")
-            return f"{wave_name} is in metres: {longest:g} is {longest:g} metres; did you mean {meant}?"
-        return None
-    finest, coarsest = pixels
-    reach = _range_of(-distance if isinstance(distance, (float, int)) and distance < 0 else distance)
-    furthest = reach[1] if reach is not None else 0.0
-    if 0 < furthest < finest:
-        # Propagation over less than a pixel happens, in near fields; not over so little of one.
-        as_pitch = longest / 2 < furthest < 1e3 * longest
-        if as_pitch and finest > 10 * furthest and finest**2 / (longest * furthest) > _FRESNEL_ZONES:
-            raise ValueError(
-                f"{distance_name} must be one over which light leaves its pixel, got {furthest:g} m for pixels of "
-                f"{finest:g} m: were {distance_name} and {pitch_name} exchanged?"
-            )
-        if finest < longest / 20:
-            raise ValueError(
-                f"{wave_name} must be of light on this grid, got {longest:g} m for pixels of {finest:g} m and "
-                f"{distance_name} of {furthest:g} m: were {wave_name} and {distance_name} exchanged?"
-            )
-    if finest < FINEST * longest:
-        meant = likely_length(longest, 1e-7, 2e-5, "nm")
-        raise ValueError(
-            f"{wave_name} must be of light on this grid, got {longest:g} m for pixels of {finest:g} m, whose field "
-            f"would be evanescent: did you mean {meant}?"
-        )
-    if coarsest > COARSEST * shortest:
-        meant = likely_length(coarsest, 1e-6, 1e-3, "um")
-        raise ValueError(
-            f"{pitch_name} must be of a grid for this light, got {coarsest:g} m for a wavelength of {shortest:g} m: "
-            f"did you mean {meant}?"
-        )
-    fine = finest < _FINE * longest
-    if not fine and coarsest <= _COARSE * shortest:
-        return None
-    ratio = f"{finest:g} m is under a hundredth of" if fine else f"{coarsest:g} m is over 100 000 times"
-    return f"{pitch_name} of {ratio} the {wave_name}, {longest:g} m: lengths are in metres, was another unit meant?"
-
-
-def _range_of(value) -> tuple[float, float] | None:
-    """Return the least and the largest of plain numbers; None of others, of those below or at 0, and of infinite ones.
-
-    Tensors that require a gradient, wait on a GPU or are transformed are not looked at.
-    """
-    if isinstance(value, (float, int)):
-        return (value, value) if 0 < value < math.inf else None
-    if isinstance(value, (list, tuple)):
-        found = [_range_of(entry) for entry in value]
-        known = [entry for entry in found if entry is not None]
-        return (min(a for a, _ in known), max(b for _, b in known)) if known and len(known) == len(found) else None
-    if is_torch(value):
-        if value.requires_grad or not (value.is_cpu and value.is_floating_point() and is_readable(value)):
-            return None
-    elif not isinstance(value, (numpy.ndarray, numpy.generic)) or value.dtype.kind not in "fiu":
-        return None
-    # What is no list of a few lengths takes too long to read.
-    if not 0 < math.prod(value.shape) <= _MOST_LENGTHS:
-        return None
-    listed = value.reshape(-1).tolist() if value.ndim else [value.item()]
-    least, largest = min(listed), max(listed)
-    return (least, largest) if least > 0 and largest < math.inf else None
 
 
 def _holds_numbers(value) -> bool:

@@ -20,6 +20,7 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array
+from odak._lengths import in_metres, likely_length
 from odak._warnings import AccuracyWarning, ArgumentWarning, warn
 from odak.tools.paths import naming, regular_file, validate_path
 
@@ -683,7 +684,7 @@ def check_weather(temperature=None, pressure=None, humidity=None, where: str = "
 
 def _length(name: str, value, scale: float):
     """Return a length in the unit of which one is `scale` micrometres; texts and quantities have units of their own."""
-    found = _validate.in_metres(name, value)
+    found = in_metres(name, value)
     if found is value:
         return value
     scale = MICROMETRES["m"] / scale
@@ -1214,7 +1215,7 @@ def _check_range(found: Material, wide, extrapolate: bool) -> None:
     if not extrapolate and (low < found.range[0] * (1 - 1e-6) or high > found.range[1] * (1 + 1e-6)):
         got = f"{low:g} µm" if low == high else f"{low:g} … {high:g} µm"
         if low > 1e4:
-            meant = _validate.likely_length(low * 1e-6, 1e-7, 2e-5, "nm")
+            meant = likely_length(low * 1e-6, 1e-7, 2e-5, "nm")
             got = f"{low * 1e-6:g} m: wavelengths are in metres; did you mean {meant}?"
         raise ValueError(
             f"wavelength must be within {found.range[0]:g} … {found.range[1]:g} µm for {found.name} "

@@ -12,7 +12,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from odak import instruments
-from odak._validate import did_you_mean, parse_length
+from odak._call_forms import did_you_mean
+from odak._lengths import parse_length
 from odak.cli.files import REPORT, SILENT, Notices, announce, claim, claiming, writable_folder, write_json
 from odak.cli.job import is_length
 from odak.cli.options import InputError

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from odak._validate import UNITS
+from odak._lengths import UNITS
 from odak._warnings import AccuracyWarning, warn
 from odak.cli import files, report
 from odak.cli.job import (

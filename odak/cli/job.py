@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
-from odak import _validate
-from odak._validate import did_you_mean, likely_length, parse_length
+from odak._call_forms import did_you_mean
+from odak._lengths import COARSEST, likely_length, parse_length
 from odak._warnings import ArgumentWarning, warn
 from odak.cli.options import (
     DeviceSettings,
@@ -469,7 +469,7 @@ def warn_of_samples(name: str, wavelength: float, pitch_name: str, pitch: float,
         why = "larger than the pixels of any modulator" if pitch > LARGEST_PITCH else "below half a wavelength"
         meant = likely_length(pitch, 1e-6, 1e-4, "um")
         message = f"{pitch_name} {pitch:g} is {pitch:g} metres, {why}; did you mean {meant}?"
-        if pitch > _validate.COARSEST * wavelength:
+        if pitch > COARSEST * wavelength:
             raise InputError(message)
         warn(message, ArgumentWarning)
         return True

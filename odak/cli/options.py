@@ -18,7 +18,7 @@ from typing import Annotated, Any, ClassVar, Union, get_args, get_origin, get_ty
 import typer
 
 from odak import _validate
-from odak._validate import parse_length
+from odak._lengths import parse_length
 
 LENGTH = "LENGTH"
 UNITS = (("m", 1.0), ("cm", 1e-2), ("mm", 1e-3), ("um", 1e-6), ("nm", 1e-9))

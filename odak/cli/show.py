@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from odak import _validate
-from odak._validate import did_you_mean
+from odak._call_forms import did_you_mean
 from odak.cli.files import FINGERPRINT, REPORT, load_pattern, read_report, stored_bits, writable_folder
 from odak.cli.options import InputError
 from odak.tools.file import read_levels, white_level

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import torch
 
-from odak._validate import did_you_mean
+from odak._call_forms import did_you_mean
 from odak.cli import files
 from odak.cli.files import writable_folder
 from odak.cli.options import InputError

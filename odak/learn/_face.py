@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from array_api_compat import torch as torch_namespace
 
-from odak import _validate
 from odak._array import Array, ArrayT
+from odak._call_forms import did_you_mean
 from odak.learn._tensors import checked_device, tensors_of
 
 P = ParamSpec("P")
@@ -130,7 +130,7 @@ def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None, 
         if len(given) != len(args) + len(options) or not keywords.issuperset(options):
             unknown = [name for name in options if name not in named]
             if unknown:
-                nearest = _validate.did_you_mean(unknown[0], named)
+                nearest = did_you_mean(unknown[0], named)
                 raise TypeError(f"{face.__name__} has no argument {unknown[0]!r}.{nearest}")
             signature.bind(*args, **options)  # raises the error that Python gives for such a call
         options = {**fixed, **preset, **given}

@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from odak import _validate
-from odak._validate import did_you_mean, parse_length
+from odak._call_forms import did_you_mean
+from odak._lengths import parse_length
 from odak.tools.file import read_levels, white_level
 from odak.tools.paths import naming, regular_file
 from odak.wave.beams import gaussian_beam

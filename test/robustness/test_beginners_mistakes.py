@@ -12,6 +12,7 @@ import torch
 
 import odak
 from odak import _validate
+from odak._lengths import UNITS
 from odak.learn import perception, wave
 from odak.learn.tools import load_image, resize, save_image
 
@@ -210,7 +211,7 @@ class Quantity:
         if unit != "m":
             raise TypeError(f"not a length: {unit}")
         name = "magnitude" if hasattr(self, "magnitude") else "value"
-        return Quantity(self.number * _validate.UNITS[self.unit], "m", name)
+        return Quantity(self.number * UNITS[self.unit], "m", name)
 
 
 def test_lengths_with_units_are_those_in_metres():
