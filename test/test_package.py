@@ -268,7 +268,6 @@ TESTED_IN = {
     "odak.learn.raytracing.system.sequence": "learn/raytracing/system/test_tracing.py",
     "odak.learn.raytracing.system.sketches": "visualize/test_system_figures.py",
     "odak.learn.raytracing.system.system_files": "learn/raytracing/system/test_zemax.py",
-    "odak.learn.wave.displays.areas": "learn/wave/test_displays.py",
     "odak.learn.wave.displays.judge": "learn/wave/test_displays.py",
     "odak.learn.wave.displays.panels": "learn/wave/test_displays.py",
     "odak.learn.wave.displays.parts": "learn/wave/test_shared_out.py",

@@ -292,7 +292,7 @@ def test_quality_is_a_number_of_iterations_or_ends_where_nothing_is_gained(optio
     # The bar shows the quality before the last step and before quantisation, by a model that on 32 x 48 pixels is
     # as far from the judge as 42 dB tell.
     (stated,) = {float(part) for part in re.findall(r"([\d.]+) dB, loss", said.stderr.rpartition("\r")[2])}
-    assert stated == pytest.approx(report["channels"][0]["psnr_before_quantisation_db"], abs=1.5 if stated < 30 else 8)
+    assert stated == pytest.approx(report["channels"][0]["psnr_before_quantisation_db"], abs=2.0 if stated < 30 else 8)
     if "nothing" in reached:
         assert 11 <= int(report["reached"].split()[-2]) < 400
 

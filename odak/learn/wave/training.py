@@ -164,8 +164,12 @@ def best_scale(image: torch.Tensor, target: torch.Tensor, axes: tuple[int, ...] 
 
 
 def brightness_of(images: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Return the factor of each colour, over all its planes, at which images are closest to a target, ``[C, 1, 1]``."""
-    return best_scale(images, target, (0, -2, -1))[0]
+    """Return the factor of each colour, over all else, at which images are closest to a target, ``[C, 1, 1]``.
+
+    Both are ``[..., C, rows, columns]``.
+    """
+    axes = *range(images.ndim - 3), -2, -1
+    return best_scale(images, target, axes).reshape(-1, 1, 1)
 
 
 def started(name: str, given, shapes: Sequence[tuple], like: torch.Tensor, draw: Callable, names: Sequence[str] = ()):

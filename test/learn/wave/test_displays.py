@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from emulated_device import NAME, EmulatedDevice, reads
+from independent_camera import Seen, SquareStop, camera, freely
 
 from odak import AccuracyWarning, ArgumentWarning, SamplingWarning
 from odak.instruments import Calibration, Lens, SimulatedTable, save_calibration
@@ -215,12 +216,12 @@ def test_what_is_optimised_is_what_is_stated(disc):
     display = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3)
     found = optimise(display, disc, run=QUIET)
     plain, _ = stochastic_gradient_descent(disc, WAVELENGTH, 2e-3, PITCH, n_iteration=50, scale=True, progress=False)
-    patterns = [phase.numpy().astype(float) for phase in (found.phases[0], plain.angle())]
-    seen = [means_over_pixels(pattern, 2e-3, 0.9, 1, 3, 10) for pattern in patterns]
-    wanted = disc.numpy()
-    errors = [((i * (i * wanted).sum() / (i * i).sum() - wanted) ** 2).mean() for i in seen]
-    assert abs(-10 * math.log10(errors[0]) - float(found.psnr)) < 0.3
-    assert errors[0] < errors[1] / 4
+    transfer, reach = freely(PITCH, WAVELENGTH, 2e-3)
+    lights = [np.exp(1j * phase.double().numpy()) for phase in (found.phases[0], plain.angle())]
+    stop = SquareStop(disc.shape, reach)
+    at_best, plainly = (camera(Seen([light], [1], stop, transfer), disc.double().numpy()) for light in lights)
+    assert abs(at_best.min() - float(found.psnr)) < 0.3
+    assert at_best.min() > plainly.min() + 3
     assert len(found.losses) == 25 and found.losses[-1] < found.losses[0] / 4
 
 
@@ -588,7 +589,7 @@ def test_holograms_behind_a_lens(tmp_path):
     display = Display.from_calibration(tmp_path / "lens.h5", fill=1.0)
     assert "lens of 20 mm" in repr(display)
     found = optimise(display, target, run=Run(iterations=60, progress=False))
-    assert found.psnr.item() > 30
+    assert found.psnr.item() > 25 and found.psnr_registered.item() > 27
     table.modulator.show(found.levels()[0].numpy())
     light, pitch = table.intensity()
     spots = [

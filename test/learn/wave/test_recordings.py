@@ -117,7 +117,9 @@ def solved(folder, display, solver, start, seed=0, iterations=6, loss=None, targ
     shown = DISPLAYS[display]()
     run = wave.Run(iterations, seed=seed, **QUIET)
     target = picture(*shown.shape, dtype=dtype) if target is None else target
-    return found(wave.optimise(shown, target, loss=loss, solver=solver, start=start, run=run, devices=None))
+    # Registered, as all of them were when they were recorded.
+    who = wave.Observer.camera(registered=True)
+    return found(wave.optimise(shown, target, loss=loss, solver=solver, start=start, run=run, observer=who))
 
 
 def noisy(images, target, generator=None):

@@ -45,9 +45,9 @@ def test_each_device_computes_a_nearly_equal_part(monkeypatch):
         made.append((colour, plane))
         return kernel(path, device, colour, plane, dtype)
 
-    def shows(own, part, lights, powers):
+    def shows(own, part, *given):
         shown.append((id(own), part))
-        return image(own, part, lights, powers)
+        return image(own, part, *given)
 
     monkeypatch.setattr(FreePath, "_of_plane", makes)
     monkeypatch.setattr(Display, "images_of", shows)

@@ -15,8 +15,8 @@ from odak._attributes import Prepared
 from odak._warnings import ArgumentWarning, warn
 from odak.instruments import Calibration, Lens, load_calibration
 from odak.learn._tensors import ValuesRead, floating
-from odak.learn.wave.displays.areas import over_areas
 from odak.learn.wave.displays.judge import judged
+from odak.learn.wave.displays.observers import REGISTERED, Observer
 from odak.learn.wave.displays.panels import Iris, Modulator
 from odak.learn.wave.displays.parts import Part, Shares, frames_lit
 from odak.learn.wave.displays.paths.base import Kept, Lights, listed
@@ -286,13 +286,37 @@ class Display(Prepared, torch.nn.Module):
             Real ``[..., D, C, rows, columns]``, in units of what a flat phase sends into the order in the middle: the
             light on the modulator times the square of its `fill`, and of the `fill` of a panel before it.
         """
+        return self.recorded_by(REGISTERED, phases, powers, amplitudes)[0]
+
+    def recorded_by(
+        self,
+        observer: Observer,
+        phases: torch.Tensor,
+        powers: torch.Tensor | None = None,
+        amplitudes: torch.Tensor | None = None,
+    ) -> torch.Tensor:
+        """Return what an observer sees about the middles of pixels and, of a camera at any place, between them.
+
+        Parameters
+        ----------
+        observer : Observer
+            Who looks.
+        phases, powers, amplitudes : torch.Tensor
+            As in :meth:`forward`.
+
+        Returns
+        -------
+        torch.Tensor
+            Real ``[grids, ..., D, C, rows, columns]``: one grid for an observer whose pixels are those of the image,
+            and four that are half a pixel apart for one at any place; see :meth:`Observer.recorded`.
+        """
         lights = self.lights(phases, amplitudes)
         powers = self.powers if powers is None else self._in_its_frames(self._fitting(powers))
         if self.shares is not None:
-            return self.shares.images(lights, powers)
+            return self.shares.images(observer, lights, powers)
         planes = tuple(range(self.shape[0]))
         parts = [Part(colour, planes, frames) for colour, frames in enumerate(self.lit_frames)]
-        return torch.stack([self.images_of(part, lights, powers) for part in parts], -3)
+        return torch.stack([self.images_of(part, observer, lights, powers) for part in parts], -3)
 
     def replaced(self, amplitudes: torch.Tensor, light: torch.Tensor, color: int) -> torch.Tensor:
         """Return the light on the panel whose images have other amplitudes ``[D, rows, columns]``, by the adjoint."""
@@ -317,7 +341,7 @@ class Display(Prepared, torch.nn.Module):
         tuple of torch.Tensor
             Means over the areas of pixels, and intensities at their middles, ``[D, C, rows, columns]`` each.
         """
-        return judged(self, phases, amplitudes)
+        return judged(self, phases, amplitudes)[:2]
 
     def lit_by(self, powers: torch.Tensor) -> "Display":
         """Return the same display with other powers of the sources, ``[F, C]``."""
@@ -406,13 +430,15 @@ class Display(Prepared, torch.nn.Module):
         light = self._lit(flat, color)[self.lit_frames[color][0]]
         return light.abs() / intensity(light).mean().sqrt(), light.angle()
 
-    def images_of(self, part: Part, lights: Lights, powers: torch.Tensor) -> torch.Tensor:
-        """Return a part of the images that panels form, means over areas ``[..., planes, rows, columns]``.
+    def images_of(self, part: Part, observer: Observer, lights: Lights, powers: torch.Tensor) -> torch.Tensor:
+        """Return a part of what an observer sees of panels, ``[grids, ..., planes, rows, columns]``.
 
         Parameters
         ----------
         part : Part
             Which colour, planes and frames.
+        observer : Observer
+            Who looks.
         lights : tuple of torch.Tensor
             What each panel does to the light, ``[..., F, rows, columns]``.
         powers : torch.Tensor
@@ -428,7 +454,6 @@ class Display(Prepared, torch.nn.Module):
         amplitudes = (torch.stack([power[f] for f in frames]) / power.sum()).sqrt()[:, None].to(shown.real.dtype)
         # The patterns of a batch beside the planes: frames are summed up, and these are not.
         batch, points = shown.shape[:-4], shown.movedim(-4, 0).flatten(1, -3)
-        areas = over_areas(
-            exposure(points[:, :, None], amplitudes)[:, 0].unflatten(0, (-1, self.samples, self.samples))
-        )
-        return areas.reshape(*batch, -1, *areas.shape[-2:])
+        light = exposure(points[:, :, None], amplitudes)[:, 0].unflatten(0, (-1, self.samples, self.samples))
+        seen = observer.recorded(light, self.path.image_pitches(colour))
+        return seen.reshape(len(seen), *batch, -1, *seen.shape[-2:])

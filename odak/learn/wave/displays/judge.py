@@ -12,9 +12,9 @@ import torch
 
 from odak import _array
 from odak.instruments import Lens
+from odak.learn.wave.displays.observers import Observer, fine_intensity, resolved
 from odak.learn.wave.displays.panels import Iris, orders_through
 from odak.learn.wave.eyes import Eyes, Sight
-from odak.learn.wave.fields import intensity
 from odak.learn.wave.propagation import propagate_beam
 from odak.wave.sampling import sampling_report
 from odak.wave.transfer_functions import divided_pitch
@@ -23,25 +23,39 @@ from odak.wave.viewing import covered
 
 @torch.no_grad()
 def judged(
-    display: Any, phases: torch.Tensor, amplitudes: torch.Tensor | None = None
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the images of patterns on a display, and those at points; see :meth:`odak.learn.wave.Display.judge`."""
+    display: Any,
+    phases: torch.Tensor,
+    amplitudes: torch.Tensor | None = None,
+    observer: Observer | None = None,
+    target: torch.Tensor | None = None,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return the images of patterns on a display, those at points, and a comparison of what is seen with a target.
+
+    See :meth:`odak.learn.wave.Display.judge`. The comparison is that of :meth:`Observer.compared`,
+    ``[D, C, places, 3]``, without any place where there is no observer.
+    """
     lights, at = display.lights(phases, amplitudes), display.path
     given = display.lit_by_source(lights, 0)[-1].shape
     if len(given) > 3:
         raise ValueError(f"phases must be without a batch, [frames, rows, columns], got {list(given)}")
-    like = lights[-1].real
-    images = torch.stack([torch.zeros(display.shape, device=like.device, dtype=like.dtype)] * 2)
-    for c in range(display.shape[1]):
+    areas, points, compared = [], [], []
+    for d, c in itertools.product(*map(range, display.shape[:2])):
         power = display.powers[:, c] / display.powers[:, c].sum()
-        for d in range(display.shape[0]):
-            for f in display.lit_frames[c]:
-                # One frame at a time, which takes less memory.
-                own = display.lit_by_source(tuple(one[..., f : f + 1, :, :] for one in lights), c)
-                shown, finer = _field_at(at, [one[0] for one in own], c, d)
-                images[0, d, c] += power[f] * mean_over_areas(shown, at.sizes, finer)
-                images[1, d, c] += power[f] * _middles(intensity(shown), at.sizes, finer)
-    return images[0], images[1]
+        light: Any = 0.0
+        for f in display.lit_frames[c]:
+            # One frame at a time, which takes less memory.
+            own = display.lit_by_source(tuple(one[..., f : f + 1, :, :] for one in lights), c)
+            shown, finer = _field_at(at, [one[0] for one in own], c, d)
+            light = light + power[f] * fine_intensity(shown)
+        areas.append(resolved(light, 2 * finer, at.sizes, (1.0, 1.0), 1))
+        chosen = (slice((n - n // 2) * 2 * finer, (2 * n - n // 2) * 2 * finer, 2 * finer) for n in at.sizes)
+        points.append(light[tuple(chosen)])
+        if observer is None or target is None:
+            compared.append(torch.empty(0, 3, dtype=torch.float64, device=light.device))
+        else:
+            compared.append(observer.compared(light, 2 * finer, target[d, c], at.image_pitches(c)))
+    whole, places = [torch.stack(images).reshape(display.shape) for images in (areas, points)], torch.stack(compared)
+    return whole[0], whole[1], places.unflatten(0, display.shape[:2])
 
 
 def _field_at(at, lights, colour: int, image: int) -> tuple[torch.Tensor, int]:
@@ -203,49 +217,18 @@ def _spread_freely(at, field, wavelength, distance, samples):
     )
 
 
-def _middles(image: torch.Tensor, shape: Sequence[int], orders: int) -> torch.Tensor:
-    first = [n * orders - n // 2 * orders for n in shape]
-    return image[tuple(slice(a, a + n * orders, orders) for a, n in zip(first, shape, strict=True))]
-
-
 def mean_over_areas(shown: torch.Tensor, shape: Sequence[int], orders: int = 1) -> torch.Tensor:
     """Return the mean intensity over the area of each pixel of a window in the middle of a field.
 
-    The intensity has twice the band of the field, so that samples at half steps describe it; its mean over squares is a
-    product of spectra: exact, but for what the grid wraps around. The samples at half steps are computed one
-    shift after the other, which takes a quarter of the memory of a finer grid.
+    It is a product of spectra: exact, but for what the grid wraps around.
 
     Parameters
     ----------
     shown : torch.Tensor
-        Band-limited field ``[rows, columns]`` with `orders` samples per pixel along each axis.
+        Band-limited field ``[2·rows·orders, 2·columns·orders]``.
     shape : sequence of int
         Rows and columns of pixels of the window.
     orders : int
         Samples per pixel.
     """
-    # In the order of the transform: sample 0 is the optical axis.
-    spectrum, total = torch.fft.fft2(torch.fft.ifftshift(shown)), 0.0
-    shifted, weights = zip(*(_half_steps(n, orders, shown.real) for n in shown.shape), strict=True)
-    for a, b in itertools.product(range(2), range(2)):
-        light = intensity(torch.fft.ifft2(spectrum * shifted[0][a][:, None] * shifted[1][b]))
-        half = weights[1][b][: shown.shape[1] // 2 + 1]
-        total = total + torch.fft.rfft2(light) * weights[0][a][:, None] * half
-    return _middles(torch.fft.fftshift(torch.fft.irfft2(total, shown.shape)), shape, orders)
-
-
-def _half_steps(n: int, orders: int, like: torch.Tensor) -> list[list[torch.Tensor]]:
-    """Return factors of a spectrum that shift a field by 0 and ½ sample, and those that take means of its intensity.
-
-    The intensity at whole and half samples has frequencies up to one cycle per sample. At whole samples those above a
-    half fall on those below; each is weighted by the transform of a pixel.
-    """
-    f = torch.fft.fftfreq(n, dtype=torch.float64)
-    alias = f - torch.where(f < 0, -1.0, 1.0)
-    between, sinc = torch.polar(torch.ones_like(f), math.pi * f), [torch.sinc(orders * g) for g in (f, alias)]
-    # The highest frequency is one with its negative: half of it turns each way.
-    shifts = [torch.ones_like(between), torch.where(f == -0.5, 0.0, 1.0) * between]
-    # A shift by half a sample changes the sign of the aliases.
-    means = [(sinc[0] + sinc[1]) / 2 + 0j, (sinc[0] - sinc[1]) / 2 * between.conj()]
-    kind = torch.complex64 if like.dtype == torch.float32 else torch.complex128
-    return [[v.to(like.device, kind) for v in row] for row in (shifts, means)]
+    return resolved(fine_intensity(shown), 2 * orders, shape, (1.0, 1.0), 1)

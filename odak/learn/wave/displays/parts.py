@@ -55,8 +55,8 @@ class Shares:
             if share or self.ranks
         ]
 
-    def images(self, lights: tuple[torch.Tensor, ...], powers: torch.Tensor) -> torch.Tensor:
-        """Return what the display shows of what its panels do to light, the sum of what each device computes of it."""
+    def images(self, observer: Any, lights: tuple[torch.Tensor, ...], powers: torch.Tensor) -> torch.Tensor:
+        """Return what an observer sees of what panels do to light, the sum of what each device computes of it."""
         images: list[list[Any]] = [[0.0] * self.shape[1] for _ in range(self.shape[0])]
         if self.ranks is not None:
             *lights, powers = (self.ranks.sharing(values) for values in (*lights, powers))  # type: ignore[assignment]
@@ -64,12 +64,13 @@ class Shares:
             *there, own = (values.to(display.powers.device, non_blocking=True) for values in (*lights, powers))
             # A rank without a part computes one that does not count, since all ranks take part in the gradient.
             for part in parts or [Part(0, (0,), display.lit_frames[0][:1])]:
-                shown = display.images_of(part, tuple(there), own).to(powers.device, non_blocking=True)
+                shown = display.images_of(part, observer, tuple(there), own).to(powers.device, non_blocking=True)
                 for plane, image in zip(part.planes, (shown if parts else 0 * shown).unbind(-3), strict=True):
                     images[plane][part.colour] = images[plane][part.colour] + image
         if self.ranks is None:
             return torch.stack([torch.stack(row, -3) for row in images], -4)
-        nothing = torch.zeros_like(self.parts[0][0].lit_by_source(lights, 0)[-1].real[..., 0, :, :])
+        like = self.parts[0][0].lit_by_source(lights, 0)[-1].real[..., 0, :, :]
+        nothing = like.new_zeros(observer.grids, *like.shape)
         return self.ranks.sum(torch.stack([torch.stack([nothing + one for one in row], -3) for row in images], -4))
 
 

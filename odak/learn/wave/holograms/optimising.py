@@ -13,7 +13,10 @@ from odak._torch_private import differentiates, in_own_precision
 from odak.learn.tools.iterations import Run
 from odak.learn.wave.devices import DISTRIBUTED, Ranks, on_devices, used_devices
 from odak.learn.wave.displays.display import Display
+from odak.learn.wave.displays.judge import judged
+from odak.learn.wave.displays.observers import ANYWHERE, Observer, brightest, decibels, squared_errors
 from odak.learn.wave.displays.parts import copied_to, shared_among
+from odak.learn.wave.holograms.bounds import tell_bounds
 from odak.learn.wave.holograms.problem import Problem, Solver
 from odak.learn.wave.holograms.result import DisplayedHologram
 from odak.learn.wave.holograms.solvers.descent import Descent
@@ -44,6 +47,7 @@ def optimise(
     start: str | torch.Tensor = "gs",
     run: Run | None = None,
     devices: Sequence[torch.device | str | int] | str | None = None,
+    observer: Observer | None = None,
 ) -> DisplayedHologram: ...
 
 
@@ -56,6 +60,7 @@ def optimise(
     start: str | torch.Tensor = "gs",
     run: Run | None = None,
     devices: Sequence[torch.device | str | int] | str | None = None,
+    observer: Observer | None = None,
 ) -> list[DisplayedHologram]: ...
 
 
@@ -69,11 +74,13 @@ def optimise(
     start: str | torch.Tensor = "gs",
     run: Run | None = None,
     devices: Sequence[torch.device | str | int] | str | None = None,
+    observer: Observer | None = None,
 ) -> DisplayedHologram | list[DisplayedHologram]:
     """Return the patterns that show a target on a display, with their images and quality.
 
     Use it for a picture on one plane, for several planes, colours and frames alike. What is optimised is what is
-    stated: means over the areas of pixels, on planes or on the retinas of :class:`Eyes`.
+    stated: what an observer sees, on planes or on the retinas of :class:`Eyes`. The solvers "gs", "double phase" and
+    "network" cannot aim at an observer; what it sees of their patterns is stated alike.
 
     Parameters
     ----------
@@ -102,6 +109,9 @@ def optimise(
         each picture is computed by one device; of a single picture the planes, colours and frames are shared out, for
         solvers that descend along a gradient. "distributed" shares out in the same way among the processes of
         `torch.distributed`, each on the device of its display: all call this with the same arguments.
+    observer : Observer, optional
+        Who looks; by default a camera of the image's pitch at any place. A camera whose pixels are known to be those of
+        the image is ``Observer.camera(registered=True)``; what is optimised for it alone is worse for every other.
 
     Returns
     -------
@@ -134,14 +144,17 @@ def optimise(
     >>> hologram.phases.shape, bool(hologram.psnr > 20)
     (torch.Size([1, 48, 64]), True)
     """
-    if not isinstance(display, Display):
-        raise TypeError(f"display must be an odak.learn.wave.Display, got {type(display).__name__}")
     run = Run() if run is None else run
-    if not isinstance(run, Run):
-        raise TypeError(f"run must be an odak.learn.wave.Run, got {type(run).__name__}")
+    observer = ANYWHERE if observer is None else observer
+    for name, given, kind in (("display", display, Display), ("run", run, Run), ("observer", observer, Observer)):
+        if not isinstance(given, kind):
+            raise TypeError(f"{name} must be an odak.learn.wave.{kind.__name__}, got {type(given).__name__}")
+    for colour in range(display.shape[1]):
+        observer.places(display.shape[2:], display.path.image_pitches(colour))
     where = None if devices is None else used_devices(devices, display.powers.device)
     if isinstance(target, list):
-        return _optimise_each(display, target, where, {"loss": loss, "solver": solver, "start": start}, run)
+        options = {"loss": loss, "solver": solver, "start": start, "observer": observer}
+        return _optimise_each(display, target, where, options, run)
     focal = target if isinstance(target, FocalTargets) else focal_targets(display, target)
     target = checked_target(display, target if focal is None else focal.targets)
     if isinstance(solver, str):
@@ -164,29 +177,31 @@ def optimise(
         stops = run.callback is not None and run.callback(iteration, value) is True
         return where.any(stops, value.device) if isinstance(where, Ranks) and run.callback is not None else stops
 
+    tell_bounds(display, target)
     begun = starting_phases(display, target, start, run.seed)
     own = replace(run, callback=record, progress=run.progress and not (isinstance(where, Ranks) and where.rank))
-    problem = Problem(display if where is None else shared_among(display, where), target, loss, begun, own)
+    shared = display if where is None else shared_among(display, where)
+    problem = Problem(shared, target, loss, begun, own, observer=observer)
     solved = solver.solve(problem)
     solved = solved if isinstance(solved, tuple) else (solved,)
     phases, powers, amplitudes = (*solved, None, None)[:3]
     amplitudes = None if first is None or amplitudes is None else first.shown(amplitudes)
     phases, display = display.modulator.shown(phases), display if powers is None else display.lit_by(powers)
-    areas, points = display.judge(phases, amplitudes)
-    brightness = brightness_of(areas, target)
-    images, lights = areas * brightness, brightness[:, 0, 0]
+    areas, points, compared = judged(display, phases, amplitudes, observer, target)
+    lights = brightest(compared).to(areas)
+    images = areas * lights[:, None, None]
     if powers is not None:
-        shared = powers / powers.sum(0) * lights.clamp_min(1e-6)
-        display = display.lit_by(shared / shared.max())
+        relative = powers / powers.sum(0) * lights.clamp_min(1e-6)
+        display = display.lit_by(relative / relative.max())
 
     def ratio(shown, wanted=target):
-        return -10 * torch.log10((shown - wanted).square().mean((-2, -1)).clamp_min(1e-30))
+        return decibels((shown - wanted).square().mean((-2, -1)))
 
     at_points = ratio(points * brightness_of(points, target))
     sharp = None if focal is None else ratio((images * focal.masks).sum(0), (target * focal.masks).sum(0))
     history = tuple(torch.stack(losses).tolist()) if losses else ()
-    ratios = ratio(images), at_points
-    return DisplayedHologram(display, target, phases, images, lights, *ratios, history, sharp, amplitudes)
+    ratios = decibels(squared_errors(compared, lights.double())).to(areas), at_points
+    return DisplayedHologram(display, target, phases, images, lights, *ratios, history, sharp, amplitudes, observer)
 
 
 def _optimise_each(display, targets, where, options: dict[str, Any], run: Run) -> list[DisplayedHologram]:

@@ -1,5 +1,6 @@
 """Problems of holograms, and the objects that solve them. Touches a display by what it shows of patterns."""
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -8,6 +9,7 @@ import torch
 
 from odak.learn.tools.iterations import Run
 from odak.learn.wave.displays.display import Display
+from odak.learn.wave.displays.observers import ANYWHERE, Observer
 from odak.learn.wave.training import brightness_of
 
 
@@ -29,6 +31,8 @@ class Problem:
         How long, with what progress and seed.
     free : bool
         Whether the brightness of the images is free.
+    observer : Observer
+        Who looks: what is recorded on its grids is compared with the means of the target's squares there.
 
     Examples
     --------
@@ -56,6 +60,7 @@ class Problem:
     start: torch.Tensor
     run: Run
     free: bool = True
+    observer: Observer = ANYWHERE
 
     def loss_of(
         self, phases: torch.Tensor, powers: torch.Tensor | None = None, amplitudes: torch.Tensor | None = None
@@ -76,11 +81,23 @@ class Problem:
         torch.Tensor
             The loss.
         """
-        return self.loss(self.scaled(self.display(phases, powers, amplitudes)), self.target)
+        images = self.scaled(self.display.recorded_by(self.observer, phases, powers, amplitudes))
+        each = [self.loss(*pair) for pair in zip(images, self.wanted, strict=True)]
+        return torch.stack(each).mean(0) if len(each) > 1 else each[0]
+
+    @functools.cached_property
+    def wanted(self) -> torch.Tensor:
+        """What the observer is to record, ``[grids, D, C, rows, columns]``."""
+        colours = range(self.display.shape[1])
+        pitches = [self.display.path.image_pitches(c) for c in colours]
+        return torch.stack([self.observer.wanted(self.target[:, c], pitches[c]) for c in colours], -3)
 
     def scaled(self, images: torch.Tensor) -> torch.Tensor:
-        """Return images at the brightness of each colour that is closest to the target: sources can be dimmed."""
-        return images * brightness_of(images.detach(), self.target) if self.free else images
+        """Return what is recorded at the brightness of each colour that is closest to what is wanted.
+
+        Sources can be dimmed. The shape is that of :attr:`wanted`.
+        """
+        return images * brightness_of(images.detach(), self.wanted) if self.free else images
 
 
 class Solver(Protocol):

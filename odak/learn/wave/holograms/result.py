@@ -7,6 +7,8 @@ import torch
 
 from odak import _show
 from odak.learn.wave.displays.display import Display
+from odak.learn.wave.displays.judge import judged
+from odak.learn.wave.displays.observers import ANYWHERE, Observer, brightest, decibels, squared_errors
 from odak.learn.wave.slm import TURN
 
 
@@ -24,19 +26,22 @@ class DisplayedHologram:
         Phases in radians as the panel shows them, by its levels, ``[F, rows, columns]``.
     images : torch.Tensor
         Means over the areas of pixels, at the brightness closest to the target, ``[D, C, rows, columns]``, by
-        :meth:`Display.judge`.
+        :meth:`Display.judge`: what a camera records whose pixels are those of the image.
     brightness : torch.Tensor
         Factor of each colour by which images are brighter than what :meth:`Display.forward` returns, ``[C]``.
     psnr : torch.Tensor
-        Peak signal-to-noise ratio of the images in decibels, ``[D, C]``.
+        Peak signal-to-noise ratio of what the observer sees in decibels, ``[D, C]``: for a camera at any place the
+        least over its places by quarters of a pixel, without the outermost pixels.
     psnr_at_points : torch.Tensor
-        The same of the intensities at the middles of pixels, which no sensor sees.
+        That of the intensities at the middles of pixels, which no sensor sees.
     losses : tuple of float
         Loss after each iteration.
     psnr_in_focus : torch.Tensor, optional
         Of a target with depth: the same ratio of each colour with each pixel from its own plane, ``[C]``.
     amplitudes : torch.Tensor, optional
         Amplitudes of the panel that the modulator is lit through, by its levels, ``[F, rows, columns]``.
+    observer : Observer
+        Who looks.
 
     Examples
     --------
@@ -58,6 +63,28 @@ class DisplayedHologram:
     losses: tuple[float, ...] = field(default=(), repr=False)
     psnr_in_focus: torch.Tensor | None = None
     amplitudes: torch.Tensor | None = None
+    observer: Observer = ANYWHERE
+
+    @property
+    def psnr_registered(self) -> torch.Tensor:
+        """Peak signal-to-noise ratio of the images in decibels, ``[D, C]``: of a camera whose pixels are theirs."""
+        return decibels((self.images - self.target).square().mean((-2, -1)))
+
+    def psnr_of(self, observer: Observer) -> torch.Tensor:
+        """Return what :attr:`psnr` is for another observer, each colour at the brightness that is best for it.
+
+        Parameters
+        ----------
+        observer : Observer
+            Who looks.
+
+        Returns
+        -------
+        torch.Tensor
+            Decibels ``[D, C]``.
+        """
+        compared = judged(self.display, self.phases, self.amplitudes, observer, self.target)[2]
+        return decibels(squared_errors(compared, brightest(compared))).to(self.psnr)
 
     def levels(self) -> torch.Tensor:
         """Return the levels to send to the panel, int32 ``[F, rows, columns]``."""
@@ -70,6 +97,7 @@ class DisplayedHologram:
                 **self.display.path.place(d),
                 "wavelength": wavelength,
                 "psnr_db": float(self.psnr[d, c]),
+                "psnr_registered_db": float(self.psnr_registered[d, c]),
                 "psnr_at_points_db": float(self.psnr_at_points[d, c]),
                 "brightness": float(self.brightness[c]),
             }
@@ -80,7 +108,7 @@ class DisplayedHologram:
     def __repr__(self) -> str:
         worst, best = (f"{float(v):.1f}" for v in (self.psnr.min(), self.psnr.max()))
         span = worst if worst == best else f"{worst} to {best}"
-        return f"DisplayedHologram: {span} dB over the areas of pixels, {self.display.extra_repr()}"
+        return f"DisplayedHologram: {span} dB for {self.observer.in_words()}, {self.display.extra_repr()}"
 
     def _repr_html_(self) -> str:
         return _show.page(self, DisplayedHologram._view)
@@ -91,11 +119,12 @@ class DisplayedHologram:
         pictures = [(name, _show.png(_picture(planes.detach().cpu()))) for name, planes in named]
         pictures.append(("pattern", _show.png((self.phases[0] / TURN).detach().cpu())))
         places = [self.display.path.place_in_words(d) for d in range(self.display.shape[0])]
-        head = places[0][0], "wavelength", "PSNR over areas", "at points", "brightness"
+        head = places[0][0], "wavelength", "PSNR", "registered", "at points", "brightness"
         rows = [
             (
                 *(places[i // self.display.shape[1]][1], f"{1e9 * r['wavelength']:.4g} nm"),
-                *(f"{r['psnr_db']:.1f} dB", f"{r['psnr_at_points_db']:.1f} dB", f"{r['brightness']:.4g}"),
+                *(f"{r[name]:.1f} dB" for name in ("psnr_db", "psnr_registered_db", "psnr_at_points_db")),
+                f"{r['brightness']:.4g}",
             )
             for i, r in enumerate(self.table())
         ]

@@ -139,6 +139,17 @@ class Path:
         """Return of which kind the place of an image is, and the place in words."""
         return "plane", f"{1e3 * self.distances[image]:.6g} mm"
 
+    def image_pitches(self, colour: int) -> tuple[float, float]:
+        """Return how far apart pixels of the image of a colour are along rows and columns, in metres."""
+        return self.pitches
+
+    def band(self, colour: int, image: int) -> tuple[float, float] | None:
+        """Return the half axes of the ellipse that holds the frequencies of an image, in cycles per pixel of it.
+
+        They are those of the intensity, twice the field's. None where all frequencies of a picture of pixels pass.
+        """
+        return None
+
     def cutoff(self, colour: int) -> float | None:
         """Return the highest frequency that a round iris passes, in cycles per metre; None without one."""
         return self.iris.cutoff(self.wavelengths[colour]) if isinstance(self.iris, Iris) else None

@@ -147,6 +147,11 @@ class FreePath(Path):
         """Return where the images are, in words."""
         return f"plane{'s' * (len(self.distances) > 1)} at {listed(self.distances, 1e3)} mm"
 
+    def band(self, colour, image):
+        """Return the half axes of the ellipse that holds the frequencies of an image, in cycles per pixel of it."""
+        cutoff = self.cutoff(colour)
+        return None if cutoff is None else (2 * cutoff * self.pitches[0], 2 * cutoff * self.pitches[1])
+
     def kernels(self, kept, colour: int, dtype: torch.dtype, planes) -> torch.Tensor:
         """Return the transfer functions to all points of a pixel on some planes, ``[planes·samples², 2m, 2n]``."""
         if isinstance(self.ends, Free) and _array.is_traced(self.ends.distances):

@@ -50,6 +50,12 @@ class LensPath(Path):
         lit = torch.fft.ifft2(torch.fft.ifftshift(field, dim=(-2, -1)), norm="ortho")
         return torch.fft.fftshift(lit, dim=(-2, -1)) * self._before(kept, colour, field.dtype).conj()
 
+    def image_pitches(self, colour):
+        """Return how far apart points of the image of a colour are along rows and columns, in metres."""
+        length = self.wavelengths[colour] / self.medium * abs(self.ends.ray_matrix[1])
+        down, across = (length / (n * p) for n, p in zip(self.sizes, self.pitches, strict=True))
+        return down, across
+
     def in_words(self):
         """Return where the images are, in words."""
         return f"lens of {1e3 * self.ends.focal_length:.4g} mm"

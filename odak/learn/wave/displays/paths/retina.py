@@ -76,6 +76,12 @@ class RetinaPath(Path):
         width = math.sqrt(self.fill)
         return Sight(self.ends, eye, self.sizes, self.pitches, self.wavelengths[colour], width, self.iris == "order")
 
+    def band(self, colour, image):
+        """Return the half axes of the ellipse that holds the frequencies of an image, in cycles per pixel of it."""
+        sight = self.sight(colour, image)
+        down, across = (2 * half / sight.box(axis) for axis, half in enumerate(sight.pupil()[1]))
+        return down, across
+
     def _checked(self) -> int:
         """Return how many points of a pixel describe what eyes see; warn where they see no image of the panel."""
         sights = [self.sight(c, e) for c in range(len(self.wavelengths)) for e in range(len(self.ends))]

@@ -1,0 +1,384 @@
+"""Observers of a display: cameras and eyes, what they record of an intensity, and of a picture of squares.
+
+The intensity of a field has twice the band of the field. Its means over the areas of the panel's pixels, one for each,
+do not determine it: they tell what one camera sees, whose pixels coincide with the panel's. Means on four grids half a
+pixel apart do, so that what is good on these is good for a camera at any place.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from odak import _array, _validate
+from odak._torch_private import in_own_precision
+from odak.learn.wave.fields import intensity
+
+# Pixels on either side, beside half the camera's, that a mean is computed from; see _weights.
+_REACH = 4
+# Pixels whose means are one product of matrices.
+_BLOCK = 16
+# Places in a pixel of the panel, along each axis, at which a camera is judged.
+PLACES = 4
+# Pixels at each rim that are not judged by a camera at any place.
+_RING = 1
+
+
+@_validate.takes_units("pitch")
+@dataclass(frozen=True)
+class Observer:
+    """Who looks at a display: a camera of square pixels at any place or at one, or an eye.
+
+    Make one by :meth:`camera`, which is the default everywhere, or :meth:`points`. The stated quality is the least over
+    the places of a camera's pixels by quarters of a pixel of the panel along both axes, without the outermost pixels.
+
+    Parameters
+    ----------
+    pitch : float, optional
+        Distance of neighbouring pixels of the camera in metres; by default that of the image, one pixel of the panel.
+    fill : float
+        Share of the area of a camera's pixel that is sensitive; 0 for points.
+    magnification : float
+        Size of the image on the camera over that on the plane of the display.
+    registered : bool
+        Whether the camera's pixels coincide with those of the image, which no camera does by itself.
+
+    Examples
+    --------
+    >>> from odak.learn.wave import Observer
+    >>> Observer.camera()
+    Observer: a camera of the image's pitch, at any place
+    >>> Observer.camera(3.45e-6, magnification=0.5)
+    Observer: a camera of 6.9 µm on the image, at any place
+    """
+
+    pitch: float | None = None
+    fill: float = 1.0
+    magnification: float = 1.0
+    registered: bool = False
+
+    def __post_init__(self):
+        if self.pitch is not None:
+            object.__setattr__(self, "pitch", _validate.constant("pitch", self.pitch, positive=True))
+        if not 0 <= _validate.real("fill", self.fill) <= 1:
+            raise ValueError(f"fill must be 0 to 1, got {self.fill!r:.80}")
+        _validate.real("magnification", self.magnification, positive=True)
+        _validate.flag("registered", self.registered)
+        if self.registered and not (self.pitch is None and self.magnification == 1):
+            raise ValueError(
+                "pitch must be None and magnification 1 for a registered camera, whose pixels are those of the image; "
+                f"got {self.pitch!r:.80} and {self.magnification!r:.80}"
+            )
+
+    @classmethod
+    def camera(
+        cls, pitch: float | None = None, fill: float = 1.0, magnification: float = 1.0, registered: bool = False
+    ) -> "Observer":
+        """Return a camera; see :class:`Observer` for the parameters."""
+        return cls(pitch, fill, magnification, registered)
+
+    @classmethod
+    def points(cls) -> "Observer":
+        """Return an observer of the intensity at the middles of pixels, which no sensor sees: for theory."""
+        return cls(fill=0.0, registered=True)
+
+    def __repr__(self) -> str:
+        return f"Observer: {self.in_words()}"
+
+    def in_words(self) -> str:
+        """Return who looks, in words."""
+        if self.fill == 0 and self.registered:
+            return "points in the middles of pixels"
+        wide = (
+            "the image's pitch"
+            if self.pitch is None
+            else f"{1e6 * self.pitch / self.magnification:.4g} µm on the image"
+        )
+        wide += "" if self.fill == 1 else f" (fill {self.fill:g})"
+        return f"a camera of {wide}, {'whose pixels are those of the image' if self.registered else 'at any place'}"
+
+    @property
+    def grids(self) -> int:
+        """How many grids :meth:`recorded` returns."""
+        return 1 if self.registered else 4
+
+    def steps(self, pitches: Sequence[float]) -> tuple[float, float]:
+        """Return the distances of the camera's pixels along rows and columns, in pixels of an image.
+
+        Parameters
+        ----------
+        pitches : sequence of float
+            Distances of the image's pixels along rows and columns in metres.
+        """
+        own = [p if self.pitch is None else self.pitch for p in pitches]
+        down, across = (o / (self.magnification * p) for o, p in zip(own, pitches, strict=True))
+        return down, across
+
+    def sides(self, pitches: Sequence[float]) -> tuple[float, float]:
+        """Return the sides of what is sensitive of the camera's pixels, in pixels of an image; see :meth:`steps`."""
+        down, across = (math.sqrt(self.fill) * step for step in self.steps(pitches))
+        return down, across
+
+    @in_own_precision
+    def recorded(self, points: torch.Tensor, pitches: Sequence[float]) -> torch.Tensor:
+        """Return means over the camera's pixels about all pixels of an image, on one grid or on four.
+
+        Parameters
+        ----------
+        points : torch.Tensor
+            Intensities at the points of each pixel ``[planes, samples, samples, rows, columns]``, the first of which is
+            its middle.
+        pitches : sequence of float
+            Distances of the image's pixels along rows and columns in metres.
+
+        Returns
+        -------
+        torch.Tensor
+            Means ``[grids, planes, rows, columns]``, on grids that are displaced by half a pixel along columns, along
+            rows and along both. Instead of what lies beyond the last pixel they hold the mean about it again.
+        """
+        planes, samples, _, rows, columns = points.shape
+        values = points.permute(0, 3, 1, 4, 2).reshape(planes, rows * samples, columns * samples)
+        grids = 1 if self.registered else 2
+        for axis, side in zip((-1, -2), self.sides(pitches)[::-1], strict=True):
+            values = _filtered(values, samples, side, grids, axis)
+        return torch.stack([values[:, y::grids, x::grids] for y in range(grids) for x in range(grids)])
+
+    def wanted(self, target: torch.Tensor, pitches: Sequence[float]) -> torch.Tensor:
+        """Return what :meth:`recorded` is for a picture of squares ``[..., rows, columns]``, ``[grids, ...]``."""
+        grids = 1 if self.registered else 2
+        ends = [np.minimum(np.arange(n * grids) / grids, n - 1) for n in target.shape[-2:]]
+        whole = means_of_squares(target, ends, self.sides(pitches))
+        return torch.stack([whole[..., y::grids, x::grids] for y in range(grids) for x in range(grids)])
+
+    def places(self, shape: Sequence[int], pitches: Sequence[float]) -> list[list[slice]]:
+        """Return along rows and along columns which of the places 0, ¼, ½ … of an image each place of the camera takes.
+
+        Parameters
+        ----------
+        shape : sequence of int
+            Rows and columns of the image.
+        pitches : sequence of float
+            Distances of its pixels along rows and columns in metres.
+
+        Raises
+        ------
+        ValueError
+            If no pixel of the camera lies within the image without its outermost pixels.
+        """
+        found = []
+        for n, step, side in zip(shape, self.steps(pitches), self.sides(pitches), strict=True):
+            if self.registered:
+                found.append([slice(0, n * PLACES, PLACES)])
+                continue
+            first = math.ceil(PLACES * (_RING - 0.5 + side / 2) - 1e-6)
+            last = math.floor(PLACES * (n - _RING - 0.5 - side / 2) + 1e-6)
+            quarters = PLACES * step
+            # A camera whose pixels are no whole number of quarters apart is at all places at once.
+            whole = round(quarters) if abs(quarters - round(quarters)) < 1e-3 else 1
+            if last < first:
+                raise ValueError(
+                    f"observer must have pixels within an image of {n} pixels without the outermost, got {side:.4g} of "
+                    "them wide"
+                )
+            stop = last + 1
+            found.append([slice(first + k, stop, whole) for k in range(min(whole, stop - first))])
+        return found
+
+    def compared(
+        self, light: torch.Tensor, samples: int, target: torch.Tensor, pitches: Sequence[float]
+    ) -> torch.Tensor:
+        """Return how what is recorded at each place compares with a picture of squares.
+
+        Parameters
+        ----------
+        light : torch.Tensor
+            Intensity ``[2·rows·samples, 2·columns·samples]`` around an image; see :func:`resolved`.
+        samples : int
+            Samples for each pixel of the image along each axis.
+        target : torch.Tensor
+            The picture ``[rows, columns]``.
+        pitches : sequence of float
+            Distances of the image's pixels along rows and columns in metres.
+
+        Returns
+        -------
+        torch.Tensor
+            Means of image², image · target and target² over the pixels of the camera at each place, ``[places, 3]``.
+        """
+        sides, quarters = self.sides(pitches), [np.arange(n * PLACES) / PLACES for n in target.shape]
+        image = resolved(light, samples, target.shape, sides).double()
+        wanted = means_of_squares(target.double(), quarters, sides)
+        down, across = self.places(target.shape, pitches)
+        products = torch.stack([image * image, image * wanted, wanted * wanted])
+        return torch.stack([products[:, y, x].mean((-2, -1)) for y in down for x in across])
+
+
+# The default of all that takes an observer, and the one of means over the areas of the image's pixels.
+ANYWHERE, REGISTERED = Observer.camera(), Observer.camera(registered=True)
+
+
+def brightest(compared: torch.Tensor) -> torch.Tensor:
+    """Return the factor of each colour at which images are closest to a target at all places of all planes, ``[C]``.
+
+    `compared` is ``[D, C, places, 3]`` by :meth:`Observer.compared`.
+    """
+    squares, products, _ = compared.sum((0, 2)).unbind(-1)
+    return products / squares.clamp_min(torch.finfo(squares.dtype).tiny)
+
+
+def squared_errors(compared: torch.Tensor, brightness: torch.Tensor) -> torch.Tensor:
+    """Return the largest mean squared error over the places of an observer, ``[D, C]``; see :func:`brightest`."""
+    squares, products, wanted = compared.unbind(-1)
+    factor = brightness[:, None]
+    return (factor**2 * squares - 2 * factor * products + wanted).amax(-1)
+
+
+def decibels(errors: torch.Tensor) -> torch.Tensor:
+    """Return peak signal-to-noise ratios of mean squared errors of intensities 0 … 1."""
+    return -10 * torch.log10(errors.clamp_min(1e-30))
+
+
+def fine_intensity(shown: torch.Tensor) -> torch.Tensor:
+    """Return the intensity of a periodic field ``[rows, columns]`` at twice as many points along each axis.
+
+    These describe it, since it has twice the band of the field. They are computed one shift of the field after another.
+    """
+    spectrum = torch.fft.fft2(shown)
+    light = torch.empty([2 * n for n in shown.shape], dtype=shown.real.dtype, device=shown.device)
+    down, across = (_half_step(n, shown) for n in shown.shape)
+    for y, x in itertools.product(range(2), repeat=2):
+        light[y::2, x::2] = intensity(torch.fft.ifft2(spectrum * down[y][:, None] * across[x]))
+    return light
+
+
+def _half_step(n: int, like: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the factors of a spectrum that shift a field by nothing and by half a sample."""
+    f = torch.fft.fftfreq(n, dtype=torch.float64)
+    # The highest frequency is one with its negative: half of it turns each way.
+    turn = torch.polar(torch.where(f == -0.5, 0.0, 1.0).double(), math.pi * f)
+    return torch.ones_like(turn).to(like), turn.to(like)
+
+
+def resolved(
+    light: torch.Tensor, samples: int, shape: Sequence[int], sides: Sequence[float], places: int = PLACES
+) -> torch.Tensor:
+    """Return the means of an intensity over squares about some places of each pixel: products of spectra.
+
+    Parameters
+    ----------
+    light : torch.Tensor
+        Intensity ``[2·rows·samples, 2·columns·samples]``; pixel n // 2 of the image lies at sample n · samples.
+    samples : int
+        Samples for each pixel of the image along each axis, which describe the intensity.
+    shape : sequence of int
+        Rows and columns of the image.
+    sides : sequence of float
+        Sides of the squares along rows and columns, in pixels.
+    places : int
+        Places in each pixel along each axis, of which the first is its middle.
+
+    Returns
+    -------
+    torch.Tensor
+        Means ``[rows · places, columns · places]``.
+    """
+    finer = places * math.ceil(samples / places)
+    for axis, n, side in zip((-1, -2), shape[::-1], sides[::-1], strict=True):
+        cycles = torch.fft.rfftfreq(light.shape[axis], 1 / samples, dtype=torch.float64)
+        passed = (torch.sinc(side * cycles) * finer / samples).to(light)
+        spectrum = torch.fft.rfft(light, dim=axis) * (passed if axis == -1 else passed[:, None])
+        light = torch.fft.irfft(spectrum, 2 * n * finer, axis)
+        chosen = slice((n - n // 2) * finer, (2 * n - n // 2) * finer, finer // places)
+        light = light[:, chosen] if axis == -1 else light[chosen]
+    return light
+
+
+def means_of_squares(target: torch.Tensor, places: Sequence[np.ndarray], sides: Sequence[float]) -> torch.Tensor:
+    """Return the means of a picture of squares over squares about places of rows and of columns, in pixels.
+
+    Of squares that reach beyond the picture, the mean of what lies within it.
+    """
+    down, across = (
+        torch.from_numpy(_shares(n, np.asarray(p, float), side)).to(target)
+        for n, p, side in zip(target.shape[-2:], places, sides, strict=True)
+    )
+    return down @ target @ across.mT
+
+
+def _shares(count: int, places: np.ndarray, side: float) -> np.ndarray:
+    """Return which share of squares about places each of some pixels has along an axis, ``[places, count]``."""
+    half, pixels, places = max(side / 2, 1e-6), np.arange(count), np.minimum(places, count - 0.5)
+    low, high = places[:, None] - half, places[:, None] + half
+    covered = np.clip(np.minimum(high, pixels + 0.5) - np.maximum(low, pixels - 0.5), 0, None)
+    return covered / covered.sum(1, keepdims=True)
+
+
+def _filtered(values: torch.Tensor, samples: int, side: float, grids: int, axis: int) -> torch.Tensor:
+    """Return means of some side about pixels along an axis of ``[planes, ..., ...]``, `grids` for each pixel."""
+    here, beyond = (part.to(values) for part in _weights(samples, side, grids))
+    reach, step, count = _reach(samples, side), len(here), values.shape[axis] // samples
+    blocks = -(-count * samples // step)
+    values = _continued(values, reach, (blocks + 1) * step - values.shape[axis] - reach, axis)
+    values = values.unflatten(axis, (blocks + 1, step))
+    # A block of means depends on the points of its own block and on the first ones of the next.
+    if axis == -2:
+        means = here.mT @ values[:, :-1] + beyond.mT @ values[:, 1:, : len(beyond)]
+        whole = means.flatten(1, 2)[:, : count * grids]
+    else:
+        means = values[..., :-1, :] @ here + values[..., 1:, : len(beyond)] @ beyond
+        whole = means.flatten(-2)[..., : count * grids]
+    if grids == 1:
+        return whole
+    # The last lies half beyond the picture.
+    return torch.cat([whole.narrow(axis, 0, 2 * count - 1), whole.narrow(axis, 2 * count - 2, 1)], axis)
+
+
+def _continued(values, before, after, axis):
+    """Return values that are continued at the ends of an axis by their last ones."""
+    ends = []
+    for place, count in ((0, before), (values.shape[axis] - 1, after)):
+        shape = list(values.shape)
+        shape[axis] = count
+        ends.append(values.narrow(axis, place, 1).expand(shape))
+    return torch.cat([ends[0], values, ends[1]], axis)
+
+
+def _reach(samples: int, side: float) -> int:
+    return samples * (_REACH + math.ceil(max(0.0, side - 1) / 2))
+
+
+@_array.constant_in_graphs
+def _weights(samples: int, side: float, grids: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the matrices from the points of a block of pixels, and of the next, to `grids` means for each pixel."""
+    reach = _reach(samples, side)
+    pixels = max(_BLOCK, 2 * reach // samples + 1)
+    whole = np.zeros((pixels * samples + 2 * reach + samples, pixels * grids))
+    for grid in range(grids):
+        taps, first = _taps(samples, side, grid / grids, reach)
+        for pixel in range(pixels):
+            start = pixel * samples + first
+            whole[start : start + len(taps), pixel * grids + grid] = taps
+    here, beyond = torch.from_numpy(whole).split([pixels * samples, 2 * reach + samples])
+    return here, beyond
+
+
+def _taps(samples: int, side: float, place: float, reach: int) -> tuple[np.ndarray, int]:
+    """Return the weights of a mean about a place of a pixel, of an intensity that is known at points of each pixel.
+
+    The intensity has frequencies up to samples/2 cycles per pixel, at which its spectrum, an autocorrelation, falls to
+    zero. The spectrum of the weights is the nearest one to the mean's sin(πsf)/(πsf), by least squares with the square
+    of that fall. The second result is the first point that has a weight, `reach` points before the middle of the pixel.
+    """
+    cycles = np.linspace(0, samples / 2, 64 * samples)
+    middle = place * samples
+    # Distances from the place of the points on one side of it, which lie alike on the other.
+    lags = np.arange(reach + 1) if middle == int(middle) else np.arange(reach) + 0.5
+    columns = np.cos(2 * np.pi * cycles[:, None] * lags / samples) * np.where(lags == 0, 1, 2)
+    weight = (1 - cycles / (samples / 2))[:, None] ** 2 + 1e-4
+    half = np.linalg.lstsq(columns * weight, np.sinc(side * cycles)[:, None] * weight, rcond=None)[0][:, 0]
+    whole = np.concatenate([half[:0:-1] if lags[0] == 0 else half[::-1], half])
+    return whole / whole.sum(), round(middle - lags[-1]) + reach

@@ -1,0 +1,215 @@
+"""Observers against plane waves and picture squares that are summed up independently."""
+
+import numpy as np
+import pytest
+import torch
+from independent_camera import (
+    Seen,
+    SquareStop,
+    camera,
+    freely,
+    picture_means,
+)
+
+from odak.instruments import Lens
+from odak.learn.wave import Display, Iris, Modulator, Observer, Problem, Run, optimise
+from odak.learn.wave.displays.observers import fine_intensity, resolved
+
+PITCH, WAVELENGTH, SQUARE = 8e-6, 532e-9, (1.0, 1.0)
+GRIDS = [(0, 0), (0, 0.5), (0.5, 0), (0.5, 0.5)]
+
+
+def seen_of(phases, distance=2e-3, orders=1, powers=None):
+    """Return what is seen of phases ``[frames, rows, columns]`` by the independent computation."""
+    transfer, reach = freely(PITCH, WAVELENGTH, distance)
+    frames = np.exp(1j * np.asarray(phases, float))
+    stop = SquareStop(frames.shape[1:], reach, orders)
+    return Seen(frames, [1 / len(frames)] * len(frames) if powers is None else powers, stop, transfer)
+
+
+@pytest.fixture
+def picture():
+    """Return a smooth picture with an edge in it, 40 × 36."""
+    y, x = np.mgrid[:40, :36]
+    return torch.from_numpy(0.5 + 0.3 * np.sin(y / 5) * np.cos(x / 7) + 0.2 * (x + y > 40)).float()
+
+
+@pytest.mark.parametrize("side", [0.5, 1, 1.5, 3])
+@pytest.mark.parametrize("orders", [1, 3])
+def test_means_about_and_between_pixels_are_those_of_the_intensity(random, orders, side):
+    seen, samples = seen_of(random.uniform(0, 6, (1, 24, 28)), orders=orders), 2 * orders
+    places = [np.arange(n * samples) / samples for n in (24, 28)]
+    points = torch.from_numpy(seen.on_a_grid(*places)).reshape(24, samples, 28, samples).permute(1, 3, 0, 2)[None]
+    found = Observer.camera(side).recorded(points, SQUARE)[:, 0].numpy()
+    inside = np.s_[6:-6, 6:-6]
+    for grid, (down, across) in zip(found, GRIDS, strict=True):
+        expected = seen.means(np.arange(24) + down, np.arange(28) + across, side, 12)
+        assert np.linalg.norm((grid - expected)[inside]) < 2e-3 * np.linalg.norm(expected[inside])
+
+
+def test_means_of_a_picture_of_squares(random):
+    picture = random.random((9, 11))
+    found = Observer.camera(1.5).wanted(torch.from_numpy(picture), SQUARE).numpy()
+    for grid, (down, across) in zip(found, GRIDS, strict=True):
+        expected = picture_means(picture, np.arange(9) + down, np.arange(11) + across, 1.5)
+        assert np.abs(grid - expected)[1:-2, 1:-2].max() < 1e-12
+    # A half-shifted grid has no place beyond the last pixel: it holds the mean about that pixel again.
+    assert np.array_equal(found[3][-1], found[1][-1]) and np.array_equal(found[3][:, -1], found[2][:, -1])
+    registered = Observer.camera(registered=True).wanted(torch.from_numpy(picture), SQUARE)
+    assert registered.shape == (1, 9, 11) and np.allclose(registered[0], picture)
+
+
+def test_points_are_the_points(random):
+    points = torch.from_numpy(random.random((2, 3, 3, 7, 8)))
+    assert torch.allclose(Observer.points().recorded(points, SQUARE)[0], points[:, 0, 0])
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3])
+def test_means_of_a_wave_are_its_closed_form(samples):
+    """Of 1 + cos(2πfx) over a side s about x: 1 + sinc(fs)·cos(2πfx), where few samples describe it."""
+    f, places = 0.2 if samples == 1 else 0.7, np.arange(40 * samples) / samples
+    light = 1 + 0.8 * np.cos(2 * np.pi * f * places)
+    points = torch.from_numpy(light.reshape(40, samples).T.copy())[None, :, None, :, None].expand(
+        1, samples, samples, 40, 9
+    )
+    found = Observer.camera().recorded(points, SQUARE)[:, 0, 8:-8, 4].numpy()
+    for grid, (down, _) in zip(found, GRIDS, strict=True):
+        expected = 1 + 0.8 * np.sinc(f) * np.cos(2 * np.pi * f * (np.arange(8, 32) + down))
+        assert np.abs(grid - expected).max() < 5e-3
+
+
+def test_a_product_of_spectra_takes_means_at_any_place():
+    """A periodic field of few plane waves, whose intensity and means have a closed form."""
+    sizes, f = (12, 10), ((2, -3), (-5, 4))
+    y, x = np.meshgrid(*(np.arange(2 * n) for n in sizes), indexing="ij")
+    field = 1 + sum(0.5 * np.exp(2j * np.pi * (a * y / 24 + b * x / 20)) for a, b in f)
+    light = fine_intensity(torch.from_numpy(field))
+    found = resolved(light, 2, sizes, (1.5, 0.7)).numpy()
+    rows, columns = (np.arange(4 * n) / 4 + n - n // 2 for n in sizes)
+    waves = [(1, 0, 0), *((0.5, *pair) for pair in f)]
+    expected = 0
+    for p, a, b in waves:
+        for q, c, d in waves:
+            down, across = (a - c) / 24, (b - d) / 20
+            turn = np.exp(2j * np.pi * (down * rows[:, None] + across * columns))
+            expected = expected + p * q * np.sinc(1.5 * down) * np.sinc(0.7 * across) * turn
+    assert np.abs(found - expected.real).max() < 1e-12
+    assert np.abs(resolved(light, 2, sizes, (1.5, 0.7), 1).numpy() - found[::4, ::4]).max() < 1e-12
+
+
+def test_what_is_stated_holds_for_a_camera_at_any_place(picture):
+    """And what is optimised for pixels that coincide does not."""
+    display, run = (
+        Display(Modulator(picture.shape, PITCH), WAVELENGTH, 2e-3, 2, torch.ones(2, 1)),
+        Run(60, progress=False),
+    )
+    start = torch.rand(2, *picture.shape, generator=torch.Generator().manual_seed(3)) * 6
+    anywhere, registered = (
+        optimise(display, picture, start=start, run=run, observer=who)
+        for who in (None, Observer.camera(registered=True))
+    )
+    target = picture.double().numpy()
+    for found in (anywhere, registered):
+        ratios = camera(seen_of(found.phases), target)
+        assert abs(ratios.min() - float(found.psnr_of(Observer.camera()))) < 0.3
+        whole = seen_of(found.phases).means(*map(np.arange, picture.shape)) * float(found.brightness)
+        assert abs(-10 * np.log10(np.mean((whole - target) ** 2)) - float(found.psnr_registered)) < 0.5
+    assert torch.isclose(anywhere.psnr, anywhere.psnr_of(anywhere.observer)).all()
+    assert torch.isclose(registered.psnr, registered.psnr_registered).all()
+    assert float(anywhere.psnr) > float(registered.psnr_of(Observer.camera())) + 5
+    assert float(registered.psnr_registered) > float(anywhere.psnr_registered)
+    assert "any place" in repr(anywhere) and "those of the image" in repr(registered)
+    assert anywhere.table()[0]["psnr_registered_db"] == float(anywhere.psnr_registered)
+    assert "registered" in anywhere._repr_html_()
+
+
+@pytest.mark.parametrize(("pitch", "fill"), [(0.5, 1), (1.25, 0.8), (1.5, 1), (2, 1), (3, 0.5)])
+def test_cameras_of_other_pitches(random, picture, pitch, fill):
+    display = Display(Modulator(picture.shape, PITCH), WAVELENGTH, 2e-3)
+    found = optimise(display, picture, run=Run(8, progress=False))
+    stated = found.psnr_of(Observer.camera(pitch * 2e-6, fill, magnification=0.25))
+    quarters = round(4 * pitch)
+    expected = camera(seen_of(found.phases), picture.double().numpy(), pitch, fill, quarters)
+    assert abs(float(stated) - expected.min()) < 0.3
+
+
+def test_a_camera_of_its_own_pitch_is_optimised_for(picture):
+    display, run = Display(Modulator(picture.shape, PITCH), WAVELENGTH, 2e-3), Run(40, progress=False)
+    fine = Observer.camera(PITCH / 2)
+    aimed, usual = optimise(display, picture, run=run, observer=fine), optimise(display, picture, run=run)
+    assert float(aimed.psnr) > float(usual.psnr_of(fine)) + 0.5
+
+
+def test_a_camera_whose_pixels_are_no_whole_quarters_apart_is_at_all_places(picture):
+    found = Observer.camera(1.1).places(picture.shape, SQUARE)
+    assert [[len(range(160)[s]) for s in axis] for axis in found] == [[147], [131]]
+    assert len(Observer.camera(1.25).places(picture.shape, SQUARE)[0]) == 5
+    # None of the four places reaches into the outermost pixel, ±½ about the first and the last middle.
+    for places in Observer.camera().places(picture.shape, SQUARE):
+        assert [(s.start, s.step) for s in places] == [(4, 4), (5, 4), (6, 4), (7, 4)]
+    assert max(range(160)[s][-1] for s in Observer.camera().places(picture.shape, SQUARE)[0]) == 4 * 38
+
+
+def test_other_losses_see_all_grids(picture):
+    display, shapes = Display(Modulator(picture.shape, PITCH), WAVELENGTH, 2e-3), []
+
+    def loss(image, target):
+        shapes.append(tuple(image.shape))
+        return (image - target).abs().mean()
+
+    phases = torch.rand(1, *picture.shape)
+    problem = Problem(display, picture[None, None], loss, phases, Run(), False)
+    images = display.recorded_by(Observer.camera(), phases)
+    wanted = Observer.camera().wanted(picture, SQUARE)[:, None, None]
+    assert torch.isclose(problem.loss_of(phases), (images - wanted).abs().mean())
+    assert shapes == [(1, 1, 40, 36)] * 4
+    assert torch.equal(images[0], display(phases))
+    alone = Problem(display, picture[None, None], loss, phases, Run(), False, Observer.camera(registered=True))
+    assert torch.isclose(alone.loss_of(phases), (display(phases) - picture).abs().mean())
+
+
+def test_gradients_reach_the_phases_from_all_grids(random):
+    display = Display(Modulator((6, 8), PITCH, None), WAVELENGTH, 1e-3, iris=Iris(1e-3, 0.1))
+    phases = torch.from_numpy(random.uniform(0, 6, (1, 6, 8))).requires_grad_()
+    torch.autograd.gradcheck(lambda p: display.recorded_by(Observer.camera(12e-6, 0.8), p), phases)
+
+
+def test_points_of_an_image_behind_a_lens_have_their_own_pitch():
+    """λ·f/(n·pitch) apart: a camera of this pitch is the camera of the image's pitch."""
+    display = Display(Modulator((24, 24), PITCH), WAVELENGTH, Lens(0.1))
+    target = torch.zeros(24, 24)
+    target[6:14, 8:18] = 1
+    found = optimise(display, target, run=Run(10, progress=False))
+    apart = WAVELENGTH * 0.1 / (24 * PITCH)
+    assert np.allclose(display.path.image_pitches(0), apart)
+    assert torch.isclose(found.psnr, found.psnr_of(Observer.camera(apart))).all()
+
+
+def test_colours_and_planes_have_a_number_each(picture):
+    display = Display(Modulator(picture.shape, PITCH), [639e-9, 515e-9], [2e-3, 3e-3])
+    found = optimise(display, picture.expand(2, 2, 40, 36), run=Run(4, progress=False))
+    assert found.psnr.shape == found.psnr_registered.shape == (2, 2)
+    assert torch.allclose(found.psnr, found.psnr_of(found.observer), atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Observer.camera(-1e-6), "pitch must be positive"),
+        (lambda: Observer.camera(fill=1.5), "fill must be 0 to 1, got 1.5"),
+        (lambda: Observer.camera(magnification=0), "magnification must be positive"),
+        (lambda: Observer.camera(3e-6, registered=True), "pitch must be None and magnification 1 for a registered"),
+        (lambda: Observer.camera(40.0).places((40, 36), SQUARE), "observer must have pixels within an image of 40"),
+    ],
+)
+def test_what_no_observer_can_be(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_an_observer_is_an_observer(picture):
+    display = Display(Modulator(picture.shape, PITCH), WAVELENGTH, 2e-3)
+    with pytest.raises(TypeError, match=r"observer must be an odak.learn.wave.Observer, got str"):
+        optimise(display, picture, observer="camera")
+    with pytest.raises(ValueError, match="observer must have pixels within an image of 40 pixels"):
+        optimise(display, picture, observer=Observer.camera(1e-3))
