@@ -101,6 +101,10 @@ def test_nothing_newer_imports_the_older_doors():
         if part_of(other, [older]) and not part_of(module, [older])
     } == set()
     assert "odak.learn.tools.iterations" in imports()[f"{older}.multiplane"]
+    doors = [name for name, home in structure.stubs()["odak.learn.wave"].items() if part_of(home, [older])]
+    assert {"propagator", "stochastic_gradient_descent", "get_angular_spectrum_kernel"} < set(doors)
+    texts = {name: inspect.getdoc(getattr(odak.learn.wave, name)) for name in doors}
+    assert [name for name, text in texts.items() if " : The successor" not in text] == []
 
 
 def test_modules_do_not_import_each_other_in_a_circle():

@@ -114,6 +114,11 @@ def eyebox_hologram(
     ValueError, TypeError
         If an argument is outside its range, naming it.
 
+    See Also
+    --------
+    odak.learn.wave.optimise : The successor: holograms for a :class:`odak.learn.wave.Display`, with
+        :class:`odak.learn.wave.Eyes` in place of its distances.
+
     Notes
     -----
     Pupil samples in the loss: Choi et al., Time-multiplexed neural holography, SIGGRAPH (2022), section 4.3.

@@ -71,6 +71,10 @@ def get_propagation_kernel(
     ValueError
         If the method has no transfer function, or an argument is outside its range.
 
+    See Also
+    --------
+    odak.learn.wave.propagate_beam : The successor: propagates a field by a method of that name, or by the best one.
+
     Examples
     --------
     Free space delays a plane wave along the axis by 2πz/λ, here by a quarter of a cycle:
@@ -117,6 +121,10 @@ def get_angular_spectrum_kernel(
     -------
     torch.Tensor
         Complex ``[nu, nv]``, zero frequency at index n // 2; differentiable in lengths that are tensors.
+
+    See Also
+    --------
+    odak.learn.wave.propagate_beam : The successor: propagates a field by a method of that name, or by the best one.
 
     Examples
     --------
@@ -165,6 +173,10 @@ def get_band_limited_angular_spectrum_kernel(
     torch.Tensor
         Complex ``[nu, nv]``, zero frequency at index n // 2; differentiable in lengths that are tensors.
 
+    See Also
+    --------
+    odak.learn.wave.propagate_beam : The successor: propagates a field by a method of that name, or by the best one.
+
     Examples
     --------
     On the axis its phase is 2πz/λ, here a quarter of a cycle:
@@ -212,6 +224,10 @@ def get_incoherent_angular_spectrum_kernel(
     torch.Tensor
         Complex ``[nu, nv]``, zero frequency at index n // 2; differentiable in lengths that are tensors.
 
+    See Also
+    --------
+    odak.learn.wave.propagate_beam : The successor: propagates a field by a method of that name, or by the best one.
+
     Examples
     --------
     It is 1 at zero frequency, so that the sum of an intensity is kept:
@@ -258,6 +274,10 @@ def get_transfer_function_fresnel_kernel(
     -------
     torch.Tensor
         Complex ``[nu, nv]``, zero frequency at index n // 2; differentiable in lengths that are tensors.
+
+    See Also
+    --------
+    odak.learn.wave.propagate_beam : The successor: propagates a field by a method of that name, or by the best one.
 
     Examples
     --------
@@ -311,6 +331,10 @@ def get_impulse_response_fresnel_kernel(
     -------
     torch.Tensor
         Complex ``[nu·scale, nv·scale]``, zero frequency at index n // 2; differentiable in lengths that are tensors.
+
+    See Also
+    --------
+    odak.learn.wave.propagate_beam : The successor: propagates a field by a method of that name, or by the best one.
 
     Examples
     --------
@@ -373,6 +397,10 @@ def get_seperable_impulse_response_fresnel_kernel(
     tuple of torch.Tensor
         Transfer function H and impulse response h, ``[nu·scale, nv·scale]``, and the factors h_x ``[nv·scale]`` and
         h_y ``[nu·scale]``, all centred; h = exp(ikz)/(iλz)·h_y·h_x.
+
+    See Also
+    --------
+    odak.learn.wave.propagate_beam : The successor: propagates a field by a method of that name, or by the best one.
 
     Examples
     --------
@@ -438,6 +466,10 @@ def get_light_kernels(
     tuple of torch.Tensor
         Amplitude, phase (0 … 2π) and complex kernel ``[W, D, P, m·s, n·s]``, and parameters ``[W, D, P, m·s, n·s, 5]``
         (wavelength, distance, pitch, X, Y). All are differentiable in lengths that are tensors.
+
+    See Also
+    --------
+    odak.learn.wave.fit_display : The successor: a model of a display, fitted to what a camera captures.
 
     Examples
     --------
@@ -544,6 +576,10 @@ def get_point_wise_impulse_response_fresnel_kernel(
     ------
     ValueError
         If the number of targets does not match the resolution, or the distance is zero.
+
+    See Also
+    --------
+    odak.learn.wave.rayleigh_sommerfeld_sum : The successor: the light of free points, without the approximation.
 
     Examples
     --------

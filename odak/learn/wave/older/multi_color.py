@@ -128,6 +128,11 @@ class multi_color_hologram_optimizer(Prepared):
     ValueError, TypeError
         If an argument is outside its range or does not fit the propagator, naming it.
 
+    See Also
+    --------
+    odak.learn.wave.optimise : The successor: holograms for a :class:`odak.learn.wave.Display`, with
+        ``solver=Descent(powers=True)`` for shared frames.
+
     Notes
     -----
     Kavaklı et al., Multi-color holograms improve brightness in holographic displays, SIGGRAPH Asia (2023), section 3.
@@ -688,6 +693,11 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
     **others
         Further options of :class:`multi_color_hologram_optimizer`: `camera`, `initial_phase`, `progress`, `callback`,
         `checkpoint`, `checkpoint_every` and `seed`.
+
+    See Also
+    --------
+    odak.learn.wave.optimise : The successor: holograms for a :class:`odak.learn.wave.Display`, with
+        ``solver=Descent(powers=True)`` for shared frames.
 
     Examples
     --------

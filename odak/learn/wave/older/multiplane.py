@@ -89,6 +89,10 @@ class multiplane_hologram_optimizer(Prepared):
     ValueError, TypeError
         If an argument is outside its range, naming it.
 
+    See Also
+    --------
+    odak.learn.wave.optimise : The successor: holograms for a :class:`odak.learn.wave.Display`, on several planes.
+
     Examples
     --------
     >>> import torch

@@ -210,6 +210,11 @@ class propagator(display_volume):
     ValueError, TypeError
         If an argument is outside its range, naming it.
 
+    See Also
+    --------
+    odak.learn.wave.Display : The successor, which shows means over the areas of pixels; with a relay, a mask, another
+        method or learned distances by :class:`odak.learn.wave.Free`.
+
     Examples
     --------
     >>> import torch

@@ -251,6 +251,11 @@ def stochastic_gradient_descent(
     ValueError, TypeError
         If an argument is outside its range, naming it.
 
+    See Also
+    --------
+    odak.learn.wave.optimise : The successor: holograms for a :class:`odak.learn.wave.Display`, by solver
+        "adam" or "lbfgs".
+
     Notes
     -----
     Chen et al., Math. Program. 176, 5 (2019); Peng et al., ACM Trans. Graph. 39, 185 (2020), whose section 4 is the
@@ -410,6 +415,10 @@ def gerchberg_saxton(
     ValueError, TypeError
         If an argument is outside its range, naming it.
 
+    See Also
+    --------
+    odak.learn.wave.optimise : The successor: holograms for a :class:`odak.learn.wave.Display`, by solver "gs".
+
     Notes
     -----
     The arguments of :func:`odak.learn.wave.stochastic_gradient_descent` are accepted too, its older ones included; the
@@ -471,6 +480,10 @@ def point_wise(
     ------
     ValueError, TypeError
         If an argument is outside its range, naming it.
+
+    See Also
+    --------
+    odak.learn.wave.optimise : The successor: holograms for a :class:`odak.learn.wave.Display`, of any picture.
 
     Examples
     --------
@@ -541,6 +554,11 @@ def shift_w_double_phase(
     torch.Tensor
         Phase ``[rows, columns]``: φ − arccos(a) where row and column are both even or both odd, φ + arccos(a)
         elsewhere.
+
+    See Also
+    --------
+    odak.learn.wave.optimise : The successor: holograms for a :class:`odak.learn.wave.Display`, by solver
+        "double phase".
 
     Notes
     -----
@@ -634,6 +652,11 @@ def double_phase_hologram(
     -----
     AccuracyWarning
         If there is no iris, or one that passes the orders of the checkerboard.
+
+    See Also
+    --------
+    odak.learn.wave.optimise : The successor: holograms for a :class:`odak.learn.wave.Display`, by solver
+        "double phase".
 
     Notes
     -----

@@ -702,7 +702,7 @@ class holographic_display(display_volume):
 
     See Also
     --------
-    odak.learn.wave.propagator : With a relay, sources whose powers are learned, and a model of the modulator.
+    odak.learn.wave.Display : The successor, which shows means over the areas of pixels.
 
     Examples
     --------
