@@ -48,6 +48,8 @@ def test_the_turns_together_take_each_test_once(tmp_path):
     places = [[turn.place(name, tmp_path / "test/test_a.py") for turn in turns] for name in names]
     assert all(sorted(row, key=str) == [0] + [None] * 5 for row in places)
     assert all(20 < sum(row[k] == 0 for row in places) < 50 for k in range(6))
+    files = [[turn.takes_file(tmp_path / f"test/test_{i}.py") for turn in turns] for i in range(200)]
+    assert all(sum(row) == 1 for row in files) and all(20 < sum(row[k] for row in files) < 50 for k in range(6))
 
 
 @pytest.mark.skipif("PYTEST_XDIST_WORKER" not in os.environ, reason="one process runs all tests")

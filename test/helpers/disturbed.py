@@ -10,6 +10,7 @@ PyTorch is disturbed in all of its operations, NumPy and SciPy where they are ca
 operators and methods of their arrays (``a @ b``, ``a.sum()``) and other processes remain as they are.
 """
 
+import contextlib
 import functools
 import sys
 import threading
@@ -86,8 +87,7 @@ _ELEMENTARY = {
     "exp2", "expm1", "log", "log2", "log10", "log1p", "pow", "sigmoid", "erf", "erfc", "erfinv", "lgamma",
     "digamma", "hypot", "angle", "rsqrt", "polar", "sinc", "softplus", "gelu", "logaddexp", "_softmax",
     "_log_softmax", "xlogy", "special_bessel_j0", "special_bessel_j1", "special_i0e", "special_i1", "special_erfcx",
-    "lerp", "addcmul", "addcdiv", "cumsum", "cumprod", "prod", "grid_sampler_2d", "grid_sampler_3d",
-    "upsample_bilinear2d", "upsample_bicubic2d",
+    "cumsum", "cumprod", "prod",
 }  # fmt: skip
 _TRANSFORMS = {
     "_fft_c2c", "_fft_r2c", "_fft_c2r", "linalg_inv_ex", "_linalg_solve_ex", "linalg_cholesky_ex", "_linalg_eigh",
@@ -104,7 +104,8 @@ _BIASED = {"addmm": (1, 0), "baddbmm": (2, 1), "addmv": (1, 0)}
 
 def _plain(tensor) -> bool:
     """Say whether numbers of a tensor can be changed here: those of subclasses and of other devices cannot."""
-    return type(tensor) in (torch.Tensor, torch.nn.Parameter) and tensor.device.type == "cpu" and tensor.ndim >= 0
+    kind = type(tensor) in (torch.Tensor, torch.nn.Parameter)
+    return kind and tensor.device.type == "cpu" and tensor.layout == torch.strided
 
 
 def _disturbed(tensor, seed: int):
@@ -245,6 +246,10 @@ def disturb_numpy(seed: int) -> None:
     """Put disturbed functions in place of those of NumPy and SciPy, for the rest of the process."""
     import scipy.fft
     import scipy.linalg
+
+    # What looks at the kind of NumPy's functions is imported before.
+    with contextlib.suppress(ImportError):
+        import dask.array  # noqa: F401
 
     calls, replaced = _numpy_calls(seed), {}
     for module, names, kind in (

@@ -20,6 +20,10 @@ class Turn:
             return 1
         return 2 if path in self._of_changed_modules else None
 
+    def takes_file(self, path):
+        """Return whether a file of default tests is among those of the turn."""
+        return zlib.crc32(Path(path).relative_to(self.root).as_posix().encode()) % self.turns == self.turn
+
     @functools.cached_property
     def _changed(self):
         """The files that commits of the last day changed; none where there is no history."""

@@ -41,8 +41,9 @@ def test_round_trip(name, seed, batch):
     assert there(image.float()).dtype == torch.float32
 
 
-@pytest.mark.parametrize(("name", "tolerance"), [("sRGB", 1e-6), ("XYZ", 1e-6), ("HSV", 1e-6), ("Lab", 1e-6)])
+@pytest.mark.parametrize(("name", "tolerance"), [("sRGB", 1e-6), ("XYZ", 1e-6), ("HSV", 5e-6), ("Lab", 1e-6)])
 def test_round_trip_in_single_precision(name, tolerance):
+    """A hue of up to 2π is a place on a way of six sextants, each as long as a colour's range: 6·6·eps = 4.3e-6."""
     there, back, _ = PAIRS[name]
     image = torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0))
     assert (back(there(image)) - image).abs().max() < tolerance

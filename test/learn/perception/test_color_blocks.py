@@ -28,8 +28,9 @@ def test_blocks_do_not_show(function, monkeypatch):
         results.append((value, torch.autograd.grad(value, image, outer)[0]))
         with torch.no_grad():
             torch.testing.assert_close(function(image), value, rtol=0, atol=0)
+    # L*a*b* are differences of numbers of up to 500: 4·500·eps.
     for one, two in zip(*results, strict=True):
-        torch.testing.assert_close(one, two, rtol=1e-13, atol=1e-13)
+        torch.testing.assert_close(one, two, rtol=1e-13, atol=5e-13)
 
 
 @pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning")

@@ -334,7 +334,8 @@ def test_single_precision_stays_near_double():
     system = load_system("double_gauss")
     wide, narrow = (trace_fields(system, dtype=dtype, vignetting=False) for dtype in (F64, torch.float32))
     assert narrow.x.dtype == torch.float32
-    assert float((narrow.y - wide.y).abs().max()) < 1e-4
+    # Eleven surfaces round coordinates of a track of 140 mm, each time by up to three units in the last place.
+    assert float((narrow.y - wide.y).abs().max()) < 3 * 11 * 140 * torch.finfo(torch.float32).eps
 
 
 def test_memory_kept_for_gradients():

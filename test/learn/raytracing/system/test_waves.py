@@ -194,7 +194,8 @@ def test_gradients_through_field_and_propagation():
         return image.abs().square().sum(0), torch.view_as_real(wave.field[20:28, 20:28])
 
     inputs = [value.clone().requires_grad_() for value in (numbers.curvature, numbers.thickness)]
-    assert torch.autograd.gradcheck(values, inputs, eps=1e-7, rtol=1e-5, atol=1e-5, fast_mode=True)
+    # Phases are known to 2π·path/λ times the rounding error, 1e-10 here: smaller steps differ by this over the step.
+    assert torch.autograd.gradcheck(values, inputs, eps=3e-6, rtol=1e-5, atol=1e-5, fast_mode=True)
 
 
 def test_a_batch_of_systems_and_single_precision():
@@ -334,9 +335,13 @@ def test_several_fields_are_each_of_them():
     several = propagated_point_spread_function(lens, 64, fields=[(0.0, 0.0), (0.0, 1.0), (0.5, 0.5)])
     assert several.intensity.shape == (1, 3, 64, 64) and several.strehl.shape == (1, 3)
     pitch = float(several.pitch[0, 0, 0])
+    # Twice the phase's rounding error, 2π·path/λ·eps, for a path of 10 mm.
+    rounding = 2 * 2 * torch.pi * 10 / 550e-6 * torch.finfo(F64).eps
     for i in (0, 1):
-        one = propagated_point_spread_function(lens, 64, pitch, field=i)
-        torch.testing.assert_close(several.intensity[:, i : i + 1], one.intensity, rtol=1e-12, atol=1e-15)
+        one = propagated_point_spread_function(lens, 64, pitch, field=i).intensity
+        torch.testing.assert_close(
+            several.intensity[:, i : i + 1], one, rtol=rounding, atol=rounding * one.max().item()
+        )
 
 
 def test_strehl_ratios_take_as_many_rays_as_the_wavefront_needs():
