@@ -1,5 +1,6 @@
 """First-order optical systems: Collins' integral with the pitch that each plane needs, and benches of elements."""
 
+import inspect
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -209,7 +210,7 @@ def filter_in_focal_plane(
     focal_length: float,
     dx: float | Sequence[float],
     wavelength: float,
-    scales: int = 3,
+    scales: int = 4,
 ) -> Array:
     """Return a field after a lens, a mask in its focal plane and a second lens of the same focal length.
 
@@ -248,7 +249,8 @@ def filter_in_focal_plane(
     to its own window and back (Soummer, Pueyo, Sivaramakrishnan and Vanderbei, Opt. Express 15, 15935 (2007)). Of the
     light of a disc behind a vortex of charge 2, all of which should leave the disc (Mawet, Riaud, Absil and Surdej,
     Astrophys. J. 633, 1191 (2005)), 4e-5 remain with one scale, and 3.5e-6 and 9e-7 with two or more for discs of 205
-    and 410 pixels across: what remains then is due to the pixels of its edge. A mask of ones is met to 1e-5.
+    and 410 pixels across: what remains then is due to the pixels of its edge. Of charges 6 and 8 these are 5e-6 and
+    1.2e-6, with three scales and four. A mask of ones is met to 1e-5.
 
     Examples
     --------
@@ -276,14 +278,16 @@ def filter_in_focal_plane(
     radii = [radius / _FINER**i for i in range(scales - 1)]
     grids = [(finest, tuple(2 * n for n in shape))]
     grids += [([2 * r / _WINDOW_SAMPLES] * 2, (_WINDOW_SAMPLES, _WINDOW_SAMPLES)) for r in radii]
+    # The finest grids have pitches that a caller would not mean, which takes_units refuses.
+    transform, matrix = inspect.unwrap(propagate_abcd), [[0.0, focal_length], [-1 / focal_length, 0.0]]
     result: Any = 0.0
     for i, (there, counts) in enumerate(grids):
         y, x = (centred(like, n, axis) * step for n, step, axis in zip(counts, there, (-2, -1), strict=True))
         share = xp.ones_like(y * x) if i == 0 else _inside(y, x, radii[i - 1])
         share = share - _inside(y, x, radii[i]) if i < len(radii) else share
-        seen, _ = lens_fourier_transform(field, focal_length, steps, wavelength, None, there, counts)
+        seen, _ = transform(field, matrix, steps, wavelength, there, counts, 2 * focal_length)
         seen = seen * xp.astype(_array.cast(mask(y, x), seen) * share, field.dtype)
-        back, _ = lens_fourier_transform(seen, focal_length, there, wavelength, None, steps, shape)
+        back, _ = transform(seen, matrix, there, wavelength, steps, shape, 2 * focal_length)
         result = result + back
     return result
 
@@ -413,7 +417,7 @@ class FreeSpace:
     """
 
     distance: Any
-    propagation_type: str = "Bandlimited Angular Spectrum"
+    propagation_type: str = "auto"
     window_shape: Any = None
     window_dx: Any = None
     offset: Any = (0.0, 0.0)

@@ -25,6 +25,7 @@ import scipy.fft
 
 from odak import _array, _validate
 from odak._array import convolve_plainly, make_complex, numpy_namespace, phasor_of_cycles
+from odak._warnings import ArgumentWarning, warn
 from odak.tools.matrix import zero_pad
 
 _log = logging.getLogger("odak")
@@ -701,6 +702,7 @@ def check_geometry(k, distance, dx, wavelength, batch: tuple[int, ...] | None = 
             raise ValueError(f"{name} must contain at least one number, got the shape {shape}")
     if any(shapes.values()):
         _validate.fitting(field=batch or (), **shapes)
+        _warn_of_pixel_axes(batch or (), shapes)
     for shape in (shapes["dx"], shapes["dx[1]"]):
         if batch is not None and not _fits_within(shape, batch):
             raise ValueError(
@@ -726,6 +728,18 @@ def check_geometry(k, distance, dx, wavelength, batch: tuple[int, ...] | None = 
             )
         if abs(number - expected) > 1e-6 * expected:
             _log.info("k is 2π/wavelength = %.9g for wavelength %r; %r was given", expected, length, number)
+
+
+def _warn_of_pixel_axes(batch: tuple[int, ...], shapes: dict[str, tuple[int, ...]]) -> None:
+    """Warn of lengths that have axes for rows and columns too: fields would multiply in number."""
+    for name, shape in shapes.items():
+        whole = np.broadcast_shapes(batch, shape)
+        if whole != batch and batch and shape[-2:] == (1, 1) and _fits_within(shape[:-2], batch):
+            warn(
+                f"{name} broadcasts against the leading axes of field without its rows and columns: with the shape "
+                f"{shape} fields {batch} become {whole}; give the shape {shape[:-2]} for one for each field",
+                ArgumentWarning,
+            )
 
 
 def _fits_within(shape: tuple[int, ...], batch: tuple[int, ...]) -> bool:

@@ -367,7 +367,7 @@ def test_a_budget_states_where_power_is_lost(random):
     field = np.exp(2j * np.pi * random.random((n, n)))
     opened = RectangularAperture(20 * dx, 32 * dx, (dx / 2, dx / 2)).apply(field, dx, WAVELENGTH)[0]
     wide = propagate_beam(np.pad(opened, n // 2), None, z, dx, WAVELENGTH, "BLAS")
-    bench = optical_bench([RectangularAperture(20 * dx, 32 * dx, (dx / 2, dx / 2)), FreeSpace(z)], WAVELENGTH)
+    bench = optical_bench([RectangularAperture(20 * dx, 32 * dx, (dx / 2, dx / 2)), FreeSpace(z, "BLAS")], WAVELENGTH)
     powers = [(np.abs(u) ** 2).sum() for u in (field, opened, wide, wide[n // 2 : -n // 2, n // 2 : -n // 2])]
     lost = -np.diff(powers) / powers[0]
     for light in (field, torch.as_tensor(field)):
@@ -469,6 +469,34 @@ def test_a_vortex_sends_the_light_of_a_disc_out_of_it(xp):
     same = np.asarray(wave.filter_in_focal_plane(field, lambda y, x: 1 + 0 * y * x, 1.0, 1e-4, 1e-6))
     turned = np.roll(disc[::-1, ::-1], 1, (0, 1)) * np.exp(2j * np.pi * 4 / 1e-6) * -1
     np.testing.assert_allclose(same, turned, atol=2e-5)
+
+
+def test_all_scales_of_a_focal_plane_are_taken_and_the_default_serves_high_charges():
+    """The finest pitches, of nanometres, are none that a caller means; more scales change nothing that is left."""
+    radius, inner = 1.02e-2, 0.9 * 1.02e-2
+    disc = odak.wave.circular_aperture((256, 256), 1e-4, radius) + 0j
+    inside = odak.wave.circular_aperture((256, 256), 1e-4, inner) > 0
+    for charge in (6, 8):
+
+        def vortex(y, x, charge=charge):
+            turn = x + 1j * y
+            return (turn / np.maximum(abs(turn), 1e-30)) ** charge
+
+        default, most = (
+            odak.wave.filter_in_focal_plane(disc, vortex, 1.0, 1e-4, 1e-6, **scales) for scales in ({}, {"scales": 6})
+        )
+        assert np.abs(default - most).max() < 1e-3
+        left = [(abs(found[inside]) ** 2).sum() / (abs(disc) ** 2).sum() for found in (default, most)]
+        assert left[1] < 6e-6 and abs(left[0] - left[1]) < 1e-8
+
+
+def test_a_bench_propagates_as_propagate_beam_does(random):
+    field = np.exp(2j * np.pi * random.random((48, 40)))
+    distance = 3 * 48 * 8e-6**2 / WAVELENGTH
+    found, _ = optical_bench([FreeSpace(distance)], WAVELENGTH).propagate(field, 8e-6)
+    exact = propagate_beam(field, None, distance, 8e-6, WAVELENGTH, "Linear Angular Spectrum")
+    assert np.linalg.norm(found - exact) < 1e-6 * np.linalg.norm(exact)
+    assert FreeSpace(distance).propagation_type == "auto"
 
 
 @pytest.mark.parametrize(

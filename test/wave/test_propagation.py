@@ -573,3 +573,22 @@ class TestOlderCalls:
         np.testing.assert_array_equal(np.asarray(found), np.asarray(propagate(take(field), None, *lengths)))
         with pytest.raises(ValueError, match="k must be 2π/wavelength"):
             propagate(take(field), 2 * 3.1 / WAVELENGTH, *lengths)
+
+
+@pytest.mark.parametrize("length", ["wavelength", "distance"])
+def test_lengths_with_axes_of_rows_and_columns_are_named(length, random, recwarn):
+    """[C, 1, 1] beside fields [C, m, n] makes C × C fields, as the leading axes alone broadcast."""
+    field = random.normal(size=(3, 8, 10)) + 0j
+    lengths = {"distance": 1e-3, "wavelength": 532e-9}
+    of_each = np.array([1.0, 1.1, 1.2]) * lengths[length]
+
+    def propagated(field, shape):
+        return odak.wave.propagate_beam(field, None, dx=8e-6, **lengths | {length: of_each.reshape(shape)})
+
+    right = propagated(field, (3,))
+    outer = propagated(field[0], (3, 1, 1))
+    assert right.shape == (3, 8, 10) and outer.shape == (3, 1, 1, 8, 10)
+    assert propagated(field[:, None, None], (3, 1, 1)).shape == (3, 1, 1, 8, 10)
+    assert not recwarn.list
+    with pytest.warns(odak.ArgumentWarning, match=rf"{length} broadcasts .* \(3,\) become \(3, 1, 3\); give .* \(3,\)"):
+        assert propagated(field, (3, 1, 1)).shape == (3, 1, 3, 8, 10)

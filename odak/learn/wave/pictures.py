@@ -220,6 +220,8 @@ def picture_of(images: torch.Tensor, display: Display | Sequence[float] | float)
     """
     wavelengths, to_xyz = _sources(display)
     light = as_pictures("images", images, len(wavelengths))
+    if light.numel() == 0:
+        raise ValueError(f"images must have rows and columns, got {tuple(images.shape)}")
     _validate.check_values("images", light)
     if len(wavelengths) == 1:
         light = light.expand(*light.shape[:-3], 3, *light.shape[-2:])
@@ -274,7 +276,7 @@ def _decoded(picture: Any, linear: bool | None) -> tuple[torch.Tensor, str]:
     if not isinstance(picture, (str, os.PathLike)):
         values = floating("picture", picture)
         values = values[None] if values.ndim == 2 else values
-        if values.ndim != 3 or values.shape[0] not in (1, 3):
+        if values.ndim != 3 or values.shape[0] not in (1, 3) or values.numel() == 0:
             raise ValueError(f"picture must be [3, rows, columns] or [rows, columns], got {tuple(values.shape)}")
         _validate.check_values("picture", values, None if stated else "divide values of 0 … 255 by 255")
         values = values.expand(3, -1, -1)[None]

@@ -374,11 +374,14 @@ def test_planes_too_far_for_the_panel_are_named(phases):
     cycles = (np.arange(50_000) + 0.5) / 100_000  # and as many below zero, where everything is the same
     waves = np.cos(2 * np.pi * cycles[:, None] * np.arange(24))
     light = np.exp(1j * phases[0].numpy())
+    panel = Modulator((24, 20), PITCH, bits=None, fill=1.0)
     for distance, known in ((1.0, True), (3.0, False)):
-        display = Display(Modulator((24, 20), PITCH, bits=None, fill=1.0), WAVELENGTH, distance)
         if known:
+            display = Display(panel, WAVELENGTH, distance)
             found = display.fields(phases)[0, 0, 0].numpy()
         else:
+            with pytest.warns(ArgumentWarning, match="distances are in metres: over 3 m .* did you mean 3mm"):
+                display = Display(panel, WAVELENGTH, distance)
             with pytest.warns(SamplingWarning, match=r"24 × 20 samples, 8e-06 m apart, at a distance of 3 m is known"):
                 found = display.fields(phases)[0, 0, 0].numpy()
         chirp = np.sinc(cycles) * np.exp(-1j * np.pi * WAVELENGTH * distance * (cycles / PITCH) ** 2)
@@ -386,6 +389,25 @@ def test_planes_too_far_for_the_panel_are_named(phases):
         down, across = (response[np.abs(np.arange(n)[:, None] - np.arange(n))] for n in (24, 20))
         exact = np.abs(down @ light @ across)
         assert (np.abs(np.abs(found) - exact).max() < 0.02 * exact.max()) == known
+
+
+def test_millimetres_for_metres_are_named_once_where_a_display_is_made(recwarn):
+    Display(Modulator((1080, 1920), PITCH), WAVELENGTH, 150)
+    assert len(recwarn) == 1 and recwarn[0].filename == __file__
+    assert "over 150 m the first order of the pixels becomes 649 times as wide as the panel" in str(recwarn[0].message)
+    recwarn.clear()
+    for distance in (0.15, 5.0, -0.2):
+        Display(Modulator((1080, 1920), PITCH), WAVELENGTH, distance)
+    assert not recwarn.list
+
+
+@pytest.mark.parametrize("start", [None, "gs", "double phase"])
+def test_a_start_that_nobody_chose_warns_of_no_method(start, recwarn):
+    """Far from a small panel the band-limited method keeps a tenth of the band: the exact one gives the start."""
+    display = Display(Modulator((48, 48), PITCH), WAVELENGTH, 0.14)
+    options = {} if start is None else {"start": start}
+    optimise(display, torch.rand(48, 48), run=Run(iterations=1, progress=False), **options)
+    assert not [str(warning.message) for warning in recwarn]
 
 
 def test_displays_that_cannot_be_are_named():

@@ -12,7 +12,9 @@ from odak.learn.wave.holograms.solvers.double_phase import encode_double_phase
 from odak.learn.wave.holograms.solvers.network import network_on
 from odak.learn.wave.training import generator_from, started
 from odak.wave import phase_retrieval
+from odak.wave.methods import method_named, warnings_outside_range
 from odak.wave.propagation import propagate_within_window
+from odak.wave.transfer_functions import Request
 
 # The last three are the names of solvers too; see optimising.SOLVERS.
 STARTS = ("quadratic", "flat", "random", "double phase", "gs", "network")
@@ -116,18 +118,22 @@ def starting_phases(display, target, start, seed) -> torch.Tensor:
         accepted = ", ".join(map(repr, path.starts))
         raise ValueError(f"start must be {accepted} or phases {path.where}, got {name!r}")
     begun = path.begins or name if name == "gs" else name
+    method = method_named("Bandlimited Angular Spectrum")
     plane, phases = display.shape[0] // 2, torch.zeros(shape, dtype=target.dtype, device=target.device)
     brightest = display.powers.argmax(1).tolist()
     for colour in sorted(set(brightest)):
         frames = [frame for frame, lit in enumerate(brightest) if lit == colour]
         wavelength, distance = display.wavelengths[colour] / display.medium, display.distances[plane]
+        # Beyond its range this method keeps a small part of the band, and says so; nobody chose it.
+        request = Request(display.modulator.pitch, wavelength, distance)
+        outside = any(warnings_outside_range(method, display.modulator.resolution, request, padded=True))
         found = starting_phase(
             begun,
             target[plane, colour],
             wavelength,
             distance,
             display.modulator.pitch,
-            "Bandlimited Angular Spectrum",
+            "Linear Angular Spectrum" if outside else method.name,
             seed=seed,
             frames=len(frames),
         )

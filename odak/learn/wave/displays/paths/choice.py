@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from odak import _validate
+from odak._warnings import ArgumentWarning, warn
 from odak.instruments import Lens
 from odak.learn.wave.displays.panels import Iris, Modulator, checked_iris, pitch_pair
 from odak.learn.wave.displays.paths.base import Path, checked_numbers
@@ -14,6 +15,8 @@ from odak.learn.wave.eyes import Eyes
 
 # The first of them that leads to the images is taken.
 PATHS: tuple[type[Path], ...] = (RetinaPath, LensPath, TwoPanelsPath, FreePath)
+# A distance that may be meant in millimetres, and the share of the first order beside the panel below which it is.
+_METRES, _SHARE = 1.0, 0.02
 
 
 def path_to(
@@ -30,7 +33,22 @@ def path_to(
         found = checked_numbers("distances", distances)
     _validate.lengths_together(wavelengths, modulator.pitch, names=("wavelengths", "pitch", "distances"))
     medium = _validate.constant("medium", medium, positive=True)
+    if isinstance(found, tuple):
+        _warn_of_millimetres(modulator, max(wavelengths) / medium, max(map(abs, found)))
     checked_iris(iris)
     kind = next(kind for kind in PATHS if kind.leads(modulator, found))
     pixels = tuple(modulator.resolution), pitch_pair(modulator.pitch), modulator.fill
     return kind(*pixels, modulator.lit_through, wavelengths, found, iris, medium)  # type: ignore[arg-type]
+
+
+def _warn_of_millimetres(modulator: Modulator, wavelength: float, furthest: float) -> None:
+    """Warn of a distance of metres over which hardly any light of a panel's band stays beside the panel."""
+    sides = zip(modulator.resolution, pitch_pair(modulator.pitch), strict=True)
+    share = max(n * pitch**2 for n, pitch in sides) / (wavelength * furthest) if furthest else 1.0
+    if furthest > _METRES and share < _SHARE:
+        meant = _validate.likely_length(furthest, 1e-3, 1.0, "mm")
+        warn(
+            f"distances are in metres: over {furthest:g} m the first order of the pixels becomes {1 / share:.0f} times "
+            f"as wide as the panel; did you mean {meant}?",
+            ArgumentWarning,
+        )
