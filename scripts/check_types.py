@@ -18,7 +18,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 # Bare Any among the parameters and results of the packages whose doors are to have none; the numbers only shrink.
-MOST_ANY = {"odak.learn.perception": 0, "odak.learn.raytracing.system": 154, "odak.learn.wave": 48, "odak.wave": 72}
+MOST_ANY = {"odak.learn.perception": 0, "odak.learn.raytracing.system": 91, "odak.learn.wave": 48, "odak.wave": 72}
 _BARE = re.compile(r"\w: Any(?= = |,|\)|$)|-> Any$")
 
 

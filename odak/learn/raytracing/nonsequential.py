@@ -23,7 +23,14 @@ from odak.catalog.materials import material as find_material
 from odak.learn._tensors import reals_of, tensor
 from odak.learn.raytracing.mesh import triangle_mesh
 from odak.learn.raytracing.system.pupils import launch
-from odak.learn.raytracing.system.surfaces import Coating, checked_system, drawn_radii, is_break, layout_of
+from odak.learn.raytracing.system.surfaces import (
+    Coating,
+    checked_system,
+    drawn_radii,
+    is_break,
+    layout_of,
+    optical_system,
+)
 from odak.learn.raytracing.system.tracing import ray_paths
 from odak.raytracing import components as vec
 from odak.raytracing.apertures import Aperture, CombinedAperture
@@ -481,7 +488,7 @@ class Element:
         return torch.where(hit, distance, torch.inf), place, normal, None
 
 
-def system_elements(system: Any) -> list[Element]:
+def system_elements(system: optical_system) -> list[Element]:
     """Return the surfaces of an optical system as elements of a scene, and its image plane as a black detector.
 
     Parameters

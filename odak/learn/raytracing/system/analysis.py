@@ -37,6 +37,7 @@ from odak.learn.raytracing.system.surfaces import (
     checked_system,
     is_break,
     layout_of,
+    optical_system,
     reference_of,
     wavelength_shares,
     wavelengths_of,
@@ -98,7 +99,7 @@ class Spots(NamedTuple):
 
 
 def spot_diagram(
-    system: Any,
+    system: optical_system,
     pupil: Any = "rings",
     count: int = 6,
     *,
@@ -163,7 +164,7 @@ def spot_diagram(
     return Spots(x, y, torch.stack([cx, cy], -1), rms, largest, traced.status, weights)
 
 
-def rms_spot(system: Any, pupil: Any = "rings", count: int = 6, **options: Any) -> torch.Tensor:
+def rms_spot(system: optical_system, pupil: Any = "rings", count: int = 6, **options: Any) -> torch.Tensor:
     """Return the root mean square distance of the rays from their centroid, ``[..., F]``, all wavelengths together.
 
     Parameters
@@ -195,7 +196,9 @@ def rms_spot(system: Any, pupil: Any = "rings", count: int = 6, **options: Any) 
     return spot_diagram(system, pupil, count, **options).rms
 
 
-def ray_fan(system: Any, axis: str = "y", count: int = 21, **options: Any) -> tuple[torch.Tensor, torch.Tensor]:
+def ray_fan(
+    system: optical_system, axis: str = "y", count: int = 21, **options: Any
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the transverse ray aberration along a diameter of the pupil.
 
     Parameters
@@ -233,7 +236,9 @@ def ray_fan(system: Any, axis: str = "y", count: int = 21, **options: Any) -> tu
     return torch.linspace(-1, 1, count, dtype=torch.float64, device=value.device), value - chief
 
 
-def path_fan(system: Any, axis: str = "y", count: int = 21, **options: Any) -> tuple[torch.Tensor, torch.Tensor]:
+def path_fan(
+    system: optical_system, axis: str = "y", count: int = 21, **options: Any
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the optical path difference along a diameter of the pupil.
 
     Parameters
@@ -271,7 +276,7 @@ def path_fan(system: Any, axis: str = "y", count: int = 21, **options: Any) -> t
     return torch.linspace(-1, 1, count, dtype=torch.float64, device=found.path.device), found.path
 
 
-def lateral_color(system: Any, **options: Any) -> torch.Tensor:
+def lateral_color(system: optical_system, **options: Any) -> torch.Tensor:
     """Return the distances in the image of the chief rays of all wavelengths from the one of the reference wavelength.
 
     Parameters
@@ -308,7 +313,9 @@ def lateral_color(system: Any, **options: Any) -> torch.Tensor:
     return ((place - middle) * outward).sum(-1)
 
 
-def axial_color(system: Any, wavelengths: Any = None, prescription: Prescription | None = None) -> torch.Tensor:
+def axial_color(
+    system: optical_system, wavelengths: Any = None, prescription: Prescription | None = None
+) -> torch.Tensor:
     """Return the paraxial focal shift: image distances at wavelengths less that at the reference wavelength.
 
     Parameters
@@ -347,7 +354,7 @@ def axial_color(system: Any, wavelengths: Any = None, prescription: Prescription
 
 
 def distortion_grid(
-    system: Any, points: int = 11, prescription: Prescription | None = None, **options: Any
+    system: optical_system, points: int = 11, prescription: Prescription | None = None, **options: Any
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the image points of the chief rays of a square grid of field points, with and without distortion.
 
@@ -419,7 +426,7 @@ class Footprint(NamedTuple):
 
 
 def footprint(
-    system: Any,
+    system: optical_system,
     place: int,
     pupil: Any = "rings",
     count: int = 6,
@@ -470,7 +477,7 @@ def footprint(
 
 
 def pupil_aberration(
-    system: Any,
+    system: optical_system,
     axis: str = "y",
     count: int = 21,
     *,
@@ -563,7 +570,12 @@ class Incidence(NamedTuple):
 
 
 def incidence_angles(
-    system: Any, pupil: Any = "y", count: int = 21, *, prescription: Prescription | None = None, **options: Any
+    system: optical_system,
+    pupil: Any = "y",
+    count: int = 21,
+    *,
+    prescription: Prescription | None = None,
+    **options: Any,
 ) -> Incidence:
     """Return where rays meet each surface and at what angle of incidence.
 
@@ -615,7 +627,9 @@ def incidence_angles(
     return Incidence(x, y, angle, tuple(item.place for item in passages))
 
 
-def through_focus(system: Any, shifts: Any, pupil: Any = "rings", count: int = 6, **options: Any) -> torch.Tensor:
+def through_focus(
+    system: optical_system, shifts: Any, pupil: Any = "rings", count: int = 6, **options: Any
+) -> torch.Tensor:
     """Return the root mean square size of the spots in planes before and behind the image plane.
 
     Parameters
@@ -668,7 +682,9 @@ def through_focus(system: Any, shifts: Any, pupil: Any = "rings", count: int = 6
     return torch.where(number > 0, safe_sqrt(total / number), torch.nan)
 
 
-def best_focus(system: Any, pupil: str | torch.Tensor = "rings", count: int = 6, **options: Any) -> torch.Tensor:
+def best_focus(
+    system: optical_system, pupil: str | torch.Tensor = "rings", count: int = 6, **options: Any
+) -> torch.Tensor:
     """Return where the plane of the smallest spots lies, from the image surface along z.
 
     Move the image there to judge a lens rather than its focus; :func:`through_focus` gives what lies between.
@@ -776,7 +792,7 @@ def encircled_energy(
 
 
 def distortion(
-    system: Any, prescription: Prescription | None = None, projection: str = "tangent", **options: Any
+    system: optical_system, prescription: Prescription | None = None, projection: str = "tangent", **options: Any
 ) -> torch.Tensor:
     """Return the deviation of the chief ray from the paraxial one in the image, over the paraxial image height.
 
@@ -867,7 +883,7 @@ def paraxial_points(
 
 @differentiates
 def field_curvature(
-    system: Any, prescription: Prescription | None = None, **options: Any
+    system: optical_system, prescription: Prescription | None = None, **options: Any
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the distances from the image surface to the tangential and the sagittal focus along z.
 
@@ -974,7 +990,7 @@ class Wavefront(NamedTuple):
 
 
 def wavefront(
-    system: Any,
+    system: optical_system,
     pupil: Any = "gauss",
     count: int = 12,
     *,

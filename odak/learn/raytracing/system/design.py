@@ -24,7 +24,7 @@ from odak.learn.raytracing.system.operands import (
 from odak.learn.raytracing.system.optimise import LADDER, least_squares, linearised_forward
 from odak.learn.raytracing.system.paraxial import check_media, entrance_pupil, matrix, signed_indices
 from odak.learn.raytracing.system.pupils import AIMS, pupil_of
-from odak.learn.raytracing.system.surfaces import Prescription, checked_system, is_break
+from odak.learn.raytracing.system.surfaces import Prescription, checked_system, is_break, optical_system
 from odak.learn.raytracing.system.zooms import configurations
 
 VARIED = ("curvature", "conic", "thickness", "coefficients", "index", "shift", "tilt", "glass")
@@ -207,7 +207,7 @@ class lens_design:
 
     def __init__(
         self,
-        system: Any,
+        system: optical_system,
         operands: Any,
         variables: Any,
         *,

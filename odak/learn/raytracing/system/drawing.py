@@ -53,7 +53,7 @@ from odak.learn.raytracing.system.pupils import (
     vignetting_factors,
 )
 from odak.learn.raytracing.system.sketches import SystemScene, system_scene
-from odak.learn.raytracing.system.surfaces import checked_system, is_break, is_glass
+from odak.learn.raytracing.system.surfaces import checked_system, is_break, is_glass, optical_system
 from odak.learn.raytracing.system.system_files import system_to_dict
 from odak.learn.raytracing.system.tracing import curved_paths, ray_paths
 from odak.learn.raytracing.system.waves import (
@@ -96,7 +96,7 @@ def _svg_of(figure: Figure) -> str:
     return stream.getvalue()
 
 
-def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
+def layout_figure(system: optical_system, aim: str = "paraxial", count: int = 5) -> Figure:
     """Return a section through a system in the y–z plane, with rays of each field at the reference wavelength.
 
     Parameters
@@ -272,7 +272,7 @@ def _scale_bar(axes, unit: str) -> None:
     axes.annotate(label, (low + length / 2, y), xytext=(0, -11), textcoords="offset points", ha="center", fontsize=8)
 
 
-def spots_figure(system: Any, found: Spots | None = None) -> Figure:
+def spots_figure(system: optical_system, found: Spots | None = None) -> Figure:
     """Return spot diagrams in micrometres, a panel for each field and a colour for each wavelength, all to one scale.
 
     Parameters
@@ -334,7 +334,7 @@ def image_aperture(system) -> float:
     return float(first_order(system).numerical_aperture.detach())
 
 
-def fans_figure(system: Any, count: int = 41, aim: str = "paraxial") -> Figure:
+def fans_figure(system: optical_system, count: int = 41, aim: str = "paraxial") -> Figure:
     """Return ray fans in micrometres and path differences in wavelengths, of each field and both sections.
 
     Parameters
@@ -380,7 +380,7 @@ def fans_figure(system: Any, count: int = 41, aim: str = "paraxial") -> Figure:
     return figure
 
 
-def field_figure(system: Any, points: int = 21, aim: str = "paraxial") -> Figure:
+def field_figure(system: optical_system, points: int = 21, aim: str = "paraxial") -> Figure:
     """Return field curvature, distortion and lateral colour over the field along y.
 
     Parameters
@@ -451,7 +451,7 @@ def projection_of(system) -> str:
     return "angle" if wide else "tangent"
 
 
-def transfer_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> Figure:
+def transfer_figure(system: optical_system, samples: int = 64, aim: str = "paraxial") -> Figure:
     """Return modulation transfer functions and encircled energy of each field at the reference wavelength.
 
     Parameters
@@ -489,7 +489,7 @@ def transfer_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> Fi
     if not cutoff:
         raise ValueError("system must have a focus, got an afocal one: there is no modulation transfer at an image")
     numbers = system.prescription().at(place)
-    options = {"prescription": numbers, "aim": aim}
+    options: dict[str, Any] = {"prescription": numbers, "aim": aim}
     figure = _Figure(figsize=(10, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     with torch.no_grad():
@@ -535,7 +535,7 @@ def _geometric_transfer(place: torch.Tensor, frequency: torch.Tensor) -> torch.T
     return (phase.cos().mean(-1).square() + phase.sin().mean(-1).square()).sqrt()
 
 
-def draw_layout(system: Any, aim: str = "paraxial", count: int = 5) -> Image.Image:
+def draw_layout(system: optical_system, aim: str = "paraxial", count: int = 5) -> Image.Image:
     """Return :func:`layout_figure` as a picture.
 
     Parameters
@@ -562,7 +562,7 @@ def draw_layout(system: Any, aim: str = "paraxial", count: int = 5) -> Image.Ima
     return _picture(layout_figure(system, aim, count))
 
 
-def draw_spots(system: Any, found: Spots) -> Image.Image:
+def draw_spots(system: optical_system, found: Spots) -> Image.Image:
     """Return :func:`spots_figure` as a picture.
 
     Parameters
@@ -601,7 +601,7 @@ def _panels(rows: int, columns: int, size: tuple[float, float], **options: Any) 
 @takes_constants("frequency", "shifts")
 @torch.no_grad()
 def through_focus_figure(
-    system: Any, shifts: Any = None, frequency: float | None = None, aim: str = "paraxial"
+    system: optical_system, shifts: Any = None, frequency: float | None = None, aim: str = "paraxial"
 ) -> Figure:
     """Return spots in five planes about the image plane, their sizes, and the modulation at one frequency.
 
@@ -708,7 +708,7 @@ def through_focus_figure(
 
 @torch.no_grad()
 def wavefront_figure(
-    system: Any, samples: int = 64, aim: str = "paraxial", quality: FieldQuality | None = None
+    system: optical_system, samples: int = 64, aim: str = "paraxial", quality: FieldQuality | None = None
 ) -> Figure:
     """Return maps of the wavefront over the pupil, and the diffraction images, at the reference wavelength.
 
@@ -761,7 +761,7 @@ def wavefront_figure(
     panels[0, 0].set_ylabel("pupil y", fontsize=9)
     if not small:
         return figure
-    options = {"prescription": numbers, "aim": aim}
+    options: dict[str, Any] = {"prescription": numbers, "aim": aim}
     spread = pupil_image(system, more_samples(samples), None, options, fineness=8)
     half = spread.intensity.shape[-1] // 4
     for i, axes in enumerate(panels[1]):
@@ -777,7 +777,7 @@ def wavefront_figure(
 
 
 @torch.no_grad()
-def image_figure(system: Any, points: int = 11, aim: str = "paraxial") -> Figure:
+def image_figure(system: optical_system, points: int = 11, aim: str = "paraxial") -> Figure:
     """Return a grid distorted by the lens, the illumination over the field, and the focus over the wavelength.
 
     Parameters
@@ -851,7 +851,7 @@ def image_figure(system: Any, points: int = 11, aim: str = "paraxial") -> Figure
     return figure
 
 
-def modulation_frequencies(system: Any) -> list[float]:
+def modulation_frequencies(system: optical_system) -> list[float]:
     """Return an eighth and a quarter of the limit of diffraction in cycles per unit of length, of one digit each."""
     cutoff = 2 * image_aperture(system) / system.wavelengths[system.reference]
     return [float(f"{share * cutoff:.1g}") for share in (0.125, 0.25)]
@@ -859,7 +859,9 @@ def modulation_frequencies(system: Any) -> list[float]:
 
 @takes_constants("frequencies")
 @torch.no_grad()
-def performance_figure(system: Any, points: int = 11, frequencies: Any = None, aim: str = "paraxial") -> Figure:
+def performance_figure(
+    system: optical_system, points: int = 11, frequencies: Any = None, aim: str = "paraxial"
+) -> Figure:
     """Return spots, wavefronts, modulation and vignetting over the field along y.
 
     Parameters
@@ -928,7 +930,7 @@ def performance_figure(system: Any, points: int = 11, frequencies: Any = None, a
 
 
 @torch.no_grad()
-def pupil_figure(system: Any, place: int | None = None, aim: str = "paraxial") -> Figure:
+def pupil_figure(system: optical_system, place: int | None = None, aim: str = "paraxial") -> Figure:
     """Return the y–ȳ diagram, the aberration of the pupil and the angles of incidence at a surface.
 
     Parameters
@@ -997,7 +999,7 @@ def pupil_figure(system: Any, place: int | None = None, aim: str = "paraxial") -
 
 
 @torch.no_grad()
-def footprint_figure(system: Any, places: Any = None, aim: str = "paraxial") -> Figure:
+def footprint_figure(system: optical_system, places: Any = None, aim: str = "paraxial") -> Figure:
     """Return where the rays of each field meet surfaces, at the reference wavelength, with the rims of the surfaces.
 
     Parameters
@@ -1049,7 +1051,7 @@ def footprint_figure(system: Any, places: Any = None, aim: str = "paraxial") -> 
 
 
 @torch.no_grad()
-def polarisation_figure(system: Any, samples: int = 24, aim: str = "paraxial") -> Figure:
+def polarisation_figure(system: optical_system, samples: int = 24, aim: str = "paraxial") -> Figure:
     """Return maps of diattenuation and retardance over the pupil of each field at the reference wavelength.
 
     Parameters
@@ -1103,7 +1105,7 @@ def polarisation_figure(system: Any, samples: int = 24, aim: str = "paraxial") -
 
 
 @torch.no_grad()
-def seidel_figure(system: Any) -> Figure:
+def seidel_figure(system: optical_system) -> Figure:
     """Return the Seidel coefficients of each surface and their sums in wavelengths, as bars.
 
     Parameters
@@ -1138,7 +1140,7 @@ def seidel_figure(system: Any) -> Figure:
 
 
 @torch.no_grad()
-def tolerance_figure(system: Any, found: Any, limit: float | None = None) -> Figure:
+def tolerance_figure(system: optical_system, found: Any, limit: float | None = None) -> Figure:
     """Return the yield of a tolerance analysis, or the changes by each deviation alone.
 
     Parameters
@@ -1217,7 +1219,9 @@ def _quality(system, aim: str, given) -> FieldQuality:
     return field_quality(system, aim) if given is None else given
 
 
-def report_figures(system: Any, aim: str = "paraxial", quality: FieldQuality | None = None) -> dict[str, Figure]:
+def report_figures(
+    system: optical_system, aim: str = "paraxial", quality: FieldQuality | None = None
+) -> dict[str, Figure]:
     """Return the figures of :func:`lens_report` by their names; those that a system cannot have are left out.
 
     Parameters
@@ -1262,7 +1266,7 @@ def report_figures(system: Any, aim: str = "paraxial", quality: FieldQuality | N
 
 
 def lens_report(
-    system: Any,
+    system: optical_system,
     path: Any,
     aim: str = "paraxial",
     figures: dict[str, Figure] | None = None,
@@ -1458,7 +1462,7 @@ def _drawn(system) -> tuple[list, list, list]:
     return pictures, rows, failed
 
 
-def system_view(system: Any) -> _show.View:
+def system_view(system: optical_system) -> _show.View:
     """Return what notebooks show of a system: its layout, first-order properties and surfaces.
 
     Parameters

@@ -15,7 +15,7 @@ from odak.learn.raytracing.system.analysis import CENTRE, paraxial_points
 from odak.learn.raytracing.system.polarisation import polarized_trace
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.pupils import field_points, launch, pupil_factors, trace_fields
-from odak.learn.raytracing.system.surfaces import checked_system, wavelength_shares
+from odak.learn.raytracing.system.surfaces import checked_system, optical_system, wavelength_shares
 from odak.learn.raytracing.system.tracing import trace
 from odak.learn.raytracing.system.waves import more_samples, pupil_image
 
@@ -75,7 +75,7 @@ class PointSpreadMap(NamedTuple):
 
 @in_own_precision
 def point_spread_map(
-    system: Any,
+    system: optical_system,
     shape: Sequence[int],
     pitch: float,
     *,

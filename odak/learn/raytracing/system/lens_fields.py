@@ -18,7 +18,7 @@ from odak.learn.raytracing.system.paraxial import check_image_space, check_media
 from odak.learn.raytracing.system.polarisation import jones_vector, polarized_trace
 from odak.learn.raytracing.system.prescriptions import Prescription
 from odak.learn.raytracing.system.pupils import solve_pairs
-from odak.learn.raytracing.system.surfaces import checked_system
+from odak.learn.raytracing.system.surfaces import checked_system, optical_system
 from odak.learn.raytracing.system.tracing import Rays, trace
 from odak.raytracing.intersections import RayStatus
 from odak.wave.bench import between_samples
@@ -98,7 +98,7 @@ class TracedSystem:
     1.0
     """
 
-    system: Any
+    system: optical_system
     output_dx: float | Sequence[float] | None = None
     output_shape: Sequence[int] | None = None
     grid: Sequence[int] = (5, 5)

@@ -23,7 +23,14 @@ from odak.learn.raytracing.system.analysis import (
 from odak.learn.raytracing.system.paraxial import FirstOrder, first_order
 from odak.learn.raytracing.system.prescriptions import Prescription
 from odak.learn.raytracing.system.pupils import launch, pupil_of, weights_of
-from odak.learn.raytracing.system.surfaces import field_shares, is_break, layout_of, reference_of, wavelength_shares
+from odak.learn.raytracing.system.surfaces import (
+    field_shares,
+    is_break,
+    layout_of,
+    optical_system,
+    reference_of,
+    wavelength_shares,
+)
 from odak.learn.raytracing.system.tracing import Rays, Traced, in_surface_frame, trace
 from odak.learn.raytracing.system.waves import RAYS, chosen_samples, modulation_in_planes
 from odak.raytracing.surfaces import EvenAsphere, Sag
@@ -108,7 +115,7 @@ class View:
 
     def __init__(
         self,
-        system: Any,
+        system: optical_system,
         prescription: Prescription,
         pupil: Any = "rings",
         count: int = 4,

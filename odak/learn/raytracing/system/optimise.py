@@ -15,7 +15,14 @@ from odak.learn.raytracing.system.analysis import rms_spot
 from odak.learn.raytracing.system.operands import clear_heights
 from odak.learn.raytracing.system.pupils import trace_fields
 from odak.learn.raytracing.system.sequence import placement
-from odak.learn.raytracing.system.surfaces import Prescription, checked_system, is_break, is_glass, wavelength_shares
+from odak.learn.raytracing.system.surfaces import (
+    Prescription,
+    checked_system,
+    is_break,
+    is_glass,
+    optical_system,
+    wavelength_shares,
+)
 from odak.learn.raytracing.system.zemax import _zernike_terms
 from odak.raytracing.surfaces import ZernikeFreeform
 
@@ -494,7 +501,7 @@ class Sensitivity(NamedTuple):
 
 
 def sensitivity(
-    system: Any,
+    system: optical_system,
     perturbations: Sequence[Perturbation],
     *,
     merit: Callable[..., Any] | None = None,
@@ -563,7 +570,7 @@ def sensitivity(
 
 
 def tolerance(
-    system: Any,
+    system: optical_system,
     perturbations: Sequence[Perturbation],
     samples: int = 200,
     seed: int = 0,
@@ -634,7 +641,7 @@ def tolerance(
 
 @takes_constants("limit")
 def tolerances_for_yield(
-    system: Any,
+    system: optical_system,
     perturbations: Sequence[Perturbation],
     limit: Any,
     share: float = 0.9,
@@ -721,7 +728,7 @@ def tolerances_for_yield(
     return low
 
 
-def iso_10110_tolerances(system: Any) -> list[Perturbation]:
+def iso_10110_tolerances(system: optical_system) -> list[Perturbation]:
     """Return the deviations of ISO 10110-11, which hold for lenses whose drawings state none, and usual ones of glass.
 
     Parameters

@@ -95,7 +95,9 @@ class Matrix(NamedTuple):
         return Matrix(self.a + reduced * self.c, self.b + reduced * self.d, self.c, self.d)
 
 
-def first_order(system: Any, wavelength: float | None = None, prescription: Prescription | None = None) -> FirstOrder:
+def first_order(
+    system: optical_system, wavelength: float | None = None, prescription: Prescription | None = None
+) -> FirstOrder:
     """Return the first-order properties of a system.
 
     Parameters
@@ -207,7 +209,7 @@ class ParaxialRays(NamedTuple):
         return _show.one_line(self)
 
 
-def paraxial_rays(system: Any, field: Any = None, prescription: Prescription | None = None) -> ParaxialRays:
+def paraxial_rays(system: optical_system, field: Any = None, prescription: Prescription | None = None) -> ParaxialRays:
     """Return the paraxial marginal and chief ray at the reference wavelength: the axes of a y–ȳ diagram.
 
     Parameters
@@ -467,7 +469,7 @@ class ThirdOrder(NamedTuple):
         return _show.one_line(self)
 
 
-def seidel_sums(system: Any, field: Any = None, prescription: Prescription | None = None) -> ThirdOrder:
+def seidel_sums(system: optical_system, field: Any = None, prescription: Prescription | None = None) -> ThirdOrder:
     """Return the Seidel coefficients of a system by surface, and the corresponding transverse aberrations.
 
     Parameters
@@ -672,7 +674,7 @@ def _graded_sums(gradient, base, spread, thickness, rays) -> tuple:
     return tuple(state[:4]), added, dispersed
 
 
-def ghost_system(system: Any, first: int, second: int) -> optical_system:
+def ghost_system(system: optical_system, first: int, second: int) -> optical_system:
     """Return the sequence of a ghost: light reflected at one surface, back at an earlier one, and on to the image.
 
     Parameters

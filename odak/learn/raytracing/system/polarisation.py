@@ -12,7 +12,7 @@ from odak.learn.raytracing.system.paraxial import first_order, ghost_system
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.pupils import launch
 from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
-from odak.learn.raytracing.system.surfaces import Coating, checked_system, layout_of
+from odak.learn.raytracing.system.surfaces import Coating, checked_system, layout_of, optical_system
 from odak.learn.raytracing.system.tracing import Traced, checked_rays, finished, spread_rays
 from odak.learn.raytracing.system.waves import Spread, chosen_samples, pupil_image
 from odak.raytracing.geometry import safe_sqrt
@@ -117,7 +117,7 @@ def transverse_axes(direction: torch.Tensor) -> torch.Tensor:
 
 
 def polarized_trace(
-    system: Any, rays: Any, *, prescription: Prescription | None = None, vignetting: bool = True
+    system: optical_system, rays: Any, *, prescription: Prescription | None = None, vignetting: bool = True
 ) -> PolarizedRays:
     """Trace polarised rays through a system, with the losses at its surfaces and within its glasses.
 
@@ -357,7 +357,7 @@ class Ghosts(NamedTuple):
 
 
 def ghosts(
-    system: Any,
+    system: optical_system,
     samples: int = 15,
     *,
     fields: Any = None,
@@ -456,7 +456,7 @@ def jones_vector(values) -> tuple[complex, complex]:
 
 
 def polarized_point_spread_function(
-    system: Any,
+    system: optical_system,
     polarization: Any = None,
     samples: int | None = None,
     size: int | None = None,

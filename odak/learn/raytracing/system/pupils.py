@@ -13,7 +13,7 @@ from odak._array import is_compiling, is_readable
 from odak.learn._tensors import checked_device, checked_dtype
 from odak.learn.raytracing.system.paraxial import entrance_pupil
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
-from odak.learn.raytracing.system.surfaces import checked_system, is_break
+from odak.learn.raytracing.system.surfaces import checked_system, is_break, optical_system
 from odak.learn.raytracing.system.tracing import Rays, Traced, in_surface_frame, trace
 from odak.raytracing.batches import needs_gradient
 from odak.raytracing.surfaces import Parametric
@@ -156,7 +156,7 @@ class PupilQuadrature(NamedTuple):
 
 @torch.no_grad()
 def pupil_quadrature(
-    system: Any,
+    system: optical_system,
     count: int = 12,
     *,
     fields: Any = None,
@@ -287,7 +287,7 @@ def _line(count: int) -> torch.Tensor:
 
 
 def launch(
-    system: Any,
+    system: optical_system,
     pupil: str | torch.Tensor = "rings",
     count: int = 6,
     *,
@@ -350,7 +350,7 @@ def launch(
 
 
 @torch.no_grad()
-def vignetting_factors(system: Any, fields: Any = None, *, aim: str = "paraxial") -> torch.Tensor:
+def vignetting_factors(system: optical_system, fields: Any = None, *, aim: str = "paraxial") -> torch.Tensor:
     """Return the vignetting factors of field points, as the apertures of a system have them.
 
     Parameters
@@ -958,7 +958,7 @@ def _newton(here, jacobian):
     return inverse * (by * ex - bx * ey), inverse * (ax * ey - ay * ex)
 
 
-def trace_fields(system: Any, pupil: Any = "rings", count: int = 6, **options: Any) -> Traced:
+def trace_fields(system: optical_system, pupil: Any = "rings", count: int = 6, **options: Any) -> Traced:
     """Launch rays from all field points and trace them to the image plane.
 
     Parameters

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from odak.learn.raytracing.system.surfaces import drawn_radii, is_break, is_glass
+from odak.learn.raytracing.system.surfaces import drawn_radii, is_break, is_glass, optical_system
 from odak.learn.raytracing.system.tracing import ray_paths
 
 
@@ -52,7 +52,7 @@ class SystemScene(NamedTuple):
 
 
 @torch.no_grad()
-def system_scene(system: Any, rays: Any, lead: float = 0.25) -> SystemScene:
+def system_scene(system: optical_system, rays: Any, lead: float = 0.25) -> SystemScene:
     """Return what a figure of a system shows.
 
     Parameters

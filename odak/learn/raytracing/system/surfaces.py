@@ -792,6 +792,7 @@ class optical_system(torch.nn.Module):
     wavelength_weights: tuple[float, ...] | None
     object_distance: float
     object_material: Any
+    surfaces: Any  # a Row, whose items a type checker takes for any modules of torch
     afocal: bool
     name: str
     source: str
@@ -887,7 +888,7 @@ class optical_system(torch.nn.Module):
             The system's by default.
         """
         wavelengths = self.wavelengths if wavelengths is None else checked_wavelengths(wavelengths)
-        items: list[Any] = list(self.surfaces)
+        items = list(self.surfaces)
         longest = max(item.coefficients.numel() for item in items)
         coefficients = [
             torch.nn.functional.pad(item.coefficients.double(), (0, longest - item.coefficients.numel()))
@@ -922,7 +923,7 @@ class optical_system(torch.nn.Module):
         place, found = self.reference if len(waves) == len(self.wavelengths) else 0, list(phases)
         one, sign = index[place, 0], 1
         height, slope = (one, 0 * one) if self.at_infinity else (self.object_distance * one / one, one)
-        items: list[Any] = list(self.surfaces)
+        items = list(self.surfaces)
         for i, item in enumerate(items):
             behind = -sign if item.reflects else sign
             before, after = sign * index[place, i], behind * index[place, i + 1]
@@ -992,7 +993,7 @@ class optical_system(torch.nn.Module):
         >>> len(load_system("cooke_triplet").vary(curvature=[0, 1], thickness=-1))
         3
         """
-        surfaces: Any = self.surfaces
+        surfaces = self.surfaces
         return [
             surfaces[_validate.place_in(name, place, len(surfaces))].vary(name)
             for name, places in which.items()
@@ -1008,7 +1009,7 @@ class optical_system(torch.nn.Module):
 
     def _indices(self, wavelengths) -> torch.Tensor:
         """Return the indices before the first surface and behind each, ``[W, S + 1]``."""
-        first: Any = self.surfaces[0]
+        first = self.surfaces[0]
         one = torch.ones(len(wavelengths), dtype=torch.float64, device=first.thickness.device)
         values = torch.tensor(wavelengths, dtype=torch.float64)
         columns = [self._front(values).to(one)]

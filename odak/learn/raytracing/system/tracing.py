@@ -11,7 +11,7 @@ from odak import _array, _show, _torch_private, _validate
 from odak.learn.raytracing.system.fused import Trace
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.sequence import HIT, flat_arguments, placement, plain_trace, points_within
-from odak.learn.raytracing.system.surfaces import checked_system, coordinate_break, layout_of
+from odak.learn.raytracing.system.surfaces import checked_system, coordinate_break, layout_of, optical_system
 from odak.raytracing.batches import in_pieces
 
 # Rays of a block of plain operations: its graph, a few kilobytes per ray, takes some tens of megabytes.
@@ -119,7 +119,7 @@ class Traced(NamedTuple):
 
 
 def trace(
-    system: Any,
+    system: optical_system,
     rays: Any,
     *,
     prescription: Prescription | None = None,
@@ -214,7 +214,7 @@ def finished(state, shape: tuple[int, ...]) -> Traced:
     return Traced(*(value.reshape(shape) for value in found))
 
 
-def ray_paths(system: Any, rays: Rays, *, prescription: Prescription | None = None) -> torch.Tensor:
+def ray_paths(system: optical_system, rays: Rays, *, prescription: Prescription | None = None) -> torch.Tensor:
     """Return the points of rays at all surfaces in global coordinates, whose origin is the first vertex.
 
     Parameters
@@ -258,7 +258,7 @@ def ray_paths(system: Any, rays: Rays, *, prescription: Prescription | None = No
     return torch.stack(stations, -2)
 
 
-def curved_paths(system: Any, rays: Rays, place: int, ends: torch.Tensor, count: int = 32) -> torch.Tensor:
+def curved_paths(system: optical_system, rays: Rays, place: int, ends: torch.Tensor, count: int = 32) -> torch.Tensor:
     """Return points of rays within the graded-index medium behind a surface, in global coordinates.
 
     Parameters

@@ -32,7 +32,7 @@ from odak.learn.raytracing.system.pupils import (
     through_places,
     trace_fields,
 )
-from odak.learn.raytracing.system.surfaces import checked_system, wavelength_shares, wavelengths_of
+from odak.learn.raytracing.system.surfaces import checked_system, optical_system, wavelength_shares, wavelengths_of
 from odak.learn.raytracing.system.tracing import trace
 from odak.raytracing.geometry import safe_sqrt
 from odak.raytracing.intersections import RayStatus
@@ -288,7 +288,9 @@ class Spread(NamedTuple):
         return _show.one_line(self)
 
 
-def point_spread_function(system: Any, samples: int | None = None, size: int | None = None, **options: Any) -> Spread:
+def point_spread_function(
+    system: optical_system, samples: int | None = None, size: int | None = None, **options: Any
+) -> Spread:
     """Return the image of a point with diffraction, by a Fourier transform of the exit pupil.
 
     Parameters
@@ -517,7 +519,9 @@ def _derivatives(found, weight):
     return straight
 
 
-def strehl_ratio(system: Any, pupil: Any = "gauss", count: int | None = None, **options: Any) -> torch.Tensor:
+def strehl_ratio(
+    system: optical_system, pupil: Any = "gauss", count: int | None = None, **options: Any
+) -> torch.Tensor:
     """Return the peak of the diffraction image of a point relative to the same pupil without aberrations.
 
     Parameters
@@ -676,7 +680,7 @@ class FieldQuality(NamedTuple):
 
 
 @torch.no_grad()
-def field_quality(system: Any, aim: str = "paraxial", *, fields: Any = None) -> FieldQuality:
+def field_quality(system: optical_system, aim: str = "paraxial", *, fields: Any = None) -> FieldQuality:
     """Return spots, wavefronts, Strehl ratios and vignetting of each field by quadratures that have converged.
 
     Parameters
@@ -868,7 +872,7 @@ class _Bessel(torch.autograd.Function):
 
 
 def propagated_point_spread_function(
-    system: Any,
+    system: optical_system,
     size: int = 512,
     pitch: float | None = None,
     propagation_type: str = "Bandlimited Angular Spectrum",
@@ -978,7 +982,7 @@ class ExitField(NamedTuple):
 
 
 def exit_field(
-    system: Any,
+    system: optical_system,
     size: int | Sequence[int] = 512,
     pitch: float | None = None,
     *,
@@ -1195,7 +1199,7 @@ def _tube_area(rays: RayMap, places: torch.Tensor, target: torch.Tensor, aim: st
 
 
 def huygens_point_spread_function(
-    system: Any,
+    system: optical_system,
     samples: int | None = None,
     size: int | None = None,
     pitch: float | None = None,
@@ -1440,7 +1444,7 @@ def modulation_at(spread: Spread, frequency: float, axis: str = "y") -> torch.Te
 
 
 def through_focus_modulation(
-    system: Any, shifts: Any, frequency: float, axis: str = "y", samples: int | None = None, **options: Any
+    system: optical_system, shifts: Any, frequency: float, axis: str = "y", samples: int | None = None, **options: Any
 ) -> torch.Tensor:
     """Return the modulation transfer at one frequency in planes before and behind the image plane.
 
@@ -1485,7 +1489,12 @@ def through_focus_modulation(
 
 
 def modulation_in_planes(
-    system: Any, shifts: torch.Tensor, frequency: float, counts: Sequence[int], axes: Sequence[str], **options: Any
+    system: optical_system,
+    shifts: torch.Tensor,
+    frequency: float,
+    counts: Sequence[int],
+    axes: Sequence[str],
+    **options: Any,
 ) -> torch.Tensor:
     """Return the modulation transfer along some axes at one frequency in some planes, ``[axes, ..., W, F, n]``."""
     options = {"prescription": None, "fields": None, "aim": "paraxial", "vignetting": True} | options
@@ -1511,7 +1520,7 @@ def modulation_in_planes(
 @takes_constants("frequencies")
 @torch.no_grad()
 def field_modulation(
-    system: Any, frequencies: Any, fields: Any = None, *, aim: str = "paraxial", samples: int | None = None
+    system: optical_system, frequencies: Any, fields: Any = None, *, aim: str = "paraxial", samples: int | None = None
 ) -> torch.Tensor:
     """Return the modulation transfer at some frequencies over the field, at the reference wavelength.
 
@@ -1569,7 +1578,7 @@ def field_modulation(
 
 
 def relative_illumination(
-    system: Any, count: int = 24, *, prescription: Prescription | None = None, **options: Any
+    system: optical_system, count: int = 24, *, prescription: Prescription | None = None, **options: Any
 ) -> torch.Tensor:
     """Return the illuminance of the image of a uniform Lambertian object, relative to the axis.
 
