@@ -31,6 +31,8 @@ _EFFICACY = 683.002
 _D50 = (0.9642, 1.0, 0.8249)
 # Rounding makes no colour one that cannot be shown.
 _ROUNDING = 1e-6
+# Any one source is shown grey.
+_GREEN = 555e-9
 GAMUTS = ("desaturate", "clip")
 
 
@@ -230,6 +232,23 @@ def picture_of(images: torch.Tensor, display: Display | Sequence[float] | float)
     luminances = rgb_to_xyz_matrix()[1]
     encoded = srgb_encoded(_inside(light, luminances, "desaturate").clamp(0, 1))
     return encoded.reshape(*images.shape[:-3], 3, *images.shape[-2:])
+
+
+def shown_on_a_screen(images: torch.Tensor, display: Display) -> torch.Tensor:
+    """Return what :func:`picture_of` does, and the mean of the colours where these cannot be mixed to white.
+
+    Parameters
+    ----------
+    images : torch.Tensor
+        Intensities ``[..., C, rows, columns]``.
+    display : Display
+        The display, of any number of sources.
+    """
+    try:
+        _sources(display)
+    except ValueError:
+        return picture_of(images.mean(-3, keepdim=True), _GREEN)
+    return picture_of(images, display)
 
 
 def _sources(display) -> tuple[tuple[float, ...], torch.Tensor]:

@@ -1,6 +1,7 @@
 import math
 import struct
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from PIL import Image
 
 import odak
 from odak.learn.perception import color_matching_functions, rgb_to_xyz_matrix
-from odak.learn.wave import Display, Modulator, light_of, picture_of
+from odak.learn.wave import Display, Modulator, Run, light_of, optimise, picture_of
 from odak.tools import save_image
 
 SOURCES = (638e-9, 520e-9, 450e-9)
@@ -194,13 +195,16 @@ def test_files_of_grey_of_16_bits_of_alpha_and_without_a_profile(tmp_path):
         light_of(tmp_path / "cmyk.jpg", SOURCES)
 
 
-def test_files_of_linear_light_are_not_decoded(tmp_path):
-    exr = pytest.importorskip("OpenEXR")
-    values = np.random.default_rng(0).random((6, 5, 3)).astype(np.float32)
-    exr.File({}, {"RGB": values}).write(str(tmp_path / "light.exr"))
-    found = light_of(tmp_path / "light.exr", 532e-9)
-    assert np.abs(found.targets[0].numpy() - values @ rgb_to_xyz_matrix()[1].numpy()).max() < 1e-6
-    assert "linear light" in found.source
+def test_files_of_linear_light_are_not_decoded(monkeypatch):
+    values = np.random.default_rng(0).random((3, 6, 5)).astype(np.float32)
+    monkeypatch.setattr("odak.learn.wave.pictures.read_levels", lambda path, torch_style: values)
+    luminance = np.einsum("c,chw->hw", rgb_to_xyz_matrix()[1].numpy(), values)
+    for name in ("light.exr", "light.hdr"):
+        found = light_of(name, 532e-9)
+        assert np.abs(found.targets[0].numpy() - luminance).max() < 1e-6
+        assert found.source == f"{name} (linear light)"
+    stated = light_of("scan.tif", 532e-9, linear=True)
+    assert np.abs(stated.targets[0].numpy() - luminance).max() < 1e-6
 
 
 def test_gradients_and_batches():
@@ -242,3 +246,22 @@ def test_what_cannot_be_mixed_is_refused():
         warnings.simplefilter("always")
         light_of(255 * picture, SOURCES)
     assert caught and issubclass(caught[0].category, odak.OdakWarning)
+
+
+def test_holograms_show_their_images_as_screens_do():
+    display = Display(Modulator((16, 16), 8e-6), SOURCES, 2e-3)
+    picture = inner_picture().float()[:, :1, :1].expand(3, 16, 16)
+    hologram = optimise(display, light_of(picture, display).targets, run=Run(iterations=1, progress=False))
+    exact = replace(hologram, images=hologram.target)
+    assert float((exact.pictures() - picture).abs().max()) < 1e-4
+    assert exact.pictures(0).shape == (3, 16, 16)
+    assert "target" in exact._repr_html_()
+    with pytest.raises(ValueError, match="plane must be -1 to 0, got 1"):
+        exact.pictures(1)
+    # Sources without a white are shown grey.
+    two = Display(Modulator((16, 16), 8e-6), SOURCES[:2], 2e-3)
+    hologram = optimise(two, torch.rand(2, 16, 16), run=Run(iterations=1, progress=False))
+    shown = hologram.pictures(0)
+    assert float((shown[0] - shown[2]).abs().max()) < 1e-6
+    grey = decoded(shown[0].double().numpy())
+    assert np.abs(grey - hologram.images[0].mean(0).clamp(0, 1).numpy()).max() < 1e-5

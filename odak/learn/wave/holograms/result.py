@@ -5,10 +5,11 @@ from typing import Any
 
 import torch
 
-from odak import _show
+from odak import _show, _validate
 from odak.learn.wave.displays.display import Display
 from odak.learn.wave.displays.judge import judged
 from odak.learn.wave.displays.observers import ANYWHERE, Observer, brightest, decibels, squared_errors
+from odak.learn.wave.pictures import shown_on_a_screen
 from odak.learn.wave.slm import TURN
 
 
@@ -90,6 +91,24 @@ class DisplayedHologram:
         """Return the levels to send to the panel, int32 ``[F, rows, columns]``."""
         return self.display.modulator.levels(self.phases)
 
+    def pictures(self, plane: int | None = None) -> torch.Tensor:
+        """Return the images as they look on a screen, where they can be compared with the picture they are of.
+
+        Parameters
+        ----------
+        plane : int, optional
+            Of this plane or eye alone; of all by default.
+
+        Returns
+        -------
+        torch.Tensor
+            sRGB values of 0 … 1 ``[D, 3, rows, columns]``, or ``[3, rows, columns]``, by
+            :func:`odak.learn.wave.picture_of`; grey where the colours of the sources cannot be mixed to white.
+        """
+        if plane is None:
+            return shown_on_a_screen(self.images, self.display)
+        return shown_on_a_screen(self.images[_validate.place_in("plane", plane, len(self.images))], self.display)
+
     def table(self) -> list[dict[Any, Any]]:
         """Return one row of numbers for each plane or eye and colour: lengths in metres, ratios in decibels."""
         return [
@@ -115,8 +134,8 @@ class DisplayedHologram:
 
     def _view(self) -> _show.View:
         """Return what notebooks show of it: target, image and pattern, and the quality of each plane and colour."""
-        named = (("target", self.target[0]), ("image", self.images[0]))
-        pictures = [(name, _show.png(_picture(planes.detach().cpu()))) for name, planes in named]
+        shown = {"target": shown_on_a_screen(self.target[0], self.display), "image": self.pictures(0)}
+        pictures = [(name, _show.png(one.detach().cpu().movedim(0, -1))) for name, one in shown.items()]
         pictures.append(("pattern", _show.png((self.phases[0] / TURN).detach().cpu())))
         places = [self.display.path.place_in_words(d) for d in range(self.display.shape[0])]
         head = places[0][0], "wavelength", "PSNR", "registered", "at points", "brightness"
@@ -129,9 +148,3 @@ class DisplayedHologram:
             for i, r in enumerate(self.table())
         ]
         return _show.View(repr(self), pictures, [head, *rows])
-
-
-def _picture(planes: torch.Tensor) -> torch.Tensor:
-    """Return a picture, ``[rows, columns]`` or in colour ``[rows, columns, 3]``, of images ``[C, rows, columns]``."""
-    values = planes.clamp(0, 1) ** (1 / 2.2)
-    return values.movedim(0, -1) if len(values) == 3 else values.mean(0)
