@@ -228,7 +228,10 @@ def _many(spread: SpreadSettings, values: dict) -> int:
 def _summarise(job: Job, report: dict) -> None:
     psnr = "exact" if report["psnr_db"] is None else f"{report['psnr_db']:.2f} dB"
     ssim = "" if report["ssim"] is None else f"SSIM {report['ssim']:.4f}, "
-    typer.echo(f"PSNR {psnr}, {ssim}efficiency {report['efficiency']:.1%} (saved patterns)")
+    seen = "".join(f" for {words}" for words in [report["verification"].get("observer")] if words)
+    if (area := report.get("psnr_area_db")) is not None and "any place" in seen:
+        seen += f" ({area:.2f} dB if its pixels coincide with the image's)"
+    typer.echo(f"PSNR {psnr}{seen}, {ssim}efficiency {report['efficiency']:.1%} (saved patterns)")
     if report["seconds_per_iteration"] is not None:
         typer.echo(f"{report['seconds_per_iteration']:.3g} s per iteration on {report['device']}")
     others = [*(["focal_stack.png"] if job.planes > 1 else []), "report.json"]

@@ -9,7 +9,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,6 +32,7 @@ from odak.cli.target import Target, Volume, load_target, load_volume
 from odak.instruments import Lens
 from odak.learn import wave
 from odak.learn.models.hologram_networks import FARTHEST, RATIOS, SPREADS, hologram_network
+from odak.learn.wave.displays.observers import PLACES
 from odak.learn.wave.training import best_scale
 from odak.wave import sampling_report
 from odak.wave.methods import METHODS, PROPAGATION_TYPES, find_method
@@ -86,6 +87,8 @@ def run(job: Job, notices: files.Notices = files.SILENT) -> dict:
         result = _compute(job, target, folder, device)
         images, phases = result.pop("images"), result.pop("phases")
         quality = report.overall(target, images, result["channels"])
+        figures = ["psnr_area_db", "psnr_points_db", *([] if _shares_frames(job) else ["psnr_db"])]
+        quality |= {name: report.mean_decibels(result["channels"], name) for name in figures}
         files.write_png(folder / "reconstruction.png", report.to_image(images))
         files.write_png(folder / "comparison.png", comparison(job, target, images, phases, names, quality))
     summary = {
@@ -222,7 +225,7 @@ def _verification(job: Job, target: Target) -> dict:
     filtered = "round stop passing |f| <= sqrt(2)/(4*pitch), as double phase needs (a 4f relay)"
     points = "points: intensities at the middles of pixels that emit as points"
     squares = "squares: means over the areas of pixels, which emit as squares of the fill factor; their gaps are dark"
-    behind = {}
+    behind, observer = {}, observer_of(job, target)
     if (lens := lens_of(job)) is None:
         kinds = [verification_type(job, wavelength) for wavelength in target.wavelengths]
     else:
@@ -233,6 +236,7 @@ def _verification(job: Job, target: Target) -> dict:
         **behind,
         "grating": "its phase was subtracted from the pattern read back" if job.grating else None,
         "modulator": _described(job),
+        "observer": replace(observer, registered=True).in_words() if _shares_frames(job) else observer.in_words(),
         "aperture": filtered if job.method == "double-phase" else None,
         "pixel": {"fill_factor": job.fill_factor, "model": points if job.fill_factor is None else squares},
     }
@@ -303,25 +307,26 @@ def _group(
     part = replace(
         target, intensity=target.intensity[colours], wavelengths=tuple(target.wavelengths[c] for c in colours)
     )
-    volume, response = load_volume(job, part, device), files.response_of(job)
+    volume = load_volume(job, part, device)
     display = display_of(job, part.wavelengths, volume.distances, len(names), device)
-    found, clock = _solved(job, part, volume, display, count)
-    ideal = found.phases
-    grating = grating_phase(job.resolution, device) if job.grating else torch.zeros(1, device=device)
-    for name, phase in zip(names, ideal, strict=True):
-        modulated = wave.unit_phasor(phase.double() + grating)
-        files.save_pattern(folder / name, files.quantise(modulated, job.bits, response), job.bits)
-    stored = torch.stack([files.load_pattern(folder / name, job.bits, response) for name in names])
-    saved = (stored.to(device) - grating).to(ideal)
-    images, other = _judged(job, found.display, saved)
-    if job.fill_factor is not None:
-        before = found.images / found.brightness[:, None, None]
-    else:
-        before = _judged(job, found.display, ideal)[0]
-    channels, scales, brightness, powers = _channels(job, part, volume, found.display.powers, images, before, other)
+    observer, saving = observer_of(job, part), Saving(job, part, volume, [folder / name for name in names], count)
+    found = wave.optimise(
+        display,
+        volume.images if volume.loss is None else volume.loss,
+        solver=saving,
+        start=_start(job, display),
+        run=wave.Run(max(1, count), False, saving.tick, seed=job.seed),
+        observer=observer,
+    )
+    clock, display = saving.clock, found.display
+    areas = found.images / found.brightness[:, None, None]
+    images = areas if job.fill_factor is not None else display.judge(found.phases)[1]
+    before = display.recorded_by(wave.Observer(fill=observer.fill, registered=True), saving.ideal)[0].detach()
+    channels, scales, brightness, powers = _channels(job, part, volume, display.powers, images, before)
+    _add_observed(job, found, channels)
     result: dict[str, Any] = {
         "images": (images * scales * volume.masks).sum(0).cpu(),
-        "phases": stored,
+        "phases": saving.stored,
         "channels": [
             {"wavelength": wavelength, **channel}
             for wavelength, channel in zip(part.wavelengths, channels, strict=True)
@@ -335,7 +340,7 @@ def _group(
         channel |= {"file": names[0], **({"files": names} if len(names) > 1 else {})}
         channel |= {"seconds_per_iteration": result["seconds_per_iteration"], "final_loss": clock.loss}
         return result
-    planes = _planes(part, volume, images * scales)
+    planes = _planes(part, volume, images * scales, found.psnr)
     if job.planes > 1:
         files.write_png(
             folder / "focal_stack.png", _focal_stack(job, planes, volume.images.cpu(), (images * scales).cpu())
@@ -374,25 +379,75 @@ def display_of(
     return wave.Display(panel, wavelengths, lens_of(job) or distances, frames, powers, profile, iris).to(device)
 
 
-def _solved(
-    job: Job, target: Target, volume: Volume, display: wave.Display, count: int
-) -> tuple[wave.DisplayedHologram, report.Clock]:
-    """Return the hologram of a problem as computed, without levels, and the clock of the run."""
-    name = f"{job.planes} planes" if job.planes > 1 else f"{target.wavelengths[0] * 1e9:.6g} nm"
-    if _shares_frames(job) and job.planes == 1:
-        name = f"{display.frames} frames"
-    count = count if job.iterates else 0
-    with report.progress(name, count, job.quiet, job.settles, partial=True) as clock:
-        found = wave.optimise(
-            display,
-            volume.images if volume.loss is None else volume.loss,
-            solver=_solver(job, target, volume),
-            start=_start(job, display),
-            run=wave.Run(max(1, count), False, clock.tick, seed=job.seed),
-        )
-        if display.powers.is_cuda:
-            torch.cuda.synchronize(display.powers.device)
-    return found, clock
+@dataclass(frozen=True, repr=False)
+class Framed(wave.Observer):
+    """An observer who looks at the window of a picture, and not at the black around it.
+
+    Attributes
+    ----------
+    window : tuple of slice
+        Rows and columns of the picture.
+    """
+
+    window: tuple[slice, ...] = ()
+
+    def places(self, shape: Sequence[int], pitches: Sequence[float]) -> list[list[slice]]:
+        """Return along rows and along columns which quarters of a pixel each place of the observer takes."""
+        found = super().places([part.stop - part.start for part in self.window], pitches)
+        ahead = [PLACES * part.start for part in self.window]
+        return [
+            [slice(one.start + by, one.stop + by, one.step) for one in along]
+            for along, by in zip(found, ahead, strict=True)
+        ]
+
+
+def observer_of(job: Job, target: Target) -> Framed:
+    """Return who looks at the picture: a camera at any place, or points where pixels are points."""
+    points = job.fill_factor is None
+    return Framed(fill=0.0 if points else 1.0, registered=points, window=target.window)
+
+
+class Saving:
+    """A solver that saves the patterns of a job's own, and returns them as they are read back.
+
+    Attributes
+    ----------
+    clock : Clock
+        Of the iterations.
+    ideal, stored : torch.Tensor
+        Phases as computed, and as the files hold them, ``[frames, rows, columns]``.
+    """
+
+    clock: report.Clock
+    ideal: torch.Tensor
+    stored: torch.Tensor
+
+    def __init__(self, job: Job, target: Target, volume: Volume, paths: list[Path], count: int) -> None:
+        self.job, self.paths, self.count = job, paths, count if job.iterates else 0
+        self.solver = _solver(job, target, volume)
+        self.name = f"{job.planes} planes" if job.planes > 1 else f"{target.wavelengths[0] * 1e9:.6g} nm"
+        if _shares_frames(job) and job.planes == 1:
+            self.name = f"{len(paths)} frames"
+
+    def tick(self, iteration: int, value: torch.Tensor) -> bool:
+        """Count an iteration."""
+        return self.clock.tick(iteration, value)
+
+    def solve(self, problem: wave.Problem) -> Any:
+        """Return the phases of the saved patterns, and what else was found."""
+        job, response = self.job, files.response_of(self.job)
+        with report.progress(self.name, self.count, job.quiet, job.settles, partial=True) as self.clock:
+            solved = self.solver.solve(problem)
+            if problem.target.is_cuda:
+                torch.cuda.synchronize(problem.target.device)
+        self.ideal, *others = solved if isinstance(solved, tuple) else (solved,)
+        grating = grating_phase(job.resolution, self.ideal.device) if job.grating else 0.0
+        for path, phase in zip(self.paths, self.ideal, strict=True):
+            modulated = wave.unit_phasor(phase.double() + grating)
+            files.save_pattern(path, files.quantise(modulated, job.bits, response), job.bits)
+        self.stored = torch.stack([files.load_pattern(path, job.bits, response) for path in self.paths])
+        shown = (self.stored.to(self.ideal.device) - grating).to(self.ideal)
+        return (shown, *others) if others else shown
 
 
 def _solver(job: Job, target: Target, volume: Volume) -> Any:
@@ -403,8 +458,8 @@ def _solver(job: Job, target: Target, volume: Volume) -> Any:
         return By(lambda problem: _double_phase(job, problem))
     if job.method == "gs":
         return By(lambda problem: _retrieved(job, problem))
-    if not job.over_areas:
-        return By(lambda problem: _at_points(job, problem))
+    if not job.by_display:
+        return By(lambda problem: _descended(job, problem))
     solver = wave.Descent(job.optimizer or SOLVERS[0], job.learning_rate or LEARNING_RATE, job.method == "multi-color")
     return solver if job.scale else By(lambda problem: solver.solve(replace(problem, free=False)))
 
@@ -484,81 +539,48 @@ def _retrieved(job: Job, problem: wave.Problem) -> torch.Tensor:
     return phase[None]
 
 
-def _at_points(job: Job, problem: wave.Problem) -> Any:
-    """Return the patterns whose light is the picture at the middles of pixels, by any propagation type."""
-    display, profile, rate = problem.display, problem.display.profile, job.learning_rate or LEARNING_RATE
-    if not _shares_frames(job):
-        hologram, _ = wave.stochastic_gradient_descent(
-            problem.target[0, 0],
-            display.wavelengths[0],
-            job.distance,
-            job.pixel_pitch,
-            job.propagation_type,
-            problem.run.iterations,
-            learning_rate=rate,
-            optimizer=job.optimizer or SOLVERS[0],
-            initial_phase=problem.start if display.frames > 1 else problem.start[0],
-            scale=job.scale,
-            frames=display.frames,
-            pixel_fill=job.fill_factor,
-            slm=None if profile is None else lambda phase: profile[0] * wave.unit_phasor(phase),
-            progress=False,
-            callback=problem.run.callback,
-        )
-        return wave.calculate_phase(hologram).reshape(problem.start.shape)
-    shared = job.method == "multi-color"
-    geometry = (list(job.resolution), problem.target)
-    options: dict[str, Any] = {"method": "multi-color" if shared else "conventional"}
-    propagator = wave.propagator(
-        job.resolution,
-        list(display.wavelengths),
+def _descended(job: Job, problem: wave.Problem) -> torch.Tensor:
+    """Return the patterns of gradient descent by another propagation type than the display's."""
+    display, profile = problem.display, problem.display.profile
+    hologram, _ = wave.stochastic_gradient_descent(
+        problem.target[0, 0],
+        display.wavelengths[0],
+        job.distance,
         job.pixel_pitch,
-        number_of_frames=display.frames,
-        distances=list(display.distances),
-        propagation_type=job.propagation_type,
-        propagator_type="forward",
-        device=problem.target.device,
+        job.propagation_type,
+        problem.run.iterations,
+        learning_rate=job.learning_rate or LEARNING_RATE,
+        optimizer=job.optimizer or SOLVERS[0],
+        initial_phase=problem.start if display.frames > 1 else problem.start[0],
+        scale=job.scale,
+        frames=display.frames,
         pixel_fill=job.fill_factor,
-        aperture="open",
-        **options,
-    )
-    optimizer = wave.multi_color_hologram_optimizer(
-        list(display.wavelengths),
-        *geometry,
-        propagator,
-        display.frames,
-        job.planes,
-        learning_rate=rate,
-        min_learning_rate=rate / 2,
-        loss_function=problem.loss if job.planes > 1 else None,
-        # All sources at full power where they share the frames.
-        peak_amplitude=float(display.frames) if shared and job.scale else 1.0,
-        optimize_peak_amplitude=job.scale,
-        reduction="mean",
-        initial_phase=problem.start,
+        slm=None if profile is None else lambda phase: profile[0] * wave.unit_phasor(phase),
         progress=False,
-        seed=job.seed,
         callback=problem.run.callback,
-        **options,
     )
-    # The light loss would drive all sources to full power, and with them colours that the picture does not have.
-    _, phases, _, amplitudes, _, _ = optimizer.optimize(
-        problem.run.iterations, {"eyebox": 0.0, "light": 0.0}, bits=None
-    )
-    return phases, amplitudes.square()
+    return wave.calculate_phase(hologram).reshape(problem.start.shape)
 
 
 # --- Judgement
 
 
-def _judged(job: Job, display: wave.Display, phases: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the images ``[planes, colours, rows, columns]`` that the report states, and those by its other figure."""
-    areas, points = display.judge(phases)
-    if job.fill_factor is not None:
-        return areas, points
-    panel = replace(display.modulator, fill=1.0)
-    whole = wave.Display(panel, display.wavelengths, display.distances, display.frames, display.powers, display.profile)
-    return points, whole.to(phases.device).judge(phases)[0]
+def _add_observed(job: Job, found: wave.DisplayedHologram, channels: list[dict]) -> None:
+    """Add to the quality of colours what is seen of areas and at points and, on one plane, by the observer."""
+    registered, seen = [channel["psnr_db"] for channel in channels], found.psnr.amin(0).tolist()
+    if job.fill_factor is None:
+        display = found.display
+        panel, given = replace(display.modulator, fill=1.0), (display.frames, display.powers, display.profile)
+        whole = wave.Display(panel, display.wavelengths, display.distances, *given).to(found.phases.device)
+        alone = By(lambda problem: found.phases)
+        areas = wave.optimise(whole, found.target, None, alone, "flat", observer=wave.Observer.camera(registered=True))
+        others = {"psnr_area_db": areas.psnr.amin(0).tolist(), "psnr_points_db": registered}
+    else:
+        others = {"psnr_area_db": registered, "psnr_points_db": found.psnr_at_points.amin(0).tolist()}
+    for c, channel in enumerate(channels):
+        channel |= {name: values[c] for name, values in others.items()}
+        if job.fill_factor is not None and not _shares_frames(job):
+            channel["psnr_db"] = seen[c]
 
 
 def _channels(
@@ -573,7 +595,7 @@ def _channels(
     powers : torch.Tensor
         Powers of the sources ``[frames, colours]``.
     *stacks : torch.Tensor
-        Images of the saved patterns, of the patterns as computed, and of the saved patterns by the other figure.
+        Images of the saved patterns, and of the patterns as computed.
     """
     wanted = target.intensity.to(powers.device).double()
     window = (slice(None), *target.window)
@@ -592,21 +614,11 @@ def _channels(
         {
             **report.measure(
                 wanted[c], target.window, sharp[0][c], sharp[1][c], (float(scales[0][c]), float(scales[1][c]))
-            ),
-            **_areas_and_points(
-                job,
-                *(report.psnr((scales[k] * sharp[k])[c][target.window], wanted[c][target.window]) for k in (0, 2)),
-            ),
+            )
         }
         for c in range(len(wanted))
     ]
     return channels, scales[0].to(stacks[0].dtype), bright[0], powers
-
-
-def _areas_and_points(job: Job, stated: float | None, other: float | None) -> dict:
-    """Return the quality over areas and at points, of which the job states one."""
-    areas, points = (stated, other) if job.fill_factor is not None else (other, stated)
-    return {"psnr_area_db": areas, "psnr_points_db": points}
 
 
 def grating_phase(shape: tuple[int, int], device: torch.device) -> torch.Tensor:
@@ -616,12 +628,16 @@ def grating_phase(shape: tuple[int, int], device: torch.device) -> torch.Tensor:
     )
 
 
-def _planes(target: Target, volume: Volume, scaled) -> list[dict]:
+def _planes(target: Target, volume: Volume, scaled: torch.Tensor, seen: torch.Tensor) -> list[dict]:
     planes = []
-    for distance, *parts in zip(volume.distances, volume.images, volume.masks, scaled, strict=True):
+    for distance, *parts, camera in zip(volume.distances, volume.images, volume.masks, scaled, seen, strict=True):
         colours = [
-            {"wavelength": wavelength, **_plane_quality(*(part[target.window].double() for part in three))}
-            for wavelength, *three in zip(target.wavelengths, *parts, strict=True)
+            {
+                "wavelength": wavelength,
+                **_plane_quality(*(part[target.window].double() for part in three)),
+                "psnr_camera_db": value,
+            }
+            for wavelength, *three, value in zip(target.wavelengths, *parts, camera.tolist(), strict=True)
         ]
         share = float(parts[1][0][target.window].double().mean())
         planes.append({"distance": distance, "share_in_focus": share, "channels": colours})

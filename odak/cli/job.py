@@ -261,6 +261,11 @@ class Job(DeviceSettings):
         if self.tiles:
             self._check_tiles()
         self._set_fill_factor()
+        if self.method in VOLUME_METHODS and not self.by_display:
+            raise InputError(
+                f"--propagation-type must be one of {', '.join(map(repr, EXACT))} with --method {self.method}, got "
+                f"{self.propagation_type!r}"
+            )
         self._set_initial_phase()
         self._set_optimizer()
         counts = ITERATIONS_OF_LBFGS if self.optimizer == "lbfgs" else ITERATIONS
@@ -280,10 +285,9 @@ class Job(DeviceSettings):
             self._set("fill_factor", USUAL_FILL)
 
     @property
-    def over_areas(self) -> bool:
-        """Whether gradient descent optimises means over the areas of pixels."""
-        descends = self.method in ("sgd", *VOLUME_METHODS)
-        return descends and self.fill_factor is not None and self.propagation_type in EXACT
+    def by_display(self) -> bool:
+        """Whether gradient descent optimises what an observer sees of a display, whose propagation is exact."""
+        return self.method in ("sgd", *VOLUME_METHODS) and self.propagation_type in EXACT
 
     def _check_response(self) -> None:
         """Check the options that state the modulator's response, which is that at one wavelength."""
@@ -353,15 +357,15 @@ class Job(DeviceSettings):
                 raise InputError("--initial-phase has no effect with --method network, which makes the phase itself")
             return
         if chosen is None:
-            chosen = "gs" if self.over_areas else DEFAULT_INITIAL_PHASE[str(self.method)]
+            chosen = "gs" if self.by_display else DEFAULT_INITIAL_PHASE[str(self.method)]
         self._set("initial_phase", chosen)
-        if chosen in COMPUTED_PHASES and self.method != "sgd" and not self.over_areas:
+        if chosen in COMPUTED_PHASES and self.method != "sgd" and not self.by_display:
             raise InputError(
-                f"--initial-phase {chosen} needs --method sgd, or one for areas of pixels; got {self.method!r}"
+                f"--initial-phase {chosen} needs --method sgd or one for several planes or colours; got {self.method!r}"
             )
 
     def _set_optimizer(self) -> None:
-        if self.method == "sgd" or self.over_areas:
+        if self.method == "sgd" or self.by_display:
             usual = "adam" if self.tiles or self.learning_rate is not None else "lbfgs"
             self._set("optimizer", self.optimizer or usual)
             if self.optimizer == "lbfgs":
@@ -371,7 +375,9 @@ class Job(DeviceSettings):
                     )
                 return
         elif self.optimizer is not None:
-            raise InputError(f"--optimizer needs --method sgd, or one for areas of pixels; got {self.method!r}")
+            raise InputError(
+                f"--optimizer needs --method sgd or one for several planes or colours; got {self.method!r}"
+            )
         if self.learning_rate is None:
             self._set("learning_rate", LEARNING_RATE)
 

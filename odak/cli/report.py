@@ -39,13 +39,18 @@ DEFINITIONS = {
     "With the methods multiplane and multi-color: brightness times the sum of the squares of source_amplitudes.",
     "brightness": "Methods multiplane and multi-color: the one factor of the intensities of all colours, as the "
     "sources give them, at which the picture is closest to T over its window; no colour is rescaled by itself.",
-    "psnr_points_db": "As psnr_db, with I at the middles of pixels, which no sensor sees.",
-    "psnr_area_db": "As psnr_db, for square pixels of verification.pixel.fill_factor (1 if none is given) behind a "
-    "stop that passes |f| < 1/(2*pitch) along each axis, with I averaged over the area of each pixel.",
-    "psnr_db": "10*log10(1/mean((s*I - T)^2)) over the picture's window, without the black borders; overall, the mean "
-    "is over all channels.",
-    "psnr_frame_db": "The same over the whole frame, black borders included, with the same s.",
-    "psnr_before_quantisation_db": "psnr_db of the hologram before it was quantised, with its own s.",
+    "psnr_db": "How a camera of the modulator's pitch sees the image at the least favourable place of its pixels: the "
+    "least over shifts by quarters of a pixel along both axes of 10*log10(1/mean((s*C - D)^2)), C and D being the "
+    "means over its pixels of I and of T, a picture of squares, in the picture's window without its outermost pixels, "
+    "at one brightness. With points (verification.observer), several planes, shared frames and tiles: "
+    "10*log10(1/mean((s*I - T)^2)) over the window. Overall, the mean of the squares is over all channels.",
+    "psnr_area_db": "10*log10(1/mean((s*I - T)^2)) over the picture's window, with I averaged over the area of each "
+    "pixel: for a registered camera, whose pixels coincide with those of the image. Points: of pixels without gaps.",
+    "psnr_points_db": "That of I at the middles of pixels, which no sensor sees, over the whole frame.",
+    "psnr_camera_db": "Of a plane by itself: as psnr_db on one plane, against the plane's own target.",
+    "psnr_frame_db": "10*log10(1/mean((s*I - T)^2)) over the whole frame, black borders included, with the same s.",
+    "psnr_before_quantisation_db": "The same over the window, of the hologram before it was quantised, by the model of "
+    "the optimisation and with its own s.",
     "ssim": "Mean structural similarity of s*I and T over the picture's window (Wang et al. 2004: Gaussian window 11 x "
     "11, sigma 1.5, K1 0.01, K2 0.03, peak 1); overall, the mean over channels.",
     "efficiency": "Energy of I over the whole frame, divided by the number of pixels: what a flat pattern (unit "
@@ -282,6 +287,12 @@ def devices() -> list[torch.device]:
 def decibels(error: float) -> float | None:
     """Return the PSNR in dB of a mean squared error at a peak of 1, None without error: JSON has no infinity."""
     return -10 * math.log10(error) if error > 0 else None
+
+
+def mean_decibels(channels: list[dict], name: str) -> float | None:
+    """Return the PSNR in dB of the mean of the squared errors of channels, from the PSNR of each."""
+    errors = [0.0 if channel[name] is None else 10 ** (-channel[name] / 10) for channel in channels]
+    return decibels(sum(errors) / len(errors))
 
 
 def psnr(image: torch.Tensor, target: torch.Tensor) -> float | None:

@@ -50,7 +50,7 @@ def run(job: SimulateSettings, notices: files.Notices = files.SILENT) -> dict:
         try:
             bench, elements = load_bench(Path(str(job.config)))
         except (TypeError, ValueError) as error:
-            raise InputError(re.sub("^config", "CONFIG", str(error))) from None
+            raise InputError(re.sub(r"(^|: )config\b", r"\1CONFIG", str(error), count=1)) from None
         check_wavelength(f"{BENCH}: wavelength", bench["wavelength"])
         coarsest = max(pitches(bench["pixel_pitch"]))
         warn_of_samples(f"{BENCH}: wavelength", bench["wavelength"], f"{BENCH}: pixel_pitch", coarsest)
