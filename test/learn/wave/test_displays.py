@@ -794,7 +794,15 @@ def test_an_iris_takes_lengths_with_units():
 def older(distances, **options):
     """Return the older display of planes with the panel and the colours of the tests below."""
     return propagator(
-        (16, 20), [639e-9, 515e-9], PITCH, 1, 2, len(distances), distances=distances, pixel_fill=0.9, **options
+        (16, 20),
+        [639e-9, 515e-9],
+        PITCH,
+        1,
+        2,
+        len(distances),
+        distances=distances,
+        pixel_fill=0.9,
+        **({"aperture": "open"} | options),
     )
 
 
@@ -819,7 +827,7 @@ def test_phases_scale_with_the_wavelength_as_in_the_older_display(response, rand
     phases, scale = torch.from_numpy(random.uniform(0, 6.2, (1, 16, 20))), [1.0, 639 / 515]
     old = propagator(
         *((16, 20), [639e-9, 515e-9], PITCH), distances=[2e-3], propagator_type="forward", pixel_fill=0.9,
-        slm=response, laser_channel_power=torch.ones(1, 2),
+        slm=response, laser_channel_power=torch.ones(1, 2), aperture="open",
     )  # fmt: skip
     old.phase_scale = torch.tensor(scale, dtype=torch.float64)
     panel = Modulator((16, 20), PITCH, None, response=response, phase_scale=scale)

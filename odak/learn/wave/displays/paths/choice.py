@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from odak import _validate
+from odak._lengths import likely_length
 from odak._warnings import ArgumentWarning, warn
 from odak.instruments import Lens
 from odak.learn.wave.displays.panels import Iris, Modulator, checked_iris, pitch_pair
@@ -46,7 +47,7 @@ def _warn_of_millimetres(modulator: Modulator, wavelength: float, furthest: floa
     sides = zip(modulator.resolution, pitch_pair(modulator.pitch), strict=True)
     share = max(n * pitch**2 for n, pitch in sides) / (wavelength * furthest) if furthest else 1.0
     if furthest > _METRES and share < _SHARE:
-        meant = _validate.likely_length(furthest, 1e-3, 1.0, "mm")
+        meant = likely_length(furthest, 1e-3, 1.0, "mm")
         warn(
             f"distances are in metres: over {furthest:g} m the first order of the pixels becomes {1 / share:.0f} times "
             f"as wide as the panel; did you mean {meant}?",
