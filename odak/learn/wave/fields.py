@@ -124,10 +124,17 @@ def exposure(
     _validate.one_device(field=field, power=power)
     if workspace is not None and not isinstance(workspace, Workspace):
         raise TypeError(f"workspace must be a Workspace or None, got {type(workspace).__name__}")
+    return exposed(trainable(field), trainable(power), one_each, workspace)
+
+
+def exposed(
+    field: torch.Tensor, power: torch.Tensor, one_each: bool = False, workspace: Workspace | None = None
+) -> torch.Tensor:
+    """Return :func:`exposure` of fields and amplitudes of the sources that have been checked, and are of one dtype."""
     if is_transformed(field, power):
         light = intensity(field) * power.square()[:, None, :, None, None]
         return light[:, :, 0].transpose(0, 1) if one_each else light.sum(0)
-    return _exposure(trainable(field.resolve_conj()), trainable(power), one_each, workspace)
+    return _exposure(field.resolve_conj(), power, one_each, workspace)
 
 
 def squared_error(image: torch.Tensor, target: torch.Tensor, workspace: Workspace | None = None) -> torch.Tensor:

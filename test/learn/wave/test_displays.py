@@ -1,6 +1,7 @@
 """Displays of real pixels against plain sums over frequencies, and holograms that are optimised for them."""
 
 import math
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -903,3 +904,22 @@ def test_what_does_not_fit_free_space():
         Display(replace(panel, lit_through=AmplitudePanel()), WAVELENGTH, Free(1e-3, mask=torch.ones(16, 20)))
     with pytest.raises(ValueError, match=r"distances must be \[planes\] where it is a tensor"):
         Free(torch.ones(1, 1, requires_grad=True))
+
+
+@pytest.mark.parametrize(("colours", "most"), [([532e-9], 480), ([639e-9, 515e-9, 473e-9], 980)])
+def test_an_iteration_makes_few_calls(colours, most):
+    """Of Python and C alike: arguments are checked once, at the door, and nothing constant is computed again."""
+    display, counts, made = Display(Modulator((64, 64), PITCH), colours, 2e-3), [], 0
+
+    def count(frame, event, argument):
+        nonlocal made
+        made += event in ("call", "c_call")
+
+    run = Run(iterations=3, progress=False, callback=lambda iteration, loss: counts.append(made))
+    before = sys.getprofile()
+    sys.setprofile(count)
+    try:
+        optimise(display, torch.rand(display.shape), start="flat", run=run)
+    finally:
+        sys.setprofile(before)
+    assert counts[1] - counts[0] <= most

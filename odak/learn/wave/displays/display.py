@@ -24,7 +24,7 @@ from odak.learn.wave.displays.paths.choice import path_to
 from odak.learn.wave.displays.paths.free import Free
 from odak.learn.wave.displays.sections import view_of
 from odak.learn.wave.eyes import Eyes
-from odak.learn.wave.fields import exposure, intensity
+from odak.learn.wave.fields import exposed, intensity
 from odak.learn.wave.slm import spatial_light_modulator
 from odak.learn.wave.training import fingerprint
 
@@ -446,14 +446,15 @@ class Display(Prepared, torch.nn.Module):
         """
         colour, frames, power = part.colour, part.frames, powers[:, part.colour]
 
-        def shown_in(values):
-            return values if len(frames) == self.frames else torch.stack([values[..., f, :, :] for f in frames], -3)
-
-        lit = self.lit_by_source(tuple(shown_in(light) for light in lights), colour)
+        whole = len(frames) == self.frames
+        if not whole:
+            lights = tuple(torch.stack([light[..., f, :, :] for f in frames], -3) for light in lights)
+        lit = self.lit_by_source(lights, colour)
         shown = self.path.points(self._kept, lit, colour, part.planes)
-        amplitudes = (torch.stack([power[f] for f in frames]) / power.sum()).sqrt()[:, None].to(shown.real.dtype)
+        power = power / power.sum() if whole else torch.stack([power[f] for f in frames]) / power.sum()
+        amplitudes = power.sqrt()[:, None].to(shown.real.dtype)
         # The patterns of a batch beside the planes: frames are summed up, and these are not.
         batch, points = shown.shape[:-4], shown.movedim(-4, 0).flatten(1, -3)
-        light = exposure(points[:, :, None], amplitudes)[:, 0].unflatten(0, (-1, self.samples, self.samples))
+        light = exposed(points[:, :, None], amplitudes)[:, 0].unflatten(0, (-1, self.samples, self.samples))
         seen = observer.recorded(light, self.path.image_pitches(colour))
         return seen.reshape(len(seen), *batch, -1, *seen.shape[-2:])
