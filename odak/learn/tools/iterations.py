@@ -47,6 +47,10 @@ class Run:
         Iterations between two writings of that file; it is written at the end and on an interruption too.
     seed : int
         Seed of the random numbers, for reproducible results.
+    memory_budget : int, optional
+        Bytes that the fields of a display may take at once in :func:`odak.learn.wave.optimise` by gradient descent.
+        With it frames, planes and colours are computed in parts, and again for the gradient; transfer functions that
+        would take more than it are built anew for each part. Other runs have no use for it.
 
     Examples
     --------
@@ -61,6 +65,7 @@ class Run:
     checkpoint: str | os.PathLike[str] | None = None
     checkpoint_every: int = 50
     seed: int = 0
+    memory_budget: int | None = None
 
     def __post_init__(self):
         _validate.flag("progress", self.progress)
@@ -71,6 +76,8 @@ class Run:
             raise ValueError(f"checkpoint must not hold a null byte, got {self.checkpoint!r}")
         _validate.integer("iterations", self.iterations, minimum=1)
         _validate.integer("seed", self.seed)
+        if self.memory_budget is not None:
+            _validate.integer("memory_budget", self.memory_budget, minimum=1)
 
 
 @in_own_precision

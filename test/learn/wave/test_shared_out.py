@@ -9,7 +9,7 @@ from emulated_device import NAME, EmulatedDevice
 from rank_tasks import check_shared_holograms, colour_display, pictures
 
 from odak.learn.wave import Descent, Display, Modulator, Run, multiplane_loss, optimise
-from odak.learn.wave.displays.parts import shared_among
+from odak.learn.wave.displays.parts import shared_among, streamed
 from odak.learn.wave.displays.paths.free import FreePath
 
 BRIEF = Run(iterations=3, progress=False)
@@ -143,3 +143,36 @@ def test_on_cuda_devices():
         assert other.phases.is_cuda
         same(one, other, 1e-9)
     same(alone[0], optimise(display, targets[0], run=BRIEF, devices=devices), 1e-9)
+
+
+@pytest.mark.parametrize(("budget", "at_once"), [(1, 1), (600_000, 2), (10**9, 4)])
+def test_a_memory_budget_changes_no_hologram(budget, at_once):
+    """Of 2 planes, 2 colours and 2 frames: parts of one field each, of two, or of all fields of a colour."""
+    target, display = pictures(1)[0], colour_display()
+    parts = streamed(display, budget).shares.parts
+    counts = [len(part.planes) * len(part.frames) for part in parts]
+    assert max(counts) == at_once and sum(counts) == 8
+    whole = optimise(display, target, run=BRIEF, solver=Descent(powers=True))
+    found = optimise(display, target, run=replace(BRIEF, memory_budget=budget), solver=Descent(powers=True))
+    same(whole, found, 1e-9)
+
+
+def test_a_memory_budget_keeps_neither_fields_nor_kernels_beyond_it():
+    phases = torch.rand(2, 12, 16, dtype=torch.float64, requires_grad=True)
+    sizes = []
+
+    def keep(value):
+        sizes[-1] += value.numel() * value.element_size()
+        return value
+
+    for display, kept in ((streamed(colour_display(), 1), 1), (streamed(colour_display(), 10**9), 2), (None, 0)):
+        sizes.append(0)
+        with torch.autograd.graph.saved_tensors_hooks(keep, lambda value: value):
+            image = (display or colour_display())(phases)
+        image.sum().backward()
+        assert display is None or len(display.shares.display._kept.tensors) == kept
+    assert max(sizes[:2]) < sizes[2] / 2
+    with pytest.raises(ValueError, match="devices must be None with a memory_budget"):
+        optimise(colour_display(), pictures(1)[0], run=replace(BRIEF, memory_budget=1), devices=["cpu"])
+    with pytest.raises(ValueError, match="memory_budget"):
+        Run(memory_budget=0)

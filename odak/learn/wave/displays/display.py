@@ -18,7 +18,7 @@ from odak.learn._tensors import ValuesRead, floating
 from odak.learn.wave.displays.judge import judged
 from odak.learn.wave.displays.observers import REGISTERED, Observer
 from odak.learn.wave.displays.panels import Iris, Modulator
-from odak.learn.wave.displays.parts import Part, Shares, frames_lit
+from odak.learn.wave.displays.parts import Part, Shares, Streamed, frames_lit
 from odak.learn.wave.displays.paths.base import Kept, Lights, listed
 from odak.learn.wave.displays.paths.choice import path_to
 from odak.learn.wave.displays.paths.free import Free
@@ -141,7 +141,7 @@ class Display(Prepared, torch.nn.Module):
         self.register_buffer("profile", profile)
         self._kept = Kept(powers.device)
         # Who computes which part of the images where several devices or ranks do.
-        self.shares: Shares | None = None
+        self.shares: Shares | Streamed | None = None
 
     @classmethod
     def from_calibration(
@@ -222,9 +222,13 @@ class Display(Prepared, torch.nn.Module):
 
     def _apply(self, function, recurse: bool = True):
         super()._apply(function, recurse)
-        self._kept = Kept(self.powers.device)
+        self.forget()
         self._powers_read.moved(self.powers)
         return self
+
+    def forget(self) -> None:
+        """Drop the transfer functions that are kept from call to call."""
+        self._kept = Kept(self.powers.device)
 
     def _load_from_state_dict(self, *arguments) -> None:
         super()._load_from_state_dict(*arguments)

@@ -5,6 +5,7 @@ do not determine it: they tell what one camera sees, whose pixels coincide with 
 pixel apart do, so that what is good on these is good for a camera at any place.
 """
 
+import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from odak import _array, _validate
+from odak import _array, _torch_private, _validate
 from odak._torch_private import in_own_precision
 from odak.learn.wave.fields import intensity
 
@@ -353,6 +354,12 @@ def _reach(samples: int, side: float) -> int:
 
 @_array.constant_in_graphs
 def _weights(samples: int, side: float, grids: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return :func:`_matrices`, for a graph of torch.compile to hold."""
+    return _matrices(samples, side, grids)
+
+
+@functools.lru_cache(64)
+def _matrices(samples: int, side: float, grids: int) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the matrices from the points of a block of pixels, and of the next, to `grids` means for each pixel."""
     reach = _reach(samples, side)
     pixels = max(_BLOCK, 2 * reach // samples + 1)
@@ -362,7 +369,8 @@ def _weights(samples: int, side: float, grids: int) -> tuple[torch.Tensor, torch
         for pixel in range(pixels):
             start = pixel * samples + first
             whole[start : start + len(taps), pixel * grids + grid] = taps
-    here, beyond = torch.from_numpy(whole).split([pixels * samples, 2 * reach + samples])
+    with _torch_private.outside_functional_transforms(), _torch_private.keeping():
+        here, beyond = torch.from_numpy(whole).split([pixels * samples, 2 * reach + samples])
     return here, beyond
 
 

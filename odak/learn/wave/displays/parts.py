@@ -10,8 +10,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
+from torch.utils.checkpoint import checkpoint
 
 from odak.learn.wave.devices import Ranks, shares_of
+
+# Of a part, in fields at the points of its pixels: spectra of twice their size, what is transformed, and slopes.
+_FIELDS = 12
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,52 @@ class Shares:
         like = self.parts[0][0].lit_by_source(lights, 0)[-1].real[..., 0, :, :]
         nothing = like.new_zeros(observer.grids, *like.shape)
         return self.ranks.sum(torch.stack([torch.stack([nothing + one for one in row], -3) for row in images], -4))
+
+
+class Streamed:
+    """The images of a display in parts whose fields fit a memory budget; the backward pass computes each part anew.
+
+    Parameters
+    ----------
+    display : Display
+        The display.
+    budget : int
+        Bytes that the fields of a part may take. A part is at least one frame on one plane in one colour.
+    """
+
+    def __init__(self, display: Any, budget: int):
+        self.display, (planes, colours, rows, columns) = copied_to(display, display.powers.device), display.shape
+        points = rows * columns * display.samples**2 * display.powers.dtype.itemsize * 2
+        at_once = max(1, budget // (_FIELDS * points))
+        self.keeps = 4 * points * planes * colours <= budget
+        self.parts = []
+        for colour, lit in enumerate(display.lit_frames):
+            frames = [lit[i : i + at_once] for i in range(0, len(lit), at_once)]
+            many = max(1, at_once // len(lit))
+            for i, some in itertools.product(range(0, planes, many), frames):
+                self.parts.append(Part(colour, tuple(range(planes))[i : i + many], some))
+
+    def images(self, observer: Any, lights: tuple[torch.Tensor, ...], powers: torch.Tensor) -> torch.Tensor:
+        """Return what an observer sees of what panels do to light, the sum of its parts."""
+        planes, colours = self.display.shape[:2]
+        images: list[list[Any]] = [[0.0] * colours for _ in range(planes)]
+        for part in self.parts:
+            shown = checkpoint(self._part, part, observer, powers, *lights, use_reentrant=False)
+            for plane, image in zip(part.planes, shown.unbind(-3), strict=True):
+                images[plane][part.colour] = images[plane][part.colour] + image
+        return torch.stack([torch.stack(row, -3) for row in images], -4)
+
+    def _part(self, part: Part, observer, powers, *lights) -> torch.Tensor:
+        if not self.keeps:
+            self.display.forget()
+        return self.display.images_of(part, observer, lights, powers)
+
+
+def streamed(display: Any, budget: int) -> Any:
+    """Return a display with its images computed in parts whose fields fit a memory budget."""
+    whole = copied_to(display, display.powers.device)
+    whole.shares = Streamed(display, budget)
+    return whole
 
 
 def shared_among(display: Any, devices: Sequence[torch.device] | Ranks) -> Any:

@@ -15,7 +15,7 @@ from odak.learn.wave.devices import DISTRIBUTED, Ranks, on_devices, used_devices
 from odak.learn.wave.displays.display import Display
 from odak.learn.wave.displays.judge import judged
 from odak.learn.wave.displays.observers import ANYWHERE, Observer, brightest, decibels, squared_errors
-from odak.learn.wave.displays.parts import copied_to, shared_among
+from odak.learn.wave.displays.parts import copied_to, shared_among, streamed
 from odak.learn.wave.holograms.bounds import tell_bounds
 from odak.learn.wave.holograms.problem import Problem, Solver
 from odak.learn.wave.holograms.result import DisplayedHologram
@@ -180,8 +180,12 @@ def optimise(
     tell_bounds(display, target)
     begun = starting_phases(display, target, start, run.seed)
     own = replace(run, callback=record, progress=run.progress and not (isinstance(where, Ranks) and where.rank))
-    shared = display if where is None else shared_among(display, where)
-    problem = Problem(shared, target, loss, begun, own, observer=observer)
+    computing = display if where is None else shared_among(display, where)
+    if run.memory_budget is not None:
+        if where is not None:
+            raise ValueError(f"devices must be None with a memory_budget, got {devices!r:.80}")
+        computing = streamed(display, run.memory_budget)
+    problem = Problem(computing, target, loss, begun, own, observer=observer)
     solved = solver.solve(problem)
     solved = solved if isinstance(solved, tuple) else (solved,)
     phases, powers, amplitudes = (*solved, None, None)[:3]

@@ -73,7 +73,7 @@ class Descent:
             return problem.loss_of(phases, found(), attenuation())
 
         if self.graph and (drawn_from or problem.display.shares):
-            what = "the loss draws random numbers" if drawn_from else "several devices share one picture"
+            what = "the loss draws random numbers" if drawn_from else "parts of the picture are computed apart"
             raise ValueError(f"graph must be False where {what}, got True")
         evaluate = recorded(value, list(learned.values())) if self.graph else value
         rate = cosine(self.learning_rate, self.learning_rate / 2, run.iterations)
