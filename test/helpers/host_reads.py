@@ -30,6 +30,7 @@ REASONS = {
         raytracing/system/prescriptions: _view of
         raytracing/system/waves: _view field_modulation field_quality relative_illumination
         wave/holograms/result: _view
+        wave/pictures: _view
         wave/gaussians/sets: _points save_splats
         tools/iterations: go iterate minimise
         wave/training: fingerprint
@@ -63,7 +64,9 @@ REASONS = {
         tools/transformation: quaternion_to_rotation_matrix
         wave/displays/display: _amplitudes
         wave/displays/parts: frames_lit
+        wave/holograms/bounds: least_error_of_band least_error_of_light tell_bounds
         wave/holograms/optimising: optimise
+        wave/pictures: _primaries _sources light_of
         wave/holograms/starts: starting_phases
         wave/holograms/targets: checked_target
         wave/older/eyebox: eyebox_hologram
