@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from numbers import Integral, Real
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -119,11 +119,11 @@ def create_group_tensor(
     """
     import torch
 
-    count = _count("number_of_elements", number_of_elements, 0)
+    count = _validate.integer("number_of_elements", number_of_elements)
     if group_percentages is None:
         if number_of_groups is None:
             raise ValueError("number_of_groups must be provided where group_percentages are not")
-        groups = _count("number_of_groups", number_of_groups, 1)
+        groups = _validate.integer("number_of_groups", number_of_groups, minimum=1)
         shares = [1 / groups] * groups
     else:
         shares = _validate.numbers(_validate.real("group_percentages", group_percentages))
@@ -136,11 +136,3 @@ def create_group_tensor(
         sizes.append(min(round(count * share), count - sum(sizes)))
     sizes.append(count - sum(sizes))
     return torch.repeat_interleave(torch.arange(len(sizes)), torch.tensor(sizes))
-
-
-def _count(name: str, value, minimum: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, Integral):
-        raise TypeError(f"{name} must be an integer, got {type(value).__name__}")
-    if value < minimum:
-        raise ValueError(f"{name} must be at least {minimum}, got {value}")
-    return int(value)

@@ -91,6 +91,18 @@ def faces(name: str, value, count: int) -> np.ndarray:
     return found
 
 
+def heights(data_x, data_y, data_z, least: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return x and y, ``[m, n]`` or of the columns ``[n]`` and the rows ``[m]``, and heights ``[m, n]``."""
+    x, y, z = (real_array(f"data_{axis}", value) for axis, value in zip("xyz", (data_x, data_y, data_z), strict=True))
+    if z.ndim != 2 or min(z.shape) < least:
+        wanted = "not empty" if least == 1 else f"at least {least} by {least}"
+        raise ValueError(f"data_z must be [m, n], {wanted}; got {list(z.shape)}")
+    for name, value, n in (("data_x", x, z.shape[1]), ("data_y", y, z.shape[0])):
+        if value.shape not in (z.shape, (n,)):
+            raise ValueError(f"{name} must be {list(z.shape)} as data_z, or [{n}]; got {list(value.shape)}")
+    return x, y, z
+
+
 def sphere(name: str, value, samples: int) -> list[np.ndarray]:
     """Return x, y and z ``[samples, samples]`` on a sphere ``[4]`` or ``[1, 4]``, its centre and radius."""
     found = real_array(name, value).reshape(-1)

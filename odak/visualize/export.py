@@ -165,13 +165,7 @@ class PLY_object:
         color : sequence of int
             Red, green, blue from 0 to 255.
         """
-        z = _arrays.real_array("data_z", data_z)
-        if z.ndim != 2 or min(z.shape) < 2:
-            raise ValueError(f"data_z must be [m, n], at least 2 by 2, got {list(z.shape)}")
-        x, y = _arrays.real_array("data_x", data_x), _arrays.real_array("data_y", data_y)
-        for name, value, n in (("data_x", x, z.shape[1]), ("data_y", y, z.shape[0])):
-            if value.shape not in (z.shape, (n,)):
-                raise ValueError(f"{name} must be {list(z.shape)} as data_z, or [{n}]; got {list(value.shape)}")
+        x, y, z = _arrays.heights(data_x, data_y, data_z, least=2)
         points = np.stack(
             [np.broadcast_to(x, z.shape), np.broadcast_to(y[:, None] if y.ndim == 1 else y, z.shape), z], axis=-1
         )

@@ -577,14 +577,8 @@ def _mesh(mesh, faces) -> tuple[str, Mesh]:
     if faces is None:
         corners = _arrays.triangles("mesh", mesh)
         return "mesh", Mesh(corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3))
-    vertices, faces = _arrays.points("mesh", mesh), _arrays.real_array("faces", faces)
-    if faces.dtype.kind not in "iu" or faces.ndim != 2 or faces.shape[1] != 3:
-        raise ValueError(f"faces must be integers [f, 3], got {faces.dtype} {list(faces.shape)}")
-    if len(faces) and not 0 <= faces.min() <= faces.max() < len(vertices):
-        raise ValueError(
-            f"faces must be indices of vertices, 0 to {len(vertices) - 1} of mesh, got {faces.min()} … {faces.max()}"
-        )
-    return "mesh", Mesh(vertices, faces)
+    vertices = _arrays.points("mesh", mesh)
+    return "mesh", Mesh(vertices, _arrays.faces("faces", faces, len(vertices)))
 
 
 def _grid(parts, shape) -> np.ndarray:

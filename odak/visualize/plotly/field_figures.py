@@ -14,7 +14,9 @@ from odak import _validate
 from odak._array import Array
 from odak.tools.file import read_levels
 from odak.tools.paths import validate_path
-from odak.visualize._arrays import image, real_array, to_numpy
+from odak.visualize import _arrays
+from odak.visualize._arrays import image as one_image
+from odak.visualize._arrays import real_array, to_numpy
 from odak.visualize.plotly import figures
 from odak.visualize.plotly.figures import Figure, graph, make_subplots
 
@@ -217,8 +219,8 @@ class _Images(Figure):
     def update_layout(self) -> None:
         """Apply the settings to the figure; done before it is shown or saved."""
         super().update_layout()
-        fit = self.settings["height"] is None
-        figures.place_images(self.fig, self._domains, rows=self._rows, fit_height=fit)
+        share, fit = self.settings.get("colorbar length", 1.0), self.settings["height"] is None
+        figures.place_images(self.fig, self._domains, share, rows=self._rows, fit_height=fit)
 
     def _add(self, field, quantity: Quantity, scale, row: int, column: int, showscale: bool, **options) -> None:
         """Add one image of a field."""
@@ -373,7 +375,7 @@ class plot2dshow(_Images):
         row, col = place.values()
         label = figures.text("label", label)
         inset = figures.mapping("zoomed_inset_settings", zoomed_inset_settings, {})
-        values = image("field", field)
+        values = one_image("field", field)
         if values.dtype.kind == "c":
             raise TypeError("field must be real, got a complex one; draw its amplitude or phase, or use detectorshow")
         figure = None if zoomed_inset is None else _inset(zoomed_inset)
@@ -543,7 +545,7 @@ class detectorshow(_Images):
         origin : {"upper", "lower"}
             Position of row 0.
         """
-        values = image("field", field)
+        values = one_image("field", field)
         row, col = figures.cell(self._cells, row, col).values()
         if wavelength is not None:
             _validate.real("wavelength", wavelength, positive=True)
@@ -710,10 +712,7 @@ def field_show(
         figure.add_field(one, row=row, showscale=True, dx=dx, wavelength=wavelength, origin=origin)
     if slides:
         _add_slider(figure.fig, len(chosen), labels)
-    if filename is not None:
-        figure.save(filename)
-    if show or (show is None and filename is None):
-        figure.show()
+    figure._finish(filename, show)
     return figure
 
 
@@ -848,18 +847,10 @@ class surfaceshow(Figure):
         ValueError, TypeError
             If the shapes do not fit each other or the values are not real numbers.
         """
-        grid, factor = surface_grid(data_x, data_y, data_z)
-        if factor > 1:
-            self._say(f"every {factor}. point of {' × '.join(map(str, np.shape(data_z)))} drawn")
-        trace = graph.Surface(
-            **grid,
-            name=figures.text("label", label),
-            colorscale=self.settings["color scale"],
-            opacity=figures.share("opacity", opacity),
-            colorbar={"len": self.settings["colorbar length"], "title": {"text": self.settings["z label"]}},
-            contours={"z": {"show": _validate.flag("contour", contour)}},
-        )
-        self.fig.add_trace(trace)
+        bar = {"len": self.settings["colorbar length"], "title": {"text": self.settings["z label"]}}
+        style = {"colorscale": self.settings["color scale"], "colorbar": bar}
+        data = data_x, data_y, data_z
+        self.fig.add_trace(surface_trace(self, data, label, opacity, contour, lambda factor: style))
 
     def update_layout(self) -> None:
         """Apply the settings to the figure; done before it is shown or saved."""
@@ -875,7 +866,7 @@ class surfaceshow(Figure):
         super().update_layout()
 
 
-class plotshow(Figure):
+class plotshow(_Images):
     """Figure of curves and images of values, in rows and columns.
 
     Parameters
@@ -920,8 +911,6 @@ class plotshow(Figure):
         rows, cols = (_validate.integer(name, n, minimum=1) for name, n in (("rows", rows), ("cols", cols)))
         titles, labels = figures.texts("subplot_titles", subplot_titles), figures.texts("labels", labels, 2)
         shape = figures.numbers("shape", shape, 2, positive=True)
-        figure = make_subplots(rows=rows, cols=cols)
-        figures.place_titles(figure, titles[: rows * cols], [], cols)
         settings = {
             "subplot titles": titles,
             "color scale": figures.SEQUENTIAL_SCALE,
@@ -934,9 +923,7 @@ class plotshow(Figure):
             "height": shape[1],
             "maximum side": MAXIMUM_SIDE,
         }
-        super().__init__(figure, settings)
-        self._domains = figures.domains(figure)
-        self._cells = rows, cols
+        super().__init__(rows, cols, titles[: rows * cols], [], settings)
 
     def add_plot(
         self,
@@ -1000,7 +987,8 @@ class plotshow(Figure):
             Position of row 0.
         """
         row, col = figures.cell(self._cells, row, col).values()
-        add_image(self, image, row, col, showscale, origin, figures.text("label", label))
+        scale, label, values = self.settings["color scale"], figures.text("label", label), one_image("image", image)
+        self._add(real_array("image", values), _PLAIN, scale, row, col, showscale, bar=label, origin=origin)
 
     def update_layout(self) -> None:
         """Apply the settings to the figure; done before it is shown or saved."""
@@ -1008,41 +996,19 @@ class plotshow(Figure):
         self.fig.update_xaxes(title={"text": settings["x label"]})
         self.fig.update_yaxes(title={"text": settings["y label"]})
         super().update_layout()
-        figures.place_images(self.fig, self._domains, settings["colorbar length"])
 
 
-def add_image(figure: Figure, values, row: int, col: int, showscale: bool, origin: str, label: str = ""):
-    """Add an image of real values, reduced to the largest size of the settings, and return the trace."""
-    values = real_array("image", image("image", values))
-    origin = _validate.one_of("origin", origin, ORIGINS)
-    figure._say_what_is_blank(values)
-    factor = reduction(values.shape, figure.settings["maximum side"])
-    if factor > 1:
-        figure._say(f"means of {factor} × {factor} of the {' × '.join(map(str, values.shape))} samples")
-    trace = graph.Heatmap(
-        z=averaged(values, factor),
-        x0=(factor - 1) / 2,
-        dx=factor,
-        y0=(factor - 1) / 2,
-        dy=factor,
-        name=label,
-        colorscale=figure.settings["color scale"],
-        showscale=_validate.flag("showscale", showscale),
-        colorbar={"title": {"text": label}},
-    )
-    figure.fig.add_trace(trace, row=row, col=col)
-    figures.square_pixels(figure.fig, figure.fig.data[-1], origin)
-    return figure.fig.data[-1]
-
-
-def surface_grid(data_x, data_y, data_z) -> tuple[dict, int]:
-    """Return x, y and z of a surface with every k-th sample, so that a browser can draw it, and k."""
-    x, y, z = (real_array(f"data_{axis}", value) for axis, value in zip(_AXES, (data_x, data_y, data_z), strict=True))
-    if z.ndim != 2 or 0 in z.shape:
-        raise ValueError(f"data_z must be [m, n], not empty; got {list(z.shape)}")
-    for name, value, n in (("data_x", x, z.shape[1]), ("data_y", y, z.shape[0])):
-        if value.shape not in (z.shape, (n,)):
-            raise ValueError(f"{name} must be {list(z.shape)} as data_z, or [{n}]; got {list(value.shape)}")
+def surface_trace(figure: Figure, data, label, opacity, contour, style: Callable[[int], dict]):
+    """Return a surface for Plotly, every k-th sample of which is drawn; `style` is a function of k."""
+    x, y, z = _arrays.heights(*data)
     factor = reduction(z.shape, MAXIMUM_SURFACE)
+    if factor > 1:
+        figure._say(f"every {factor}. point of {' × '.join(map(str, z.shape))} drawn")
     thin = slice(None, None, factor)
-    return {a: v[(thin,) * v.ndim] for a, v in zip(_AXES, (x, y, z), strict=True)}, factor
+    return graph.Surface(
+        **{axis: value[(thin,) * value.ndim] for axis, value in zip(_AXES, (x, y, z), strict=True)},
+        **style(factor),
+        name=figures.text("label", label),
+        opacity=figures.share("opacity", opacity),
+        contours={"z": {"show": _validate.flag("contour", contour)}},
+    )

@@ -695,6 +695,13 @@ class Figure:
         else:
             self.save_image(filename)
 
+    def _finish(self, filename, show: bool | None) -> None:
+        """Save the figure where a file is named, and show it where that is asked for, by default if it is not saved."""
+        if filename is not None:
+            self.save(filename)
+        if show or (show is None and filename is None):
+            self.show()
+
     def _say(self, text: str) -> None:
         """Add a note at the foot of the figure."""
         if text not in self._notes:

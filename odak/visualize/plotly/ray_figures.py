@@ -10,7 +10,7 @@ from odak import _validate
 from odak._array import Array
 from odak.visualize import _arrays
 from odak.visualize.plotly import figures
-from odak.visualize.plotly.field_figures import surface_grid
+from odak.visualize.plotly.field_figures import surface_trace
 from odak.visualize.plotly.figures import Figure, graph, make_subplots
 
 SCENE_SIZE = (800, 700)
@@ -550,21 +550,23 @@ class rayshow(SceneFigure):
         contour : bool
             Draw lines of equal z.
         """
-        grid, factor = surface_grid(data_x, data_y, data_z)
-        label, opacity = figures.text("label", label), figures.share("opacity", opacity)
-        if factor > 1:
-            self._say(f"every {factor}. point of {' × '.join(map(str, np.shape(data_z)))} drawn")
-        if isinstance(surface_color, str):
-            figures.colour("surface_color", surface_color)
-            style = {"colorscale": [[0, surface_color], [1, surface_color]], "showscale": False}
-        else:
+
+        def style(factor: int) -> dict:
+            if isinstance(surface_color, str):
+                figures.colour("surface_color", surface_color)
+                return {"colorscale": [[0, surface_color], [1, surface_color]], "showscale": False}
             values = _arrays.real_array("surface_color", surface_color)
             if values.shape != np.shape(data_z):
                 raise ValueError(f"surface_color must be {list(np.shape(data_z))}, got {list(values.shape)}")
-            style = {"surfacecolor": values[::factor, ::factor], "colorscale": self.settings["color scale"]}
-            style["colorbar"] = {"title": {"text": label}}
-        contours = {"z": {"show": _validate.flag("contour", contour)}}
-        self._add(graph.Surface(**grid, **style, name=label, opacity=opacity, contours=contours), row, column)
+            bar = {"title": {"text": figures.text("label", label)}}
+            return {
+                "surfacecolor": values[::factor, ::factor],
+                "colorscale": self.settings["color scale"],
+                "colorbar": bar,
+            }
+
+        data = data_x, data_y, data_z
+        self._add(surface_trace(self, data, label, opacity, contour, style), row, column)
 
     def add_volume(
         self,
@@ -720,10 +722,7 @@ def system_show(
         colour = figures.COLORS[i % len(figures.COLORS)]
         figure.add_path(lines, color=colour, show_legend=True, label=f"field {_field_name(field, system)}")
     _frame_from_the_side(figure)
-    if filename is not None:
-        figure.save(filename)
-    if show or (show is None and filename is None):
-        figure.show()
+    figure._finish(filename, show)
     return figure
 
 
