@@ -21,6 +21,7 @@ from odak.learn.wave import (
     Iris,
     Modulator,
     Network,
+    Observer,
     Problem,
     Run,
     multiplane_loss,
@@ -543,8 +544,10 @@ def test_a_picture_with_depth_is_sharp_on_its_own_plane(disc):
     loss = multiplane_loss(disc, depth, blur_ratio=2.0, number_of_planes=2)
     near, far = optimise(display, loss, run=BRIEF), optimise(display, loss.targets, loss=loss, run=BRIEF)
     assert torch.equal(near.phases, far.phases) and far.psnr_in_focus is None
-    sharp = torch.where(depth[None] == 0, near.images[0], near.images[1])
-    torch.testing.assert_close(near.psnr_in_focus, -10 * (sharp - disc).square().mean((1, 2)).log10())
+    assert bool((near.psnr_in_focus > near.psnr.min() - 3).all())
+    alike = optimise(display, loss, run=BRIEF, observer=Observer.camera(registered=True))
+    sharp = torch.where(depth[None] == 0, alike.images[0], alike.images[1])
+    torch.testing.assert_close(alike.psnr_in_focus, -10 * (sharp - disc).square().mean((1, 2)).log10())
     by_geometry = optimise(display, (disc, depth), run=BRIEF)
     assert torch.equal(by_geometry.target[0, 0, :, :25], disc[:, :25])
     assert by_geometry.target[0, 0, :, 25:].std() < disc[:, 25:].std() and by_geometry.psnr_in_focus > 15

@@ -345,7 +345,8 @@ class Display(Prepared, torch.nn.Module):
         tuple of torch.Tensor
             Means over the areas of pixels, and intensities at their middles, ``[D, C, rows, columns]`` each.
         """
-        return judged(self, phases, amplitudes)[:2]
+        found = judged(self, phases, amplitudes)
+        return found.areas, found.points
 
     def lit_by(self, powers: torch.Tensor) -> "Display":
         """Return the same display with other powers of the sources, ``[F, C]``."""

@@ -3,9 +3,10 @@
 It imports no path of light and shares no arithmetic with one: of a display it asks for the panels, lengths and stops.
 """
 
-import itertools
+import collections
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -21,41 +22,104 @@ from odak.wave.transfer_functions import divided_pitch
 from odak.wave.viewing import covered
 
 
+@dataclass(frozen=True)
+class Judgement:
+    """What is seen of patterns, and how it compares with a target.
+
+    Attributes
+    ----------
+    areas, points : torch.Tensor
+        Means over the areas of pixels, and intensities at their middles, ``[D, C, rows, columns]``.
+    compared : torch.Tensor
+        What an observer sees compared with a target, ``[D, C, places, 3]``; see :meth:`Observer.compared`.
+    sharp : torch.Tensor
+        The same of the image of each colour that is put together of the parts in focus, ``[1, C, places, 3]``.
+    """
+
+    areas: torch.Tensor
+    points: torch.Tensor
+    compared: torch.Tensor
+    sharp: torch.Tensor
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What images are held against: an observer, a target, and the parts of images in focus.
+
+    Attributes
+    ----------
+    observer : Observer
+        Who looks.
+    target : torch.Tensor
+        Intensities ``[D, C, rows, columns]``.
+    masks : torch.Tensor, optional
+        Share of each pixel that is in focus on each plane, of the shape of the target; all by default.
+    """
+
+    observer: Observer
+    target: torch.Tensor
+    masks: torch.Tensor | None = None
+
+    def of(self, lights: Iterable[tuple[torch.Tensor, int]], pitches: Sequence[float], colour: int) -> torch.Tensor:
+        """Return the comparison of each plane of a colour and, last, of the parts in focus, ``[D + 1, places, 3]``.
+
+        `lights` are the intensity around the image of each plane and its samples per pixel.
+        """
+        found, sharp, whole = [], 0.0, 0.0
+        for d, (light, samples) in enumerate(lights):
+            target = self.target[d, colour]
+            image = self.observer.image(light, samples, target.shape, pitches)
+            wanted = self.observer.picture(target, pitches)
+            found.append(self.observer.compared(image, wanted, pitches))
+            share: Any = 1.0
+            if self.masks is not None:
+                share = self.observer.picture(self.masks[d, colour].to(target), pitches)
+            sharp, whole = sharp + share * image, whole + share * wanted
+        # Without masks there is one plane, or none is in focus before the others.
+        last = found[0] if self.masks is None else self.observer.compared(sharp, whole, pitches)
+        return torch.stack([*found, last])
+
+
 @torch.no_grad()
 def judged(
-    display: Any,
-    phases: torch.Tensor,
-    amplitudes: torch.Tensor | None = None,
-    observer: Observer | None = None,
-    target: torch.Tensor | None = None,
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return the images of patterns on a display, those at points, and a comparison of what is seen with a target.
+    display: Any, phases: torch.Tensor, amplitudes: torch.Tensor | None = None, held: Comparison | None = None
+) -> Judgement:
+    """Return what is seen of patterns on a display; see :meth:`odak.learn.wave.Display.judge`.
 
-    See :meth:`odak.learn.wave.Display.judge`. The comparison is that of :meth:`Observer.compared`,
-    ``[D, C, places, 3]``, without any place where there is no observer.
+    Without a comparison, `compared` and `sharp` are empty.
     """
     lights, at = display.lights(phases, amplitudes), display.path
     given = display.lit_by_source(lights, 0)[-1].shape
     if len(given) > 3:
         raise ValueError(f"phases must be without a batch, [frames, rows, columns], got {list(given)}")
-    areas, points, compared = [], [], []
-    for d, c in itertools.product(*map(range, display.shape[:2])):
+    planes, colours = display.shape[:2]
+    images: list[list[torch.Tensor]] = [[], []]
+
+    def on_planes(c):
         power = display.powers[:, c] / display.powers[:, c].sum()
-        light: Any = 0.0
-        for f in display.lit_frames[c]:
-            # One frame at a time, which takes less memory.
-            own = display.lit_by_source(tuple(one[..., f : f + 1, :, :] for one in lights), c)
-            shown, finer = _field_at(at, [one[0] for one in own], c, d)
-            light = light + power[f] * fine_intensity(shown)
-        areas.append(resolved(light, 2 * finer, at.sizes, (1.0, 1.0), 1))
-        chosen = (slice((n - n // 2) * 2 * finer, (2 * n - n // 2) * 2 * finer, 2 * finer) for n in at.sizes)
-        points.append(light[tuple(chosen)])
-        if observer is None or target is None:
-            compared.append(torch.empty(0, 3, dtype=torch.float64, device=light.device))
+        for d in range(planes):
+            light: Any = 0.0
+            for f in display.lit_frames[c]:
+                # One frame at a time, which takes less memory.
+                own = display.lit_by_source(tuple(one[..., f : f + 1, :, :] for one in lights), c)
+                shown, finer = _field_at(at, [one[0] for one in own], c, d)
+                light = light + power[f] * fine_intensity(shown)
+            samples = 2 * finer
+            images[0].append(resolved(light, samples, at.sizes, (1.0, 1.0), 1))
+            middles = (slice((n - n // 2) * samples, (2 * n - n // 2) * samples, samples) for n in at.sizes)
+            images[1].append(light[tuple(middles)])
+            yield light, samples
+
+    found = []
+    for c in range(colours):
+        if held is None:
+            # For the images alone.
+            collections.deque(on_planes(c), maxlen=0)
         else:
-            compared.append(observer.compared(light, 2 * finer, target[d, c], at.image_pitches(c)))
-    whole, places = [torch.stack(images).reshape(display.shape) for images in (areas, points)], torch.stack(compared)
-    return whole[0], whole[1], places.unflatten(0, display.shape[:2])
+            found.append(held.of(on_planes(c), at.image_pitches(c), c))
+    areas, points = (torch.stack(each).unflatten(0, (colours, planes)).transpose(0, 1) for each in images)
+    compared = torch.stack(found, 1) if found else areas.new_empty(planes + 1, colours, 0, 3, dtype=torch.float64)
+    return Judgement(areas, points, compared[:-1], compared[-1:])
 
 
 def _field_at(at, lights, colour: int, image: int) -> tuple[torch.Tensor, int]:

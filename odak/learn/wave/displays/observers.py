@@ -189,33 +189,53 @@ class Observer:
             found.append([slice(first + k, stop, whole) for k in range(min(whole, stop - first))])
         return found
 
-    def compared(
-        self, light: torch.Tensor, samples: int, target: torch.Tensor, pitches: Sequence[float]
-    ) -> torch.Tensor:
-        """Return how what is recorded at each place compares with a picture of squares.
+    def image(self, light: torch.Tensor, samples: int, shape: Sequence[int], pitches: Sequence[float]) -> torch.Tensor:
+        """Return means over the camera's pixels about all quarters of the pixels of an image.
 
         Parameters
         ----------
         light : torch.Tensor
-            Intensity ``[2·rows·samples, 2·columns·samples]`` around an image; see :func:`resolved`.
+            Intensity around the image; see :func:`resolved`.
         samples : int
             Samples for each pixel of the image along each axis.
-        target : torch.Tensor
-            The picture ``[rows, columns]``.
+        shape : sequence of int
+            Rows and columns of the image.
+        pitches : sequence of float
+            Distances of its pixels along rows and columns in metres.
+
+        Returns
+        -------
+        torch.Tensor
+            Means ``[4·rows, 4·columns]``, the first about the middle of the first pixel.
+        """
+        return resolved(light, samples, shape, self.sides(pitches))
+
+    def picture(self, target: torch.Tensor, pitches: Sequence[float]) -> torch.Tensor:
+        """Return what :meth:`image` is for a picture of squares ``[rows, columns]``."""
+        places = [np.arange(n * PLACES) / PLACES for n in target.shape]
+        return means_of_squares(target, places, self.sides(pitches))
+
+    def compared(self, image: torch.Tensor, wanted: torch.Tensor, pitches: Sequence[float]) -> torch.Tensor:
+        """Return how what is recorded at each place compares with what is wanted.
+
+        Parameters
+        ----------
+        image, wanted : torch.Tensor
+            Means about all quarters of pixels, by :meth:`image` and :meth:`picture`.
         pitches : sequence of float
             Distances of the image's pixels along rows and columns in metres.
 
         Returns
         -------
         torch.Tensor
-            Means of image², image · target and target² over the pixels of the camera at each place, ``[places, 3]``.
+            Means of image², image · wanted and wanted² over the pixels of the camera at each place, ``[places, 3]``.
         """
-        sides, quarters = self.sides(pitches), [np.arange(n * PLACES) / PLACES for n in target.shape]
-        image = resolved(light, samples, target.shape, sides).double()
-        wanted = means_of_squares(target.double(), quarters, sides)
-        down, across = self.places(target.shape, pitches)
-        products = torch.stack([image * image, image * wanted, wanted * wanted])
-        return torch.stack([products[:, y, x].mean((-2, -1)) for y in down for x in across])
+        down, across = self.places([n // PLACES for n in image.shape], pitches)
+        pairs = (image, image), (image, wanted), (wanted, wanted)
+        means = [
+            torch.stack([(a[y, x] * b[y, x]).mean(dtype=torch.float64) for a, b in pairs]) for y in down for x in across
+        ]
+        return torch.stack(means)
 
 
 # The default of all that takes an observer, and the one of means over the areas of the image's pixels.

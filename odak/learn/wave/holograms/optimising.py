@@ -13,7 +13,7 @@ from odak._torch_private import differentiates, in_own_precision
 from odak.learn.tools.iterations import Run
 from odak.learn.wave.devices import DISTRIBUTED, Ranks, on_devices, used_devices
 from odak.learn.wave.displays.display import Display
-from odak.learn.wave.displays.judge import judged
+from odak.learn.wave.displays.judge import Comparison, judged
 from odak.learn.wave.displays.observers import ANYWHERE, Observer, brightest, decibels, squared_errors
 from odak.learn.wave.displays.parts import copied_to, shared_among, streamed
 from odak.learn.wave.holograms.bounds import tell_bounds
@@ -191,20 +191,22 @@ def optimise(
     phases, powers, amplitudes = (*solved, None, None)[:3]
     amplitudes = None if first is None or amplitudes is None else first.shown(amplitudes)
     phases, display = display.modulator.shown(phases), display if powers is None else display.lit_by(powers)
-    areas, points, compared = judged(display, phases, amplitudes, observer, target)
-    lights = brightest(compared).to(areas)
-    images = areas * lights[:, None, None]
+    held = Comparison(observer, target, None if focal is None else focal.masks)
+    found = judged(display, phases, amplitudes, held)
+    lights = brightest(found.compared).to(target)
+    images = found.areas * lights[:, None, None]
     if powers is not None:
         relative = powers / powers.sum(0) * lights.clamp_min(1e-6)
         display = display.lit_by(relative / relative.max())
 
-    def ratio(shown, wanted=target):
-        return decibels((shown - wanted).square().mean((-2, -1)))
+    def ratio(compared):
+        return decibels(squared_errors(compared, lights.double())).to(target)
 
-    at_points = ratio(points * brightness_of(points, target))
-    sharp = None if focal is None else ratio((images * focal.masks).sum(0), (target * focal.masks).sum(0))
+    points = found.points * brightness_of(found.points, target)
+    at_points = decibels((points - target).square().mean((-2, -1)))
+    sharp = None if focal is None else ratio(found.sharp)[0]
     history = tuple(torch.stack(losses).tolist()) if losses else ()
-    ratios = decibels(squared_errors(compared, lights.double())).to(areas), at_points
+    ratios = ratio(found.compared), at_points
     return DisplayedHologram(display, target, phases, images, lights, *ratios, history, sharp, amplitudes, observer)
 
 

@@ -7,7 +7,7 @@ import torch
 
 from odak import _show, _validate
 from odak.learn.wave.displays.display import Display
-from odak.learn.wave.displays.judge import judged
+from odak.learn.wave.displays.judge import Comparison, judged
 from odak.learn.wave.displays.observers import ANYWHERE, Observer, brightest, decibels, squared_errors
 from odak.learn.wave.pictures import shown_on_a_screen
 from odak.learn.wave.slm import TURN
@@ -38,7 +38,8 @@ class DisplayedHologram:
     losses : tuple of float
         Loss after each iteration.
     psnr_in_focus : torch.Tensor, optional
-        Of a target with depth: the same ratio of each colour with each pixel from its own plane, ``[C]``.
+        Of a target with depth: the ratio of what the observer sees of each colour, put together of the parts of the
+        planes that are in focus, ``[C]``.
     amplitudes : torch.Tensor, optional
         Amplitudes of the panel that the modulator is lit through, by its levels, ``[F, rows, columns]``.
     observer : Observer
@@ -84,7 +85,8 @@ class DisplayedHologram:
         torch.Tensor
             Decibels ``[D, C]``.
         """
-        compared = judged(self.display, self.phases, self.amplitudes, observer, self.target)[2]
+        held = Comparison(observer, self.target)
+        compared = judged(self.display, self.phases, self.amplitudes, held).compared
         return decibels(squared_errors(compared, brightest(compared))).to(self.psnr)
 
     def levels(self) -> torch.Tensor:
