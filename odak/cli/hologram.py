@@ -28,7 +28,7 @@ from odak.cli.job import (
     pattern_name,
 )
 from odak.cli.options import InputError
-from odak.cli.target import Target, Volume, load_target, load_volume
+from odak.cli.target import Target, Volume, load_target, load_volume, on_screen
 from odak.instruments import Lens
 from odak.learn import wave
 from odak.learn.models.hologram_networks import FARTHEST, RATIOS, SPREADS, hologram_network
@@ -89,7 +89,10 @@ def run(job: Job, notices: files.Notices = files.SILENT) -> dict:
         quality = report.overall(target, images, result["channels"])
         figures = ["psnr_area_db", "psnr_points_db", *([] if _shares_frames(job) else ["psnr_db"])]
         quality |= {name: report.mean_decibels(result["channels"], name) for name in figures}
-        files.write_png(folder / "reconstruction.png", report.to_image(images))
+        shown, wanted = (on_screen(light, job, target.wavelengths) for light in (images, target.intensity))
+        window = (slice(None), *target.window)
+        quality["psnr_encoded_db"] = report.psnr(shown[window], wanted[window])
+        files.write_png(folder / "reconstruction.png", report.to_image(shown))
         files.write_png(folder / "comparison.png", comparison(job, target, images, phases, names, quality))
     summary = {
         **quality,
@@ -203,8 +206,10 @@ def comparison(job: Job, target: Target, images, phases, names: list[str], quali
     if (lens := lens_of(job)) is not None:
         where = f"behind a lens of {lens.focal_length * 1e3:.4g} mm"
     first = [
-        report.picture_panel("Target", target.intensity),
-        report.picture_panel(f"Reconstruction {where}{psnr}, SSIM {quality['ssim']:.3f}", images),
+        report.picture_panel("Target", on_screen(target.intensity, job, target.wavelengths)),
+        report.picture_panel(
+            f"Reconstruction {where}{psnr}, SSIM {quality['ssim']:.3f}", on_screen(images, job, target.wavelengths)
+        ),
     ]
     difference = report.difference_panel("Reconstruction minus target", images - target.intensity)
     patterns = [
@@ -659,6 +664,8 @@ def _focal_stack(job: Job, planes: list[dict], wanted: torch.Tensor, images: tor
     for plane, target, image in zip(planes, wanted, images, strict=True):
         known = [channel["psnr_in_focus_db"] for channel in plane["channels"]]
         quality = "" if None in known else f", in focus {sum(known) / len(known):.1f} dB"
+        wavelengths = [channel["wavelength"] for channel in plane["channels"]]
+        target, image = (on_screen(light, job, wavelengths) for light in (target, image))
         rows[0].append(report.picture_panel(f"Target at {plane['distance'] * 1e3:.4g} mm", target))
         rows[1].append(report.picture_panel(f"Reconstruction{quality}", image))
     return _sheet(job, rows)

@@ -136,9 +136,13 @@ class Job(DeviceSettings):
         Picture, or the name of one that comes with odak; one of those that the command names.
     wavelengths : tuple of float
         Wavelength, in metres or with a unit (532nm); give it three times for red, green and blue. If it is given once,
-        or with --grey, one hologram of the picture's brightness is computed.
+        or with --grey, one hologram of the picture's luminance is computed.
     grey : bool
-        Compute one hologram of the brightness of a colour picture.
+        Compute one hologram of the luminance of a colour picture.
+    linear : bool
+        Take the stored values of the picture as the light of the sources. By default they are decoded by the picture's
+        colour profile or as sRGB, but for OpenEXR and Radiance files, which hold light, and colours are mixtures of the
+        sources.
     pixel_pitch : float or tuple of float
         Pixel pitch of the modulator, in metres or with a unit (8um); two of them, with a comma, where rows and columns
         have different pitches (8um,6.4um).
@@ -218,6 +222,7 @@ class Job(DeviceSettings):
         check=check_wavelength,
     )
     grey: bool = option(False)
+    linear: bool = option(False)
     pixel_pitch: float | tuple[float, float] = length(8e-6, parse=parse_pitch, metavar=PITCH)
     resolution: tuple[int, int] = option((1080, 1920), metavar="ROWS COLUMNS", check=at_least(SMALLEST_SIDE))
     distance: float = length(0.15, "-d")

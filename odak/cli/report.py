@@ -30,8 +30,12 @@ LIT = 0.1
 # Nothing is gained any more where the loss falls by less than this share (0.1 dB) over so many iterations.
 LEAST_GAIN, GAINED_OVER = 0.023, 10
 DEFINITIONS = {
-    "target": "The picture's stored values, 0 to 1, taken as intensity; resized (bicubic) to the largest size that "
-    "fits the resolution with its aspect ratio kept, black around it.",
+    "target": "Light T of the picture for each source, 1 in white (D65): its stored values are decoded as "
+    "picture.light says, its colours are mixtures of the sources, and those of picture.outside_gamut of the pixels, "
+    "which no mixture shows, are less saturated; resized (bicubic) to the largest size that fits the resolution with "
+    "its aspect ratio kept, black around it. One source, and --grey: the luminance. With --linear the stored values.",
+    "psnr_encoded_db": "10*log10(1/mean((a - b)^2)) over the picture's window, a and b being the sRGB values that "
+    "stand for the light of s*I and of T on a screen, as in reconstruction.png; with --linear the light itself.",
     "reconstruction": "Intensity I = |u|^2 of the light that the saved pattern, quantised and read back from its file, "
     "sends to the distance: unit amplitude on the modulator (see verification.modulator), padded to twice its size, "
     "propagated by the method in verification.propagation_type.",
@@ -163,6 +167,8 @@ def parameters_of(job: Job, target: Target, names: list[str], device: torch.devi
         "parameters": {**job.to_dict(), "wavelengths": list(target.wavelengths), "resolution": list(job.resolution)},
         "picture": {
             "file": str(target.path),
+            "light": target.source,
+            "outside_gamut": target.outside,
             "rows": [rows.start, rows.stop],
             "columns": [columns.start, columns.stop],
         },

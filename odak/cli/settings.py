@@ -572,9 +572,9 @@ class SpreadSettings(ClusterSettings):
     Attributes
     ----------
     images : tuple of str
-        Picture file, folder of pictures, or name of a picture that comes with odak. Its stored values, 0 to 1, are the
-        target intensity; no display gamma is removed. It is resized to the largest size that fits the resolution and
-        padded with black.
+        Picture file, folder of pictures, or name of a picture that comes with odak. The target is the light of the
+        picture, its colours being mixtures of the sources, up to a white of the same light as D65. It is resized to the
+        largest size that fits the resolution and padded with black.
     cluster : str, optional
         Compute the pictures on worker processes of this machine (local) or of a Dask scheduler, such as
         tls://10.0.0.1:8786. The results of each picture are written to a folder of its name.

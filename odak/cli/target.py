@@ -13,6 +13,7 @@ from odak._warnings import ArgumentWarning, warn
 from odak.cli.files import image_pitches
 from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, Job, depth_map_path, image_path
 from odak.cli.options import InputError
+from odak.learn import wave
 from odak.learn.wave import multiplane_loss
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
@@ -34,12 +35,18 @@ class Target:
         Rows and columns that the picture fills; around it the frame is black.
     wavelengths : tuple of float
         One per channel, in metres.
+    source : str
+        How the values of the picture became light.
+    outside : float
+        Share of its pixels whose colours no mixture of the sources shows; they are shown less saturated.
     """
 
     path: Path
     intensity: Any
     window: tuple[slice, slice]
     wavelengths: tuple[float, ...]
+    source: str = ""
+    outside: float = 0.0
 
 
 def load_target(job: Job) -> Target:
@@ -63,11 +70,10 @@ def load_target(job: Job) -> Target:
     from odak.learn.perception.quality import WINDOW
 
     path = image_path(job.image)
-    picture = read_picture(path)
-    if job.grey or len(job.wavelengths) == 1:
-        picture = to_grey(picture)
-    wavelengths = job.wavelengths or (COLOUR_WAVELENGTHS if len(picture) == 3 else (GREY_WAVELENGTH,))
-    picture = picture.expand(len(wavelengths), -1, -1)
+    wavelengths = job.wavelengths
+    if not wavelengths:
+        wavelengths = (GREY_WAVELENGTH,) if job.grey or len(read_picture(path)) == 1 else COLOUR_WAVELENGTHS
+    picture, source, outside = light_of(path, job, wavelengths)
     size = fitting_size(picture.shape[-2:], job.resolution, image_pitches(job))
     intensity, window = fit(picture, job.resolution, size)
     if min(part.stop - part.start for part in window) < WINDOW:
@@ -78,7 +84,52 @@ def load_target(job: Job) -> Target:
         )
     if not intensity.any():
         raise InputError(f"IMAGE must have a pixel above 0, but all pixels of {str(path)!r} are black")
-    return Target(path, intensity, window, wavelengths)
+    return Target(path, intensity, window, wavelengths, source, outside)
+
+
+def light_of(picture: Any, job: Job, wavelengths: Sequence[float]) -> tuple[torch.Tensor, str, float]:
+    """Return the light ``[wavelengths, rows, columns]`` of a picture, how it was found, and the share beyond the gamut.
+
+    Parameters
+    ----------
+    picture : Path or torch.Tensor
+        File, or values of 0 … 1 ``[channels, rows, columns]``.
+    job : Job
+        Settings of the run.
+    wavelengths : sequence of float
+        Of the sources. Light that is not seen, and colours that mix to no white, show the channels of the picture.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read.
+    """
+    stored = read_picture(picture) if isinstance(picture, Path) else picture
+    if job.linear:
+        stored = to_grey(stored) if job.grey or len(wavelengths) == 1 else stored
+        return stored.expand(len(wavelengths), -1, -1), "stored values", 0.0
+    given = str(picture) if isinstance(picture, Path) else picture
+    sources = mixed_sources(wavelengths) or COLOUR_WAVELENGTHS
+    found = wave.light_of(given, sources, grey=job.grey or len(wavelengths) == 1)
+    return found.targets[: len(wavelengths)].float(), found.source, found.outside
+
+
+def mixed_sources(wavelengths: Sequence[float]) -> tuple[float, ...]:
+    """Return the sources whose light a picture on a screen stands for; none if they do not mix to white."""
+    if len(wavelengths) == 1:
+        return (GREY_WAVELENGTH,)
+    try:
+        wave.light_of(torch.ones(3, 1, 1), wavelengths)
+    except ValueError:
+        return ()
+    return tuple(wavelengths)
+
+
+def on_screen(images: torch.Tensor, job: Job, wavelengths: Sequence[float]) -> torch.Tensor:
+    """Return the picture of light ``[wavelengths, rows, columns]``, in stored values of 0 … 1 as those of the input."""
+    if job.linear or not mixed_sources(wavelengths):
+        return images.clamp(0, 1)
+    return wave.picture_of(images.float(), mixed_sources(wavelengths))[: len(wavelengths)]
 
 
 def fit(
@@ -106,7 +157,7 @@ def fit(
         Frame ``[channels, *resolution]``, and the rows and columns (slices) of the picture in it.
     """
     if size != tuple(picture.shape[-2:]) and mode == "bicubic":
-        picture = torch.nn.functional.interpolate(picture[None], size, mode=mode, antialias=True)[0].clamp(0, 1)
+        picture = torch.nn.functional.interpolate(picture[None], size, mode=mode, antialias=True)[0].clamp_min(0)
     elif size != tuple(picture.shape[-2:]):
         picture = torch.nn.functional.interpolate(picture[None], size, mode=mode)[0]
     rows, columns = (slice((f - s) // 2, (f - s) // 2 + s) for f, s in zip(resolution, size, strict=True))

@@ -18,7 +18,7 @@ from PIL import Image
 from odak.cli import files, hologram, report
 from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, SMALLEST_SIDE, Job, image_path, pattern_name
 from odak.cli.options import InputError
-from odak.cli.target import LUMINANCE, Target, fitting_size, read_picture
+from odak.cli.target import Target, fitting_size, light_of, on_screen, read_picture
 from odak.wave import hologram_in_chunks, propagate_beam
 from odak.wave.methods import find_method
 
@@ -169,6 +169,7 @@ def _claim(state: Path, job: Job, index: int) -> None:
         "picture": files.digest_of(image_path(job.image)),
         "colour": index,
         "grey": job.grey or len(job.wavelengths) == 1,
+        "linear": job.linear,
         "resolution": list(job.resolution),
     }
     about = state / "picture.json"
@@ -256,7 +257,7 @@ def _write_pictures(job: Job, target: Target, folder: Path, stems: list[str], ch
     whole = Target(target.path, torch.from_numpy(target.intensity.compute()), target.window, target.wavelengths)
     window = (slice(None), *target.window)
     ssim = report.ssim(images[window], whole.intensity[window])
-    files.write_png(folder / "reconstruction.png", report.to_image(images))
+    files.write_png(folder / "reconstruction.png", report.to_image(on_screen(images, job, target.wavelengths)))
     phases = [files.phase_of(grey.double(), job.bits) for grey in greys]
     names = [f"{stem}.png" for stem in stems]
     sheet = hologram.comparison(job, whole, images, phases, names, {**quality, "ssim": ssim})
@@ -290,15 +291,14 @@ def load_target(job: Job) -> Target:
     wavelengths = job.wavelengths or ((GREY_WAVELENGTH,) if grey else COLOUR_WAVELENGTHS)
     size = fitting_size(source.shape[:2], job.resolution, job.pitches)
     corner = tuple((frame - side) // 2 for frame, side in zip(job.resolution, size, strict=True))
-    fitted = _Fitted(source, str(path), size, 1 if grey else 3)
-    name = f"picture-{files.digest_of(path)}-{size}-{grey}"
+    fitted = _Fitted(source, str(path), size, job, tuple(wavelengths))
+    name = f"picture-{files.digest_of(path)}-{size}-{job.grey}-{job.linear}-{wavelengths}"
     parts = da.from_array(fitted, chunks=(1, "auto", "auto"), name=name, meta=np.empty((0, 0, 0), np.float32))
     around = [(0, 0)] + [(c, f - s - c) for c, f, s in zip(corner, job.resolution, size, strict=True)]
     frame = da.pad(parts, around) if any(map(any, around)) else parts
-    if len(frame) < len(wavelengths):
-        frame = da.concatenate([frame] * len(wavelengths))
     window = tuple(slice(c, c + s) for c, s in zip(corner, size, strict=True))
-    return Target(path, frame, (window[0], window[1]), wavelengths)
+    how = "stored values" if job.linear else f"{path.name} (sRGB)"
+    return Target(path, frame, (window[0], window[1]), wavelengths, how)
 
 
 def picture_size(image: str) -> tuple[int, int]:
@@ -459,7 +459,7 @@ def _tiff(path: Path) -> _Tiff | None:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A picture resized (bicubic) to the window that it fills, as intensities from 0 to 1, read where it is sliced.
+    """The light of a picture, resized (bicubic) to the window that it fills and read where it is sliced.
 
     Attributes
     ----------
@@ -469,18 +469,21 @@ class _Fitted:
         Its name in messages.
     size : tuple of int
         Rows and columns after resizing.
-    channels : int
-        1 for the brightness, or 3.
+    job : Job
+        Settings of the run.
+    wavelengths : tuple of float
+        Of the sources, in metres.
     """
 
     source: Any
     path: str
     size: tuple[int, int]
-    channels: int
+    job: Job
+    wavelengths: tuple[float, ...]
 
     dtype = np.dtype(np.float32)
     ndim = 3
-    shape = property(lambda self: (self.channels, *self.size))
+    shape = property(lambda self: (len(self.wavelengths), *self.size))
 
     def __getitem__(self, index):
         if isinstance(index[0], (int, np.integer)):
@@ -495,7 +498,7 @@ class _Fitted:
             slice(max(0, math.floor(low) - margin), min(side, math.ceil(high) + margin))
             for (low, high), margin, side in zip(exact, margins, self.source.shape, strict=False)
         ]
-        picture = self._brightness(np.asarray(self.source[read[0], read[1]]))[..., channels.start : channels.stop]
+        picture = self._light(np.asarray(self.source[read[0], read[1]]))[..., channels.start : channels.stop]
         if margins == [0, 0]:
             return np.moveaxis(picture, -1, 0)
         (top, bottom), (left, right) = (
@@ -508,17 +511,16 @@ class _Fitted:
             )
             for c in range(picture.shape[2])
         ]
-        return np.clip(np.stack([np.asarray(plane) for plane in planes]), 0, 1)
+        return np.clip(np.stack([np.asarray(plane) for plane in planes]), 0, None)
 
-    def _brightness(self, values: np.ndarray) -> np.ndarray:
-        """Return stored values as float32 intensities of 1 or 3 channels, transparent parts black."""
+    def _light(self, values: np.ndarray) -> np.ndarray:
+        """Return the light of stored values, float32 ``[rows, columns, wavelengths]``; transparent parts are black."""
         if values.dtype.kind == "u":
             values = values.astype(np.float32) / np.iinfo(values.dtype).max
         values = values.astype(np.float32)
         if not np.all((values >= 0) & (values <= 1)):
             raise InputError(f"IMAGE must have values from 0 to 1, but {self.path!r} has values outside this range")
-        if values.shape[2] in (2, 4):
-            values = values[..., :-1] * values[..., -1:]
-        if values.shape[2] == 3 and self.channels == 1:
-            return values @ np.array(LUMINANCE, np.float32)[:, None]
-        return values
+        colours = 1 if values.shape[2] < 3 else 3
+        light = light_of(torch.from_numpy(values[..., :colours]).movedim(-1, 0), self.job, self.wavelengths)[0]
+        opaque = 1.0 if values.shape[2] in (1, 3) else values[..., -1:]
+        return light.movedim(0, -1).numpy() * opaque

@@ -167,7 +167,16 @@ def measured(folder, levels=256):
 
 def test_a_hologram_is_that_of_the_calibrated_table(tmp_path):
     known, out = measured(tmp_path), tmp_path / "out"
-    options = ["--calibration", str(tmp_path / "table.h5"), "--iterations", "30", "--device", "cpu", "--quiet"]
+    options = [
+        "--calibration",
+        str(tmp_path / "table.h5"),
+        "--iterations",
+        "30",
+        "--device",
+        "cpu",
+        "--quiet",
+        "--linear",
+    ]
     options += ["--fill-factor", "0"]  # the reference below propagates points
     assert main(["hologram", "photo", *options, "--output", str(out)]) == 0
     report = json.loads((out / "report.json").read_text())
@@ -298,6 +307,7 @@ def behind_a_lens(folder, panel=(40, 40), block=3e-5):
 
 def holograms(folder, *more):
     arguments = ["hologram", "chart", "--calibration", str(folder / "lens.h5"), "--device", "cpu", "--quiet", "--again"]
+    arguments += ["--linear"]
     return main([*arguments, "--output", str(folder / "out"), *more])
 
 

@@ -18,7 +18,7 @@ from odak.wave import propagate_beam
 
 dask = pytest.importorskip("dask")
 zarr = pytest.importorskip("zarr")
-GEOMETRY = ["--distance", "3e-3", "--tiles"]
+GEOMETRY = ["--distance", "3e-3", "--tiles", "--linear"]
 
 
 @pytest.fixture(autouse=True)

@@ -11,6 +11,7 @@ from odak.learn.wave import Display, Modulator
 
 ROWS, COLUMNS = 48, 72
 VOLUME = ["--resolution", ROWS, COLUMNS, "--distance", "5e-3", "--volume-depth", "2e-3", "--device", "cpu", "--quiet"]
+VOLUME += ["--linear"]
 DEEP = ["--grating", "--bits", "10"]
 WAVELENGTHS = (638e-9, 520e-9, 450e-9)
 

@@ -12,7 +12,9 @@ from typer.testing import CliRunner
 from odak.cli import app
 
 ROWS, COLUMNS = 64, 96
-SMALL = ["--resolution", str(ROWS), str(COLUMNS), "--distance", "3e-3", "--iterations", "5", "--device", "cpu"]
+# Stored values are taken as light, so that targets are the pictures of the tests.
+SMALL = ["--linear", "--resolution", str(ROWS), str(COLUMNS), "--distance", "3e-3"]
+SMALL += ["--iterations", "5", "--device", "cpu"]
 
 
 # It would make the commands anew from their annotations each time.
