@@ -42,6 +42,8 @@ from .color import xyz_to_luv as xyz_to_luv
 from .color import xyz_to_oklab as xyz_to_oklab
 from .color import xyz_to_xyy as xyz_to_xyy
 from .color import ycrcb_2_rgb as ycrcb_2_rgb
+from .color_spaces import color_difference as color_difference
+from .color_spaces import convert_color as convert_color
 from .color_vision_deficiency import CVDLoss as CVDLoss
 from .color_vision_deficiency import color_information_loss as color_information_loss
 from .color_vision_deficiency import compute_local_contrast_similarity as compute_local_contrast_similarity

@@ -1,4 +1,4 @@
-"""Colours as they appear: CAM16-UCS, opponent colours of Derrington, Krauskopf and Lennie, and colour temperature."""
+"""Colours as they appear: CAM16-UCS, CAM02-UCS, opponents of Derrington, Krauskopf and Lennie, colour temperature."""
 
 import functools
 import math
@@ -23,8 +23,11 @@ from odak.learn.perception.color import (
 )
 from odak.learn.perception.display_color import color_matching_functions
 
-_CAM16 = np.array(CONES["CAT16"])
-_CAM16_TO_XYZ = np.linalg.inv(_CAM16)
+# Cones of XYZ whose gains adapt, and responses of these that are compressed.
+_MODELS = {
+    "CAM16": (np.array(CONES["CAT16"]), np.eye(3)),
+    "CAM02": (np.array(CONES["CAT02"]), np.array(CONES["Hunt-Pointer-Estevez"]) @ np.linalg.inv(CONES["CAT02"])),
+}
 # Achromatic response and the two opponents of the compressed responses.
 _TO_OPPONENT = np.array([(2.0, 1.0, 1 / 20), (1.0, -12 / 11, 1 / 11), (1 / 9, 1 / 9, -2 / 9)])
 _FROM_OPPONENT = np.linalg.inv(_TO_OPPONENT)
@@ -48,13 +51,15 @@ _COLDEST, _HOTTEST, _STEP = 1001.0, 9.0, 1.0
 
 
 @functools.lru_cache(maxsize=32)
-def _viewing(white, luminance, background):
-    """Return what depends on the conditions of viewing: gains of the cones, and numbers of CAM16 by their names."""
+def _viewing(white, luminance, background, model):
+    """Return what depends on the conditions of viewing: the matrix from XYZ to responses, and numbers by name."""
+    cones, compressed = _MODELS[model]
     k = 1 / (5 * luminance + 1)
     level = 0.2 * k**4 * 5 * luminance + 0.1 * (1 - k**4) ** 2 * (5 * luminance) ** (1 / 3)
     degree = _ADAPTING * (1 - math.exp((-luminance - 42) / 92) / 3.6)
-    responses = 100 * (_CAM16 @ np.array(white))
-    gains = min(max(degree, 0.0), 1.0) * 100 * white[1] / responses + 1 - min(max(degree, 0.0), 1.0)
+    degree = min(max(degree, 0.0), 1.0)
+    gains = degree * white[1] / (cones @ np.array(white)) + 1 - degree
+    matrix = compressed @ (gains[:, None] * cones)
     share = background / (100 * white[1])
     found = {
         "level": level,
@@ -62,11 +67,11 @@ def _viewing(white, luminance, background):
         "exponent": _IMPACT * (1.48 + math.sqrt(share)),
         "chroma": (1.64 - 0.29**share) ** 0.73,
     }
-    power = (level * gains * responses / 100) ** _COMPRESSION
-    return gains, found | {"white": float(_TO_OPPONENT[0] @ (400 * power / (power + _HALF)))}
+    power = (level * (matrix @ np.array(white))) ** _COMPRESSION
+    return matrix, found | {"white": float(_TO_OPPONENT[0] @ (400 * power / (power + _HALF)))}
 
 
-def _checked_viewing(white, luminance, background):
+def _checked_viewing(white, luminance, background, model):
     white = _white(white)
     if isinstance(white, torch.Tensor):
         white = _validate.numbers(_validate.constants(white=white)[0])
@@ -74,6 +79,7 @@ def _checked_viewing(white, luminance, background):
         tuple(map(float, white)),
         _validate.constant("adapting_luminance", luminance, positive=True),
         _validate.constant("background", background, positive=True),
+        model,
     )
 
 
@@ -122,8 +128,34 @@ def xyz_to_cam16_ucs(
     >>> [round(value) for value in result.flatten().tolist()]
     [46, 31, 11]
     """
-    gains, view = _checked_viewing(white, adapting_luminance, background)
-    responses = mix(rows(gains[:, None] * _CAM16), tristimulus(image, white)[0])
+    return uniform_colours(image, white, adapting_luminance, background)
+
+
+def uniform_colours(
+    image: torch.Tensor,
+    white: Sequence[float] = IEC_WHITE,
+    adapting_luminance: float = 64 / math.pi * 0.2,
+    background: float = 20.0,
+    model: str = "CAM16",
+) -> torch.Tensor:
+    """Return the uniform colour space of a model of appearance, see :func:`xyz_to_cam16_ucs`.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        XYZ ``[..., 3, H, W]``.
+    white, adapting_luminance, background
+        As of :func:`xyz_to_cam16_ucs`.
+    model : {"CAM16", "CAM02"}
+        Model. CAM02 (CIE 159:2004) differs by the cones that adapt and by those that are compressed.
+
+    Returns
+    -------
+    torch.Tensor
+        J′, a′ and b′ ``[..., 3, H, W]``.
+    """
+    matrix, view = _checked_viewing(white, adapting_luminance, background, model)
+    responses = mix(rows(matrix), tristimulus(image, white)[0])
     power = signed_power(view["level"] * responses, _COMPRESSION, view["level"] * _DARKEST)
     compressed = 400 * power / (power.abs() + _HALF)
     achromatic, a, b = mix(rows(_TO_OPPONENT), compressed).unbind(-3)
@@ -179,7 +211,31 @@ def cam16_ucs_to_xyz(
     >>> [round(value, 3) for value in result.flatten().tolist()]
     [0.207, 0.122, 0.051]
     """
-    gains, view = _checked_viewing(white, adapting_luminance, background)
+    return of_uniform_colours(image, white, adapting_luminance, background)
+
+
+def of_uniform_colours(
+    image: torch.Tensor,
+    white: Sequence[float] = IEC_WHITE,
+    adapting_luminance: float = 64 / math.pi * 0.2,
+    background: float = 20.0,
+    model: str = "CAM16",
+) -> torch.Tensor:
+    """Return CIE XYZ of the uniform colour space of a model: the inverse of :func:`uniform_colours`.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        J′, a′ and b′ ``[..., 3, H, W]``.
+    white, adapting_luminance, background, model
+        As of :func:`uniform_colours`.
+
+    Returns
+    -------
+    torch.Tensor
+        XYZ ``[..., 3, H, W]``.
+    """
+    matrix, view = _checked_viewing(white, adapting_luminance, background, model)
     level, a, b = as_pictures("image", image).unbind(-3)
     lightness = (level / (1.7 - 0.007 * level)).clamp_min(0)
     none = lightness == 0
@@ -196,7 +252,7 @@ def cam16_ucs_to_xyz(
     compressed = mix(rows(_FROM_OPPONENT), torch.stack([achromatic, radius * cosine, radius * sine], -3))
     power = _HALF * compressed / (400 - compressed.abs())
     responses = signed_power(power, 1 / _COMPRESSION, 1e-12) / view["level"]
-    return torch.where(none.unsqueeze(-3), 0.0, mix(rows(_CAM16_TO_XYZ / gains), responses))
+    return torch.where(none.unsqueeze(-3), 0.0, mix(rows(np.linalg.inv(matrix)), responses))
 
 
 @functools.lru_cache(maxsize=32)

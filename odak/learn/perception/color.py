@@ -121,7 +121,7 @@ def change_primaries(
         is not D65.
     target : {"BT.709", "BT.2020", "Display P3", "DCI-P3", "Adobe RGB", "ACEScg"} or sequence
         Primaries of the result.
-    cones : {"Bradford", "CAT16", "Hunt-Pointer-Estevez"}
+    cones : {"Bradford", "CAT02", "CAT16", "Hunt-Pointer-Estevez"}
         Responses that adapt where the whites differ, see :func:`adapt_chromatically`.
 
     Returns
@@ -1222,6 +1222,7 @@ def root(value):
 
 CONES = {
     "Bradford": ((0.8951, 0.2664, -0.1614), (-0.7502, 1.7135, 0.0367), (0.0389, -0.0685, 1.0296)),
+    "CAT02": ((0.7328, 0.4296, -0.1624), (-0.7036, 1.6975, 0.0061), (0.003, 0.0136, 0.9834)),
     "CAT16": ((0.401288, 0.650173, -0.051461), (-0.250268, 1.204414, 0.045854), (-0.002079, 0.048952, 0.953127)),
     "Hunt-Pointer-Estevez": ((0.38971, 0.68898, -0.07868), (-0.22981, 1.1834, 0.04641), (0.0, 0.0, 1.0)),
 }
@@ -1418,8 +1419,8 @@ def xyz_to_lms(image: torch.Tensor, cones: str = "Hunt-Pointer-Estevez") -> torc
     ----------
     image : torch.Tensor
         XYZ ``[..., 3, H, W]``.
-    cones : {"Hunt-Pointer-Estevez", "Bradford", "CAT16"}
-        Matrix of the responses; the latter two are sharpened, for chromatic adaptation.
+    cones : {"Hunt-Pointer-Estevez", "Bradford", "CAT02", "CAT16"}
+        Matrix of the responses; the others are sharpened, for chromatic adaptation.
 
     Returns
     -------
@@ -1451,7 +1452,7 @@ def lms_to_xyz(image: torch.Tensor, cones: str = "Hunt-Pointer-Estevez") -> torc
     ----------
     image : torch.Tensor
         Responses ``[..., 3, H, W]``.
-    cones : {"Hunt-Pointer-Estevez", "Bradford", "CAT16"}
+    cones : {"Hunt-Pointer-Estevez", "Bradford", "CAT02", "CAT16"}
         Matrix of the responses.
 
     Returns
@@ -1490,7 +1491,7 @@ def adapt_chromatically(
         XYZ of the white of the picture.
     target_white : sequence of float
         XYZ of the white of the result.
-    cones : {"Bradford", "CAT16", "Hunt-Pointer-Estevez"}
+    cones : {"Bradford", "CAT02", "CAT16", "Hunt-Pointer-Estevez"}
         Responses that are scaled. Adaptation is complete.
 
     Returns

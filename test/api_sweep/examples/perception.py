@@ -138,6 +138,7 @@ BY_CALL = {
     f"{HERE}.eccentricity_report": {"edges": [0.0, 5.0, 10.0]},
     f"{HERE}.ring_masks": {"edges": [0.0, 5.0, 10.0]},
     f"{HERE}.SpatialSteerablePyramid": {"n_channels": 3},
+    f"{HERE}.convert_color": {"source": "sRGB", "target": "Lab", "luminance": 100.0},
     f"{HERE}.SpatialSteerablePyramid.reconstruct_from_pyramid": {
         "pyramid": Build(
             lambda _: SpatialSteerablePyramid(n_channels=3, n_orientations=2).construct_pyramid(PICTURE, 3)

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from odak.learn import perception as p
+from odak.learn.perception.color_spaces import SPACES
 
 D65, D50 = (0.950455927052, 1.0, 1.08905775076), (0.96429567643, 1.0, 0.82510460251)
 COLOUR = (0.20654008, 0.12197225, 0.05136952)
@@ -260,3 +261,80 @@ def test_cube_files_that_cannot_be_read_are_named(tmp_path, text, message):
     (tmp_path / "bad.cube").write_text(text)
     with pytest.raises(ValueError, match=message):
         p.ColorTable.read(tmp_path / "bad.cube")
+
+
+# Of colour-science 0.4.7: XYZ of COLOUR and of a blue in the new spaces, D65 of 100 cd/m², an average surround.
+BLUE = (0.05, 0.2, 0.5)
+BY_NAME = [
+    ("Jzazbz", COLOUR, (0.07467469714842555, 0.07074008408803434, 0.04720525465535039)),
+    ("Jzazbz", BLUE, (0.07030077201765945, -0.15542964233371576, -0.07495076245687236)),
+    ("CAM02-UCS", COLOUR, (46.61386153972116, 29.883100132084866, 12.12351683344614)),
+    ("CAM02-UCS", BLUE, (48.78611137199782, -40.18780727502057, -17.144454893087854)),
+    ("CAM16-UCS", COLOUR, (46.06586037046291, 31.021611988639023, 10.95854227755084)),
+    ("CAM16-UCS", BLUE, (50.17094876948537, -39.164609358635374, -16.33553074935836)),
+]
+
+
+@pytest.mark.parametrize(("space", "colour", "expected"), BY_NAME)
+def test_spaces_by_name_are_those_of_colour_science(space, colour, expected):
+    found = p.convert_color(pixel(colour), "XYZ", space).flatten()
+    torch.testing.assert_close(found, torch.tensor(expected, dtype=torch.float64), rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("space", SPACES)
+def test_every_space_has_its_inverse_and_gradient(space):
+    picture = noise(1, 3, 3, 4, low=0.05, high=0.95)
+    there = p.convert_color(picture, "sRGB", space)
+    torch.testing.assert_close(p.convert_color(there, space, "sRGB"), picture, rtol=0, atol=1e-12)
+    assert torch.autograd.gradcheck(lambda v: p.convert_color(v, "sRGB", space), picture.requires_grad_())
+    assert torch.autograd.gradcheck(lambda v: p.convert_color(v, space, "XYZ"), there.detach().requires_grad_())
+
+
+@pytest.mark.parametrize("space", SPACES)
+def test_black_and_grey_have_finite_gradients(space):
+    picture = torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64).expand(1, 3, 1, 3).clone().requires_grad_()
+    value = p.convert_color(picture, "sRGB", space)
+    (slope,) = torch.autograd.grad(value.sum(), picture)
+    assert value.isfinite().all()
+    assert slope.isfinite().all()
+
+
+def test_jzazbz_depends_on_the_luminance_of_white():
+    # Of colour-science 0.4.7.
+    for level, expected in ((100, 0.167173427699), (9000, 0.947629077583)):
+        lightness = p.convert_color(pixel(D65), "XYZ", "Jzazbz", luminance=level)[0, 0]
+        assert float(lightness) == pytest.approx(expected, rel=1e-10)
+    with pytest.raises(ValueError, match="source must be one of 'XYZ'"):
+        p.convert_color(pixel(COLOUR), "HSV", "Lab")
+
+
+# Of colour-science 0.4.7.
+PAIRS = (
+    ((48.99183622, -0.10561667, 400.65619925), (50.65907324, -0.1167191, 402.82235718)),
+    ((50, 20, -30), (55, 25, -20)),
+    ((10, 5, 5), (14, -3, 8)),
+)
+DIFFERENCES = {
+    "CIE 1994": (1.6711191305411999, 8.552709717211656, 8.668667991714447),
+    "CIE 1994 textiles": (0.8404677623912705, 7.512288903200256, 7.990869939135803),
+    "CMC 2:1": (0.8996999756834185, 8.02928097130432, 14.653676962306088),
+    "CMC 1:1": (1.6150216342890757, 8.96101582831241, 16.14577204329279),
+}
+
+
+@pytest.mark.parametrize("formula", DIFFERENCES)
+def test_differences_of_1994_and_of_the_cmc(formula):
+    first, second = torch.tensor(PAIRS, dtype=torch.float64).permute(1, 2, 0)[:, None, :, :, None]
+    found = p.color_difference(first, second, formula)
+    expected = torch.tensor(DIFFERENCES[formula], dtype=torch.float64)
+    torch.testing.assert_close(found.flatten(), expected, rtol=1e-10, atol=1e-10)
+    assert torch.autograd.gradcheck(lambda v: p.color_difference(v, second, formula), first.clone().requires_grad_())
+    same = first.clone().requires_grad_()
+    (slope,) = torch.autograd.grad(p.color_difference(same, first, formula).sum(), same)
+    assert slope.abs().max() == 0
+
+
+def test_differences_by_name_are_those_of_their_functions():
+    first, second = torch.tensor(PAIRS, dtype=torch.float64).permute(1, 2, 0)[:, None, :, :, None]
+    assert torch.equal(p.color_difference(first, second), p.ciede2000(first, second))
+    assert torch.equal(p.color_difference(first, second, "CIE 1976"), p.delta_e(first, second))
