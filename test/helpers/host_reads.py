@@ -104,6 +104,7 @@ REASONS = {
         perception/display_color: _checked read_spectra
         perception/pyramids: keep _quadrature_taps
         perception/quality: <module>
+        wave/displays/paths/free: renew
     """,
     "on the CPU only: an extreme that is read spares work there, and the device takes another way": """
         raytracing/boundary: _picked

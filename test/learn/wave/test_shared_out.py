@@ -172,7 +172,7 @@ def test_a_memory_budget_keeps_neither_fields_nor_kernels_beyond_it():
         image.sum().backward()
         assert display is None or len(display.shares.display._kept.tensors) == kept
     assert max(sizes[:2]) < sizes[2] / 2
-    with pytest.raises(ValueError, match="devices must be None with a memory_budget"):
+    with pytest.raises(ValueError, match="devices must be None for one picture with a memory_budget"):
         optimise(colour_display(), pictures(1)[0], run=replace(BRIEF, memory_budget=1), devices=["cpu"])
     with pytest.raises(ValueError, match="memory_budget"):
         Run(memory_budget=0)

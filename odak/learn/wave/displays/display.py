@@ -26,7 +26,7 @@ from odak.learn.wave.displays.sections import view_of
 from odak.learn.wave.eyes import Eyes
 from odak.learn.wave.fields import exposed, intensity
 from odak.learn.wave.slm import spatial_light_modulator
-from odak.learn.wave.training import fingerprint
+from odak.learn.wave.training import fingerprint, generator_from
 
 
 class Display(Prepared, torch.nn.Module):
@@ -228,7 +228,16 @@ class Display(Prepared, torch.nn.Module):
 
     def forget(self) -> None:
         """Drop the transfer functions that are kept from call to call."""
+        drawn = self._kept
         self._kept = Kept(self.powers.device)
+        self._kept.generator, self._kept.errors = drawn.generator, drawn.errors
+
+    def seeded(self, seed: int) -> list[torch.Generator]:
+        """Begin the random numbers of the path anew, and return what draws them; none where nothing is random."""
+        if not self.path.jitter:
+            return []
+        self._kept.generator = generator_from(seed)
+        return [self._kept.generator]
 
     def _load_from_state_dict(self, *arguments) -> None:
         super()._load_from_state_dict(*arguments)
@@ -358,6 +367,7 @@ class Display(Prepared, torch.nn.Module):
 
         The modulator is the last of them; with a `phase_scale`, it has an axis of colours in front.
         """
+        self.path.renew(self._kept)
         light, amplitudes = self._light(phases), self._amplitudes(amplitudes)
         return (light,) if amplitudes is None else (amplitudes.to(light.dtype), light)
 

@@ -90,7 +90,7 @@ class Streamed:
     """
 
     def __init__(self, display: Any, budget: int):
-        self.display, (planes, colours, rows, columns) = copied_to(display, display.powers.device), display.shape
+        self.display, (planes, colours, rows, columns) = display, display.shape
         points = rows * columns * display.samples**2 * display.powers.dtype.itemsize * 2
         at_once = max(1, budget // (_FIELDS * points))
         self.keeps = 4 * points * planes * colours <= budget
@@ -120,7 +120,7 @@ class Streamed:
 def streamed(display: Any, budget: int) -> Any:
     """Return a display with its images computed in parts whose fields fit a memory budget."""
     whole = copied_to(display, display.powers.device)
-    whole.shares = Streamed(display, budget)
+    whole.shares = Streamed(whole, budget)
     return whole
 
 

@@ -180,11 +180,7 @@ def optimise(
     tell_bounds(display, target)
     begun = starting_phases(display, target, start, run.seed)
     own = replace(run, callback=record, progress=run.progress and not (isinstance(where, Ranks) and where.rank))
-    computing = display if where is None else shared_among(display, where)
-    if run.memory_budget is not None:
-        if where is not None:
-            raise ValueError(f"devices must be None with a memory_budget, got {devices!r:.80}")
-        computing = streamed(display, run.memory_budget)
+    computing = _in_parts(display, where, run, devices)
     problem = Problem(computing, target, loss, begun, own, observer=observer)
     solved = solver.solve(problem)
     solved = solved if isinstance(solved, tuple) else (solved,)
@@ -208,6 +204,16 @@ def optimise(
     history = tuple(torch.stack(losses).tolist()) if losses else ()
     ratios = ratio(found.compared), at_points
     return DisplayedHologram(display, target, phases, images, lights, *ratios, history, sharp, amplitudes, observer)
+
+
+def _in_parts(display, where, run: Run, devices) -> Display:
+    """Return a display that computes its images on some devices, or in parts that fit a memory budget."""
+    if where is None:
+        return display if run.memory_budget is None else streamed(display, run.memory_budget)
+    for what, used in (("jitter of its distances", display.path.jitter), ("a memory_budget", run.memory_budget)):
+        if used:
+            raise ValueError(f"devices must be None for one picture with {what}, got {devices!r:.80}")
+    return shared_among(display, where)
 
 
 def _optimise_each(display, targets, where, options: dict[str, Any], run: Run) -> list[DisplayedHologram]:

@@ -16,13 +16,16 @@ Lights = tuple[torch.Tensor, ...]
 
 
 class Kept:
-    """Tensors that a path makes from constants, each made once for a device.
+    """Tensors that a path makes from constants, each made once for a device, and what it has drawn for a call.
 
     Parameters
     ----------
     device : torch.device
         Where they are.
     """
+
+    generator: torch.Generator | None = None
+    errors: tuple[float, ...] | None = None
 
     def __init__(self, device: torch.device):
         self.device = device
@@ -95,6 +98,8 @@ class Path:
     where: ClassVar[str] = ""
     # What solvers that compute with free space alone ask for in place of it.
     free_space: ClassVar[str] = ""
+    # Standard deviation of the errors of distances in metres, which are drawn anew for each call.
+    jitter: ClassVar[float] = 0.0
     # Whether images are on retinas, which may all see the same, and see no depth of a picture.
     on_retinas: ClassVar[bool] = False
 
@@ -102,6 +107,9 @@ class Path:
     def leads(cls, modulator: Modulator, ends: Any) -> bool:
         """Say whether the light of a modulator takes this kind of path to the images."""
         raise NotImplementedError
+
+    def renew(self, kept: Kept) -> None:
+        """Draw what is random in the path anew, for a call of a display."""
 
     def points(self, kept: Kept, lights: Lights, colour: int, planes: Sequence[int]) -> torch.Tensor:
         """Return the fields of some images at the points of pixels, ``[..., F, planes·samples², rows, columns]``.

@@ -12,6 +12,7 @@ from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import tensor
 from odak.learn.wave.displays.panels import Iris
 from odak.learn.wave.displays.paths.base import Path, checked_numbers, keep, listed
+from odak.learn.wave.training import generator_from
 from odak.tools.matrix import zero_pad
 from odak.wave.linear_kernels import linear_kernel
 from odak.wave.methods import check_has_kernel, linear_kernel_of, linear_method
@@ -22,7 +23,7 @@ from odak.wave.transfer_functions import Request, divided_pitch, plane_wave_tran
 _FEWEST_PERIODS = 0.5
 
 
-@_validate.takes_units("distances", "relay")
+@_validate.takes_units("distances", "relay", "jitter")
 @dataclass(frozen=True, eq=False)
 class Free:
     """Free space between a panel and planes, with more to say than distances: what a display takes in place of them.
@@ -43,6 +44,11 @@ class Free:
         Amplitudes that a filter in the Fourier plane of a relay passes, real or complex, ``[2·rows, 2·columns]``, or
         ``[rows, columns]``, surrounded by zeros; zero frequency is in the middle. The iris must pass one order.
 
+    jitter : float
+        Standard deviation in metres of an error of each distance, which is drawn anew each time that images are
+        computed, so that a hologram optimised through it bears misplacement. Optimise by the solver "adam": the loss of
+        L-BFGS must not change from one step to the next.
+
     Raises
     ------
     ValueError, TypeError
@@ -50,7 +56,7 @@ class Free:
 
     Notes
     -----
-    :meth:`Display.judge` computes with the exact method, whatever `method` is.
+    :meth:`Display.judge` computes with the exact method, whatever `method` is, at the distances without an error.
 
     Examples
     --------
@@ -68,8 +74,10 @@ class Free:
     relay: float = 0.0
     method: str = "auto"
     mask: torch.Tensor | None = None
+    jitter: float = 0.0
 
     def __post_init__(self):
+        keep(self, jitter=float(_validate.number("jitter", self.jitter, least=0)))
         keep(self, relay=_validate.constant("relay", self.relay))
         check_has_kernel(self.method)
         if not _array.is_traced(self.distances):
@@ -98,6 +106,7 @@ class FreePath(Path):
     window: tuple[int, int] = field(init=False)
     method: str = field(init=False, default="Angular Spectrum")
     mask: torch.Tensor | None = field(init=False, default=None)
+    jitter: float = field(init=False, default=0.0)  # type: ignore[misc]
 
     starts = ("quadratic", "flat", "random", "double phase", "gs", "network")
 
@@ -114,6 +123,7 @@ class FreePath(Path):
                     f"the images: is its radius of {self.iris.radius:g} m right?",
                     AccuracyWarning,
                 )
+        keep(self, jitter=space.jitter)
         if space.method != "auto":
             lengths = [wavelength / self.medium for wavelength in self.wavelengths], list(net)
             keep(self, method=linear_method(space.method, self.sizes, self.pitches, *lengths))
@@ -154,8 +164,10 @@ class FreePath(Path):
 
     def kernels(self, kept, colour: int, dtype: torch.dtype, planes) -> torch.Tensor:
         """Return the transfer functions to all points of a pixel on some planes, ``[planes·samples², 2m, 2n]``."""
-        if isinstance(self.ends, Free) and _array.is_traced(self.ends.distances):
-            each = [kernel for plane in planes for kernel in self._of_plane(kept.device, colour, plane, dtype)]
+        if self.jitter or (isinstance(self.ends, Free) and _array.is_traced(self.ends.distances)):
+            errors = kept.errors or (0.0,) * len(self.distances)
+            given = kept.device, colour
+            each = [kernel for plane in planes for kernel in self._of_plane(*given, plane, dtype, errors[plane])]
             return torch.stack(each)
         return kept(type(self)._of_planes, self, colour, dtype, tuple(planes))
 
@@ -170,13 +182,20 @@ class FreePath(Path):
             place.copy_(kernel)
         return kept
 
-    def _of_plane(self, device, colour, plane, dtype):
+    def renew(self, kept):
+        """Draw the errors of the distances anew, for a call of a display."""
+        if self.jitter:
+            kept.generator = generator_from(None) if kept.generator is None else kept.generator
+            drawn = torch.randn(len(self.distances), generator=kept.generator, dtype=torch.float64)
+            kept.errors = tuple((self.jitter * drawn).tolist())
+
+    def _of_plane(self, device, colour, plane, dtype, error=0.0):
         wavelength, orders, cutoff = self.wavelengths[colour] / self.medium, self.samples // 2, self.cutoff(colour)
         # Light that has passed two panels has the spectrum of their pixels already.
         fill, xp = self.fill if self.first is None else None, _array.namespace(torch.empty(0))
-        distance = self.distances[plane]
+        distance = self.distances[plane] + error
         if isinstance(self.ends, Free) and _array.is_traced(self.ends.distances):
-            distance = self.ends.distances[plane].to(device) - self.ends.relay
+            distance = self.ends.distances[plane].to(device) - self.ends.relay + error
 
         def grid(samples):
             shape = tuple(2 * n * samples for n in self.window)

@@ -62,6 +62,8 @@ class Descent:
             learned["turn"] = torch.full_like(problem.start, math.pi / 3).requires_grad_()
         loss, drawn_from = seeded_loss(problem.loss, run.seed, phases.device)
         problem = replace(problem, loss=loss)
+        # Not the random numbers of the start, nor those of the loss.
+        drawn_from = [*drawn_from, *problem.display.seeded((run.seed + 2) % 2**62)]
 
         def found():
             return (unit * learned["amplitude"]).square() if self.powers else None
@@ -73,7 +75,7 @@ class Descent:
             return problem.loss_of(phases, found(), attenuation())
 
         if self.graph and (drawn_from or problem.display.shares):
-            what = "the loss draws random numbers" if drawn_from else "parts of the picture are computed apart"
+            what = "random numbers are drawn" if drawn_from else "parts of the picture are computed apart"
             raise ValueError(f"graph must be False where {what}, got True")
         evaluate = recorded(value, list(learned.values())) if self.graph else value
         rate = cosine(self.learning_rate, self.learning_rate / 2, run.iterations)
