@@ -1,7 +1,8 @@
 """Phase-only hologram of a photograph
 
 Gradient descent finds the phase pattern of a spatial light modulator with pixels of 8 µm whose diffraction pattern,
-5 cm away, is a given photograph. The right panel is the intensity that a camera would record there.
+5 cm away, is a given photograph. The right panel is the intensity there, at the middles of pixels; a camera collects
+light from areas, between these points too.
 """
 
 from importlib.resources import files
