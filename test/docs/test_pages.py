@@ -79,12 +79,23 @@ def test_pictures_of_a_page_exist_and_all_are_shown(path):
 
 
 def test_agreement_of_numbers():
-    assert agrees("PSNR 30.1 dB\n", "PSNR 30.3 dB\n")
+    assert agrees("PSNR 30.1 dB\n", "PSNR 30.3 dB\n") and agrees("117 materials", "118 materials")
     assert not agrees("PSNR 30.1 dB\n", "PSNR 33.0 dB\n")
     assert not agrees("PSNR 30.1 dB\n", "SSIM 30.1 dB\n")
     assert agrees("PSNR ≈ 30.1 dB\n", "PSNR ≈ 33.0 dB\n") and not agrees("PSNR ≈ 30 dB\n", "PSNR ≈ 20 dB\n")
     assert agrees("error ≈ 3e-16", "error ≈ 4e-15") and not agrees("error ≈ 3e-16", "error ≈ 3e-12")
     assert not agrees("error 3e-16", "error ≈ 3e-16") and not agrees("error ≈ 3e-5", "error ≈ 3e-3")
+
+
+def test_agreement_by_digits():
+    def equal(shown, printed):
+        return agrees(shown, printed, by_digits=True)
+
+    assert equal("PSNR 30.1 dB\n", "PSNR 30.2 dB\n") and not equal("PSNR 30.1 dB\n", "PSNR 30.3 dB\n")
+    assert equal("of 2.50e-07", "of 2.51e-07") and not equal("of 2.50e-07", "of 2.52e-07")
+    assert equal("11.810498697705988", "11.8104987") and not equal("11.810498697705988", "11.81055")
+    assert not equal("117 materials", "118 materials") and equal("2774 ppm", "2773 ppm")
+    assert equal("PSNR ≈ 30 dB\n", "PSNR ≈ 33 dB\n") and not equal("PSNR ≈ 30 dB\n", "PSNR ≈ 20 dB\n")
 
 
 def test_blocks_are_read_with_their_output(tmp_path):

@@ -133,7 +133,8 @@ for display in DISPLAYS:
 for display in ("free", "free through an iris", "oblong pixels", "profile in glass"):
     case(f"optimise · {display} · gs", display, "gs", "quadratic")(solved)
 case("optimise · free through an iris · double phase", "narrow iris", "double phase", "flat")(solved)
-case("optimise · free · network", "free", "network", "flat", dtype=torch.float32, bound=2e-3)(solved)
+# In single precision, the level of a phase beside the middle of two is either of them: 2π/256 in a few of 480 pixels.
+case("optimise · free · network", "free", "network", "flat", dtype=torch.float32, bound=1e-2)(solved)
 case("optimise · free · lbfgs from double phase", "free", "lbfgs", "double phase")(solved)
 case("optimise · free · adam with a loss that draws", "free", "adam", "flat", seed=5, loss=noisy)(solved)
 case("optimise · shared frames · powers", "shared frames", wave.Descent("lbfgs", powers=True), "gs")(solved)
