@@ -1,5 +1,7 @@
 """Attributes that are set after others were computed from them."""
 
+from typing import Any
+
 
 class Prepared:
     """Base of classes that compute some of their attributes from others.
@@ -11,7 +13,7 @@ class Prepared:
     _fixed: tuple[str, ...] = ()
     _follow: dict[str, str] = {}  # noqa: RUF012
 
-    def __setattr__(self, name, value):
+    def __setattr__(self, name: str, value: Any) -> None:
         known = any(name in (vars(self).get(place) or ()) for place in ("_modules", "_buffers")) or name in vars(self)
         if known and name in self._fixed:
             kind = type(self).__name__

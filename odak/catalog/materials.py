@@ -224,7 +224,7 @@ def model_glass(nd: float, vd: float, dpgf: float = 0.0) -> Material:
     return Material(name, "cauchy", coefficients, (0.35, 1.1), "air", "index and Abbe number", nd, vd)
 
 
-def cauchy_through(nd: Any, vd: Any, dpgf: Any = 0.0) -> tuple:
+def cauchy_through(nd: Any, vd: Any, dpgf: Any = 0.0) -> tuple[Any, ...]:
     """Return A, B, C of n = A + B/λ² + C/λ⁴ with the stated index and dispersion, numbers or arrays."""
     spread = (nd - 1) / vd
     partial = (0.6438 - 0.001682 * vd + dpgf) * spread
@@ -908,7 +908,7 @@ def absorption_coefficient(found: Material, wavelength: float | Array, unit: str
     return _array.cast(found_value, wavelength, _array.real_dtype(wavelength))
 
 
-def extinction_of(found: Material) -> tuple | None:
+def extinction_of(found: Material) -> tuple[Any, ...] | None:
     """Return wavelengths in micrometres and imaginary parts of the index, None where they are not known."""
     if found.extinction is not None:
         return found.extinction

@@ -560,7 +560,7 @@ def check_figure(figure) -> None:
         raise TypeError(f"figure must have a method add_surface, got {type(figure).__name__}")
 
 
-def two_positive(name: str, value: Sequence[float]) -> list:
+def two_positive(name: str, value: Sequence[float]) -> list[Any]:
     """Return a pair of positive numbers as a list."""
     return list(_validate.several(name, value, 2, positive=True))
 

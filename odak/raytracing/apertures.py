@@ -27,7 +27,7 @@ class Aperture:
     obscures: bool = False
     sizes: ClassVar[tuple[str, ...]] = ()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in self.sizes:
             object.__setattr__(self, name, _validate.constant(name, getattr(self, name), positive=True))
         center = tuple(float(value) for value in _validate.several("center", self.center, 2))
@@ -134,7 +134,7 @@ class CircularAperture(Aperture):
     inner: float = 0.0
     sizes: ClassVar[tuple[str, ...]] = ("radius",)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "inner", _validate.constant("inner", self.inner, least=0))
         if self.inner >= self.radius:
@@ -167,7 +167,7 @@ class PolygonAperture(Aperture):
 
     corners: Sequence[Sequence[float]] = ((0.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         corners = tuple(tuple(float(v) for v in _validate.several("corners", pair, 2)) for pair in self.corners)
         if len(corners) < 3:

@@ -1,6 +1,7 @@
 """Checks of the shapes of rays, points and solids, for every array library; batches get an axis in front."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,7 @@ def triangles(name: str, value):
     return shaped(name, value, (3, 3), "[3, 3] or [m, 3, 3]")
 
 
-def rays_and_triangles(**given) -> tuple:
+def rays_and_triangles(**given) -> tuple[Any, ...]:
     """Return rays ``[m, 2, 3]`` and triangles ``[m, 3, 3]`` or ``[1, 3, 3]``, the two arguments given by name."""
     (ray, triangle), (name, other) = _validate.reals(**given), given
     ray, triangle = rays(name, ray), triangles(other, triangle)

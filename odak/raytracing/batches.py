@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import array_api_compat
 import numpy as np
@@ -63,7 +63,7 @@ class Pieces(NamedTuple):
         length = self.shape[self.axis]
         return [slice(a, min(a + self.step, length)) for a in range(0, length, self.step)]
 
-    def take(self, arrays: Sequence, place: slice, ranks: Sequence[int]) -> list:
+    def take(self, arrays: Sequence, place: slice, ranks: Sequence[int]) -> list[Any]:
         """Return the part of each array that belongs to a piece."""
         behind = len(self.shape) - self.axis
         return [

@@ -94,7 +94,7 @@ def without(vector: Vector, axis: Vector) -> Vector:
     return along(vector, -dot(vector, axis), axis)
 
 
-def terms(coefficients) -> tuple:
+def terms(coefficients) -> tuple[Any, ...]:
     """Return the numbers or arrays along the last axis of coefficients, or of a sequence of them."""
     if is_array(coefficients):
         return tuple(namespace(coefficients).unstack(coefficients, axis=-1))

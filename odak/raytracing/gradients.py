@@ -28,7 +28,7 @@ class Gradient(Parametric):
         """Return the index at points; `base` is the index of the surface's material at the wavelength of the ray."""
         return self.squared(x, y, z, base)[0] ** 0.5
 
-    def squared(self, x: Array, y: Array, z: Array, base: Any) -> tuple:
+    def squared(self, x: Array, y: Array, z: Array, base: Any) -> tuple[Any, ...]:
         """Return the square of the index and its derivatives by x, y and z; by default from :meth:`index`, in torch."""
         if type(self).index is Gradient.index:
             raise NotImplementedError(f"{type(self).__name__} must define index(x, y, z, base) or squared")
@@ -45,7 +45,7 @@ class Gradient(Parametric):
         slopes = tuple(torch.zeros_like(value) if slope is None else slope for slope in slopes)
         return (value if graph else value.detach()), *slopes
 
-    def expansion(self, z: Array, base: Any) -> tuple:
+    def expansion(self, z: Array, base: Any) -> tuple[Any, ...]:
         """Return N, A and B of n² = N + A·r² + B·r⁴ + … about the axis at a depth, and the derivative of N.
 
         Parameters
@@ -57,7 +57,7 @@ class Gradient(Parametric):
         """
         raise NotImplementedError(f"{type(self).__name__} must define expansion(z, base) for third-order aberrations")
 
-    def paraxial(self, base: Any, thickness: Any) -> tuple:
+    def paraxial(self, base: Any, thickness: Any) -> tuple[Any, ...]:
         """Return the elements a, b, c, d of the ABCD matrix on (y, n·u) in the y–z plane, and the indices at both ends.
 
         Parameters
@@ -104,13 +104,13 @@ class RadialGradient(Gradient):
 
     coefficients: Any = ()
 
-    def squared(self, x: Array, y: Array, z: Array, base: Any) -> tuple:
+    def squared(self, x: Array, y: Array, z: Array, base: Any) -> tuple[Any, ...]:
         """Return the square of the index and its derivatives."""
         value, slope = polynomial_in(x * x + y * y, self.coefficients)
         scale = base * base
         return scale * (1 + value) + 0 * z, 2 * scale * slope * x, 2 * scale * slope * y, 0 * (x + z)
 
-    def expansion(self, z: Array, base: Any) -> tuple:
+    def expansion(self, z: Array, base: Any) -> tuple[Any, ...]:
         """Return the coefficients of 1, r² and r⁴ of the square of the index; none changes with the depth."""
         scale = base * base + 0 * z
         first, second = (*vec.terms(self.coefficients)[:2], 0.0, 0.0)[:2]
@@ -129,13 +129,13 @@ class AxialGradient(Gradient):
 
     coefficients: Any = ()
 
-    def squared(self, x: Array, y: Array, z: Array, base: Any) -> tuple:
+    def squared(self, x: Array, y: Array, z: Array, base: Any) -> tuple[Any, ...]:
         """Return the square of the index and its derivatives."""
         value, slope = polynomial_in(z, self.coefficients)
         index, zero = base + value, 0 * (x + y + z)
         return index * index + zero, zero, zero, 2 * index * slope + zero
 
-    def expansion(self, z: Array, base: Any) -> tuple:
+    def expansion(self, z: Array, base: Any) -> tuple[Any, ...]:
         """Return the square of the index on the axis, zeros for the coefficients of r² and r⁴, and its derivative."""
         value, slope = polynomial_in(z, self.coefficients)
         index = base + value

@@ -87,7 +87,7 @@ def refract_directions(direction, normal, n1, n2):
     return in_pieces(refract_with_status, (1, 1, 0, 0), direction, normal, n1, n2)
 
 
-def refracted(direction, normal, n1, n2) -> tuple:
+def refracted(direction, normal, n1, n2) -> tuple[Any, ...]:
     """Return the components of :func:`refract_directions`, which rays are transmitted, and which exist."""
     # NaN must be avoided if the indices require gradients, as if the rays do.
     xp, direction, normal, kept, differentiable = vec.lines(direction, normal, n1, n2)
@@ -106,7 +106,7 @@ def refracted(direction, normal, n1, n2) -> tuple:
     return vec.nan_outside(out, through, differentiable), through, exists
 
 
-def diffracted(direction, normal, n1, n2, gradient, reflects: bool = False) -> tuple:
+def diffracted(direction, normal, n1, n2, gradient, reflects: bool = False) -> tuple[Any, ...]:
     """Return the components of diffracted directions, and which rays exist.
 
     Parameters
@@ -207,7 +207,7 @@ class Phase(Parametric):
     ``ranks`` has the meaning of ``ranks`` in :class:`odak.raytracing.Shape`.
     """
 
-    def cycles(self, x: Array, y: Array) -> tuple:
+    def cycles(self, x: Array, y: Array) -> tuple[Any, ...]:
         """Return the phase over 2π at x, y of the vertex plane, and its derivatives by x and by y."""
         raise NotImplementedError(f"{type(self).__name__} must define cycles(x, y)")
 
@@ -215,19 +215,21 @@ class Phase(Parametric):
         """Return where the phase is known, bool; True for everywhere. Rays elsewhere are vignetted."""
         return True
 
-    def curvatures(self) -> tuple:
+    def curvatures(self) -> tuple[Any, ...]:
         """Return the second derivatives of the phase over 2π at the vertex by x and by y: its optical power.
 
         They are 0 here, and must be defined by a phase that has power, for first-order properties.
         """
         return 0.0, 0.0
 
-    def powers(self, wavelength) -> tuple:
+    def powers(self, wavelength: Any) -> tuple[Any, ...]:
         """Return the optical powers in the x–z and the y–z plane at a vacuum wavelength."""
         along_x, along_y = self.curvatures()
         return -wavelength * along_x, -wavelength * along_y
 
-    def deflect(self, point, direction, normal, n1, n2, wavelength, reflects: bool) -> tuple:
+    def deflect(
+        self, point: Any, direction: Any, normal: Any, n1: Any, n2: Any, wavelength: Any, reflects: bool
+    ) -> tuple[Any, ...]:
         """Return directions behind the surface, which rays exist there, and the optical path added.
 
         Parameters
@@ -266,7 +268,7 @@ class LinearGrating(Phase):
     frequency_y: Any = 0.0
     order: Any = 1.0
 
-    def cycles(self, x: Array, y: Array) -> tuple:
+    def cycles(self, x: Array, y: Array) -> tuple[Any, ...]:
         """Return the phase over 2π and its derivatives."""
         fx, fy = self.order * self.frequency_x, self.order * self.frequency_y
         return fx * x + fy * y, fx + 0 * x, fy + 0 * y
@@ -291,7 +293,7 @@ class RadialGrating(Phase):
     frequency: Any = 0.0
     order: Any = 1.0
 
-    def cycles(self, x: Array, y: Array) -> tuple:
+    def cycles(self, x: Array, y: Array) -> tuple[Any, ...]:
         """Return the phase over 2π and its derivatives."""
         xp, squared = namespace(x, y), x * x + y * y
         safe = xp.where(squared > 0, squared, 1.0) ** 0.5
@@ -351,7 +353,7 @@ class HologramPhase(Phase):
         start = phase + (line - middle)
         return cls(start + _unwrapping(start, 0, rows // 2), pitch, order)
 
-    def cycles(self, x: Array, y: Array) -> tuple:
+    def cycles(self, x: Array, y: Array) -> tuple[Any, ...]:
         """Return the phase over 2π and its derivatives."""
         rows, columns = self.phase.shape[-2:]
         (i, weight_x, derivative_x), (j, weight_y, derivative_y) = (
@@ -390,7 +392,7 @@ class HologramPhase(Phase):
             inside = inside & (place >= 1) & (place <= n - 2)
         return inside
 
-    def curvatures(self) -> tuple:
+    def curvatures(self) -> tuple[Any, ...]:
         """Return the second differences at the vertex."""
         rows, columns = (n // 2 for n in self.phase.shape[-2:])
         middle, scale = self.phase[..., rows, columns], self.order / (2 * vec.PI) / (self.pitch * self.pitch)
@@ -457,14 +459,14 @@ class RadialPhase(Phase):
     radius: Any = 1.0
     order: Any = 1.0
 
-    def cycles(self, x: Array, y: Array) -> tuple:
+    def cycles(self, x: Array, y: Array) -> tuple[Any, ...]:
         """Return the phase over 2π and its derivatives."""
         scale, squared = self.order / (2 * vec.PI), (x * x + y * y) / (self.radius * self.radius)
         value, derivative = polynomial_in(squared, self.coefficients)
         factor = 2 * scale * derivative / (self.radius * self.radius)
         return scale * value, factor * x, factor * y
 
-    def curvatures(self) -> tuple:
+    def curvatures(self) -> tuple[Any, ...]:
         """Return the second derivatives at the vertex."""
         first = vec.terms(self.coefficients)
         value = self.order / vec.PI * first[0] / (self.radius * self.radius) if first else 0.0
@@ -489,13 +491,13 @@ class PolynomialPhase(Phase):
     radius: Any = 1.0
     order: Any = 1.0
 
-    def cycles(self, x: Array, y: Array) -> tuple:
+    def cycles(self, x: Array, y: Array) -> tuple[Any, ...]:
         """Return the phase over 2π and its derivatives."""
         scale = self.order / (2 * vec.PI)
         value, along_x, along_y = xy_polynomial(x / self.radius, y / self.radius, self.coefficients)
         return scale * value, scale * along_x / self.radius, scale * along_y / self.radius
 
-    def curvatures(self) -> tuple:
+    def curvatures(self) -> tuple[Any, ...]:
         """Return the second derivatives at the vertex."""
         found = vec.terms(self.coefficients)
         scale = self.order / vec.PI / (self.radius * self.radius)
@@ -520,13 +522,13 @@ class ZernikePhase(Phase):
     radius: Any = 1.0
     order: Any = 1.0
 
-    def cycles(self, x: Array, y: Array) -> tuple:
+    def cycles(self, x: Array, y: Array) -> tuple[Any, ...]:
         """Return the phase over 2π and its derivatives."""
         scale = self.order / (2 * vec.PI)
         found = zernike_sag(x, y, 0.0, 0.0, self.coefficients, self.radius)
         return scale * found.height, scale * found.slope_x, scale * found.slope_y
 
-    def curvatures(self) -> tuple:
+    def curvatures(self) -> tuple[Any, ...]:
         """Return the second derivatives at the vertex."""
         along_x, along_y = ZernikeFreeform(coefficients=self.coefficients, radius=self.radius).curvatures()
         scale = self.order / (2 * vec.PI)
@@ -556,11 +558,13 @@ class IdealLens(Phase):
     focal_length: Any = 1.0
     vergence: Any = 0.0
 
-    def powers(self, wavelength) -> tuple:
+    def powers(self, wavelength: Any) -> tuple[Any, ...]:
         """Return 1/f twice."""
         return 1 / self.focal_length + 0 * wavelength, 1 / self.focal_length + 0 * wavelength
 
-    def deflect(self, point, direction, normal, n1, n2, wavelength, reflects: bool) -> tuple:
+    def deflect(
+        self, point: Any, direction: Any, normal: Any, n1: Any, n2: Any, wavelength: Any, reflects: bool
+    ) -> tuple[Any, ...]:
         """Return directions behind the lens, which rays exist there, and the optical path added."""
         (x, y, _), (u, v, w), f = point, direction, self.focal_length
         # Distances along the direction of propagation: positive ahead.

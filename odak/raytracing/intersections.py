@@ -19,8 +19,8 @@ class Intersection(NamedTuple):
     """Distance, components of point and normal, and which rays hit; NaN elsewhere."""
 
     distance: Any
-    point: tuple
-    normal: tuple
+    point: tuple[Any, ...]
+    normal: tuple[Any, ...]
     hit: Any
 
 

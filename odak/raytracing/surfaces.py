@@ -57,7 +57,7 @@ class Parametric:
         """Return how many axes of each parameter do not belong to a batch."""
         return tuple(cls.ranks.get(field.name, 0) for field in fields(cls))
 
-    def parameters(self) -> tuple:
+    def parameters(self) -> tuple[Any, ...]:
         """Return the parameters in the order of the constructor."""
         return tuple(getattr(self, field.name) for field in fields(self))
 
@@ -762,7 +762,7 @@ def _curvatures_by_differences(shape: Shape, length) -> tuple:
     return (right.slope_x - left.slope_x) / (2 * step), (above.slope_y - below.slope_y) / (2 * step)
 
 
-def radial_sag(squared, curvature, conic, coefficients=()) -> tuple:
+def radial_sag(squared, curvature, conic, coefficients=()) -> tuple[Any, ...]:
     """Return height, derivative by r² and domain of an even asphere at squared distances r² from the axis."""
     xp = namespace(squared)
     inside = 1 - (1 + conic) * (curvature * curvature) * squared
@@ -870,7 +870,7 @@ def polynomial_in(s, coefficients):
     return value, slope
 
 
-def xy_polynomial(x, y, coefficients) -> tuple:
+def xy_polynomial(x, y, coefficients) -> tuple[Any, ...]:
     """Return Σ a_j·x^p·y^q in the order x, y, x², xy, y², x³, …, and its derivatives by x and by y."""
     given = terms(coefficients)
     value = along_x = along_y = 0.0 * (x + y)

@@ -423,7 +423,7 @@ class FreeSpace:
     offset: Any = (0.0, 0.0)
     index: Any = 1.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _validate.real("index", self.index, positive=True)
 
     def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
@@ -496,7 +496,7 @@ class ThinLens:
     focal: Any
     offset: Any = (0.0, 0.0)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         # Infinity is a lens without power.
         if not (isinstance(self.focal, float) and math.isinf(self.focal)):
             _validate.real("focal", self.focal, nonzero=True)
@@ -578,7 +578,7 @@ class CircularAperture:
     radius: Any
     offset: Any = (0.0, 0.0)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _validate.real("radius", self.radius, positive=True)
 
     def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
@@ -633,7 +633,7 @@ class RectangularAperture:
     width: Any
     offset: Any = (0.0, 0.0)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _validate.real("height", self.height, positive=True)
         _validate.real("width", self.width, positive=True)
 
@@ -1139,8 +1139,8 @@ class Light:
 
     field: Any
     pitch: Any
-    lenses: tuple = ()
-    openings: tuple = ()
+    lenses: tuple[Any, ...] = ()
+    openings: tuple[Any, ...] = ()
     coarse: float = 0.0
 
     def sampled(self, wavelength):

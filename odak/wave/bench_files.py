@@ -205,7 +205,7 @@ def simulate_bench(config: dict[str, Any] | str | os.PathLike[str]) -> list[Benc
     return list(steps_of(*load_bench(config)))
 
 
-def load_bench(config: Any) -> tuple[dict, list[dict]]:
+def load_bench(config: Any) -> tuple[dict[Any, Any], list[dict[Any, Any]]]:
     """Return bench and elements of a file or its content; see :func:`checked`."""
     if isinstance(config, dict):
         return checked(config, Path())
@@ -216,7 +216,7 @@ def load_bench(config: Any) -> tuple[dict, list[dict]]:
         return checked(read_config(path), path.resolve().parent)
 
 
-def steps_of(bench: dict, elements: Sequence[dict]) -> Iterator[BenchStep]:
+def steps_of(bench: dict[Any, Any], elements: Sequence[dict[Any, Any]]) -> Iterator[BenchStep]:
     """Yield the steps of a bench that has been checked."""
     light = Light(np.zeros(bench["resolution"], complex), bench["pixel_pitch"])
     of_source, before = 0.0, 0.0
@@ -254,7 +254,7 @@ def bench_schema() -> dict[str, Any]:
     ['plane_wave', 'gaussian_beam', 'point_source']
     """
 
-    def described(parameters: dict[str, Parameter], **more: dict) -> dict:
+    def described(parameters: dict[str, Parameter], **more: dict) -> dict[Any, Any]:
         properties = {
             name: {**_TYPES[parameter.kind], "title": parameter.meaning} for name, parameter in parameters.items()
         }
@@ -283,7 +283,7 @@ def bench_schema() -> dict[str, Any]:
     }
 
 
-def read_config(path: Path) -> dict:
+def read_config(path: Path) -> dict[Any, Any]:
     """Return the content of a TOML or JSON file; raise ValueError where there is none."""
     if not path.exists():
         raise ValueError(f"config not found: {str(path)!r}")
@@ -309,7 +309,7 @@ def read_config(path: Path) -> dict:
         raise ValueError(f"config {str(path)!r} is not valid TOML: {error}") from None
 
 
-def checked(config: Any, folder: Path) -> tuple[dict, list[dict]]:
+def checked(config: Any, folder: Path) -> tuple[dict[Any, Any], list[dict[Any, Any]]]:
     """Return bench and elements with their defaults and with lengths in metres.
 
     Parameters

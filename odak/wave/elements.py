@@ -1302,9 +1302,9 @@ def zernike_basis(
 class _ZernikeSum:
     """Phase at points of a sum of Zernike polynomials, times a number."""
 
-    modes: tuple
+    modes: tuple[Any, ...]
     radius: float
-    coefficients: tuple
+    coefficients: tuple[Any, ...]
 
     def __call__(self, y, x, times):
         polynomials = zernike_modes(y / self.radius, x / self.radius, self.modes)

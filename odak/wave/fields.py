@@ -648,7 +648,7 @@ class power_budget:
 _BUDGETS: contextvars.ContextVar = contextvars.ContextVar("budgets", default=())
 
 
-def budgets() -> tuple:
+def budgets() -> tuple[Any, ...]:
     """Return the budgets that are open."""
     return _BUDGETS.get()
 

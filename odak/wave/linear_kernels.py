@@ -67,7 +67,7 @@ class LinearGrid(Grid):
     tolerance: float = TOLERANCE
     stored: Any = None
     halves: tuple[bool, bool] = (False, False)
-    axes: tuple = (-2, -1)
+    axes: tuple[Any, ...] = (-2, -1)
     judged: bool = False
 
     def evaluate(self, kernel):
@@ -448,7 +448,7 @@ class linear_kernel:
     pixel_fill: float | None = None
     tolerance: float = TOLERANCE
     halves: tuple[bool, bool] = (False, False)
-    axes: tuple = (-2, -1)
+    axes: tuple[Any, ...] = (-2, -1)
     judged: bool = field(default=False, compare=False)
 
     def __call__(self, grid: Grid):

@@ -314,7 +314,7 @@ class Weaker:
 FOCAL = "a focal length of at least {:.3g} m"
 
 
-def sampled_axes(shape, pitch, offset=(0.0, 0.0)) -> tuple:
+def sampled_axes(shape, pitch, offset=(0.0, 0.0)) -> tuple[Any, ...]:
     """Return the first and the last middle between two samples, from a point, and the pitch; along rows and columns."""
     return tuple(
         (min(0.5 - n // 2, 0.0) * step - shift, max((n - 1) // 2 - 0.5, 0.0) * step - shift, step if n > 1 else 0.0)

@@ -46,13 +46,13 @@ class Window:
     dx: Any
     offset: tuple[Any, Any]
     guard: float
-    axes: tuple = UNTILTED
+    axes: tuple[Any, ...] = UNTILTED
 
     def is_plain(self) -> bool:
         """Return whether the window is known as numbers, so that it can name a stored kernel."""
         return all(isinstance(value, (int, float, type(None))) for value in (*pitches(self.dx), *self.offset))
 
-    def pitch(self, grid: Grid) -> tuple:
+    def pitch(self, grid: Grid) -> tuple[Any, ...]:
         """Return the pitch along rows and columns, by default the pitch of the grid's field."""
         return grid.pitch if self.dx is None else tuple(column(value, grid) for value in pitches(self.dx))
 
@@ -126,14 +126,14 @@ class Rays:
         Unit vectors (x, y, z) along the window's columns, its rows and its normal.
     """
 
-    pitch: tuple
+    pitch: tuple[Any, ...]
     wavelength: Any
     distance: Any
-    source: tuple
-    width: tuple
-    offset: tuple
+    source: tuple[Any, ...]
+    width: tuple[Any, ...]
+    offset: tuple[Any, ...]
     guard: Any
-    axes: tuple
+    axes: tuple[Any, ...]
 
     @classmethod
     def between(cls, grid: Grid, window: Window) -> "Rays":

@@ -198,7 +198,7 @@ class ColorTable:
     lowest: Sequence[float] = (0.0, 0.0, 0.0)
     highest: Sequence[float] = (1.0, 1.0, 1.0)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         values = _validate.real("values", self.values)
         floating_tensor("values", values, "a tensor of floats")
         if values.ndim not in (2, 4) or values.shape[-1] != 3 or min(values.shape[:-1]) < 2:
@@ -401,7 +401,7 @@ def mix(matrix, image: torch.Tensor, *, offset: tuple[float, ...] | None = None)
     return mixed.to(image.dtype).unflatten(-1, image.shape[-2:])
 
 
-def constant(entries: tuple, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+def constant(entries: tuple[Any, ...], dtype: torch.dtype, device: torch.device) -> torch.Tensor:
     """Return nested tuples as a tensor, made once for each precision and device."""
     build = _constant.__wrapped__ if torch.compiler.is_compiling() else _constant
     return build(entries, dtype, device)

@@ -420,7 +420,7 @@ def make_equi_pooling_size_map_lod(
     return _level(pixels, nominal_width).to(dtype)
 
 
-def checked_view(real_image_width, real_viewing_distance) -> tuple:
+def checked_view(real_image_width, real_viewing_distance) -> tuple[Any, ...]:
     """Return the width of a picture and the distance of the eye, after warning of an angle that no display has."""
     width = _validate.number("real_image_width", real_image_width, positive=True)
     distance = _validate.number("real_viewing_distance", real_viewing_distance, positive=True)

@@ -62,7 +62,7 @@ class _EachGaze(nn.Module):
     """Base of losses that take a gaze for each picture of a batch, with a copy of the loss for each."""
 
     _settings: tuple[str, ...] = ()
-    _copies: tuple[tuple, list] = ((), [])
+    _copies: tuple[tuple[Any, ...], list[Any]] = ((), [])
     _kept: "TargetCache"
 
     def _of_each(self, gaze, count):

@@ -72,7 +72,7 @@ class Scatter:
 
     share: Any = 1.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _checked_share("share", self.share)
 
     def _draw(self, along: Any, across: Any, first: Any, second: Any) -> tuple:
@@ -172,7 +172,7 @@ class MeasuredScatter(Scatter):
     offsets: Any = (0.0, 1.0)
     values: Any = (0.0, 0.0)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         offsets, values = _doubles(offsets=self.offsets, values=self.values)
         if offsets.ndim != 1 or offsets.shape != values.shape or len(offsets) < 2:
             shapes = f"{tuple(offsets.shape)} and {tuple(values.shape)}"
@@ -310,7 +310,7 @@ class Interface:
     phase: Phase | None = None
     scatter: Scatter | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         given = self.reflectance, self.transmittance
         for name, kind in (("coating", Coating), ("phase", Phase), ("scatter", Scatter)):
             value = getattr(self, name)
@@ -609,7 +609,7 @@ class Light(NamedTuple):
         return Light(rays, power, state[0] * x + state[1] * y)
 
 
-def axes_across(vector: tuple) -> tuple[tuple, tuple]:
+def axes_across(vector: tuple[Any, ...]) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Return the components of two axes across unit vectors: x and y, carried along from the z axis or from −z.
 
     Duff et al., J. Comput. Graph. Tech. 6(1), 1 (2017).
@@ -848,9 +848,9 @@ class _State(NamedTuple):
     medium that they are in, NaN where they start.
     """
 
-    point: tuple
-    direction: tuple
-    field: tuple
+    point: tuple[Any, ...]
+    direction: tuple[Any, ...]
+    field: tuple[Any, ...]
     power: torch.Tensor
     path: torch.Tensor
     ray: torch.Tensor

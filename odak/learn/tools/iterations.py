@@ -67,7 +67,7 @@ class Run:
     seed: int = 0
     memory_budget: int | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _validate.flag("progress", self.progress)
         _validate.function_or_none("callback", self.callback)
         _validate.integer("checkpoint_every", self.checkpoint_every, minimum=1)
@@ -450,11 +450,11 @@ class Adam:
         self.count = count
         return loss
 
-    def state(self) -> dict:
+    def state(self) -> dict[Any, Any]:
         """Return what the next step depends on besides the parameters."""
         return {"means": self.means, "squares": self.squares, "count": self.count}
 
-    def load(self, state: dict) -> None:
+    def load(self, state: dict[Any, Any]) -> None:
         """Take over a state that :meth:`state` returned."""
         for have, given in zip((*self.means, *self.squares), (*state["means"], *state["squares"]), strict=True):
             have.copy_(given)
@@ -547,11 +547,11 @@ class LBFGS:
             direction.addcmul_(change, weight - (bend @ direction) / curvature)
         return direction
 
-    def state(self) -> dict:
+    def state(self) -> dict[Any, Any]:
         """Return what the next step depends on besides the parameters."""
         return {"pairs": self.pairs, "loss": self.loss, "slope": self.slope}
 
-    def load(self, state: dict) -> None:
+    def load(self, state: dict[Any, Any]) -> None:
         """Take over a state that :meth:`state` returned."""
         there = self.parameters[0].device
         self.pairs = [tuple(part.to(there) for part in pair) for pair in state["pairs"]]

@@ -599,7 +599,7 @@ def positive(name: str, value) -> float:
     return found[0]
 
 
-def pair(name: str, value) -> list:
+def pair(name: str, value) -> list[Any]:
     """Return a pair as a list."""
     if isinstance(value, (str, bytes)) or not isinstance(value, Iterable) or len(found := list(value)) != 2:
         raise ValueError(f"{name} must be two numbers, got {value!r:.80}")

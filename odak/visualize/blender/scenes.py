@@ -225,7 +225,7 @@ LIBRARIES = (
 )
 
 
-def run_for_file(document: dict, path: str, blender, timeout, verbose: bool) -> str:
+def run_for_file(document: dict[Any, Any], path: str, blender, timeout, verbose: bool) -> str:
     """Write a file of a scene with Blender, atomically; return the path."""
     if not os.path.isdir(os.path.dirname(path)):
         raise ValueError(f"Folder {os.path.dirname(path)!r} does not exist")
@@ -236,7 +236,7 @@ def run_for_file(document: dict, path: str, blender, timeout, verbose: bool) -> 
     return path
 
 
-def run_for_array(document: dict, blender, timeout, verbose: bool) -> np.ndarray:
+def run_for_array(document: dict[Any, Any], blender, timeout, verbose: bool) -> np.ndarray:
     """Render a scene; return linear RGB and opacity, float32 ``[rows, columns, 4]``, row 0 at the top."""
     with tempfile.TemporaryDirectory(prefix="odak_blender_") as folder:
         made = _run(document, folder, ".raw", blender, timeout, verbose)
@@ -327,7 +327,7 @@ ARRAYS = {"vertices": "f4", "faces": "i4", "normals": "f4", "colors": "f4", "uv"
 _KEYS = ("unit", "metres", "wavelength", "objects", "lights", "camera", "background", "start_from", "remove", "render")
 
 
-def write_scene(path: str, document: dict) -> str:
+def write_scene(path: str, document: dict[Any, Any]) -> str:
     """Write a scene; each of the two files appears whole or not at all.
 
     Parameters
@@ -358,7 +358,7 @@ def write_scene(path: str, document: dict) -> str:
     return path
 
 
-def read_scene(path: str) -> dict:
+def read_scene(path: str) -> dict[Any, Any]:
     """Return what :func:`write_scene` was given, its objects with their arrays in place of names.
 
     Raises
@@ -400,7 +400,7 @@ def _check_digest(store: str, digest: str | None) -> None:
             raise ValueError(f"{os.path.basename(store)!r} contains the arrays of another scene")
 
 
-def item_from(entry: dict) -> Item:
+def item_from(entry: dict[Any, Any]) -> Item:
     """Return the object of an entry of :func:`read_scene`."""
     material = Material(**entry["material"] | {"color": tuple(entry["material"]["color"])})
     return Item(**entry | {"material": material})
@@ -451,8 +451,8 @@ class Views:
     resolution: tuple[int, int]
     camera: Camera | None
     lights: list[Light]
-    objects: list
-    background: dict | None
+    objects: list[Any]
+    background: dict[Any, Any] | None
 
     def add_camera(
         self,

@@ -41,7 +41,7 @@ class Panel(NamedTuple):
     """
 
     values: np.ndarray
-    axes: dict
+    axes: dict[Any, Any]
     labels: tuple[str, str]
     factor: int
 
@@ -66,7 +66,7 @@ class Quantity(NamedTuple):
     panel: Callable[..., Panel]
     bar: str
     cyclic: bool = False
-    limits: tuple = (None, None)
+    limits: tuple[Any, ...] = (None, None)
     reduced: str = "averaged"
 
 
@@ -209,7 +209,7 @@ _AXIS = {
 class _Images(Figure):
     """A grid of images."""
 
-    def __init__(self, rows: int, cols: int, titles: list, row_titles: list, settings: dict, **spacing):
+    def __init__(self, rows: int, cols: int, titles: list, row_titles: list[Any], settings: dict[Any, Any], **spacing):
         figure = make_subplots(rows=rows, cols=cols, **spacing)
         figures.place_titles(figure, titles, row_titles, cols)
         super().__init__(figure, settings)
@@ -998,7 +998,7 @@ class plotshow(_Images):
         super().update_layout()
 
 
-def surface_trace(figure: Figure, data, label, opacity, contour, style: Callable[[int], dict]):
+def surface_trace(figure: Figure, data, label, opacity, contour, style: Callable[[int], dict[Any, Any]]):
     """Return a surface for Plotly, every k-th sample of which is drawn; `style` is a function of k."""
     x, y, z = _arrays.heights(*data)
     factor = reduction(z.shape, MAXIMUM_SURFACE)

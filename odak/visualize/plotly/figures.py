@@ -158,7 +158,7 @@ class _SharedBrowser:
         self._lock = threading.RLock()
         self._loop = self._thread = self._tool = self._owner = None
 
-    def draw(self, figure: dict, options: dict) -> bytes:
+    def draw(self, figure: dict[Any, Any], options: dict[Any, Any]) -> bytes:
         """Return an image of a figure; the browser is started again once if it fails."""
         with self._lock:
             fresh = not self._runs()
@@ -305,7 +305,7 @@ TEMPLATE: dict[str, Any] = {
 _SCENE_VIEW, _FILLED = math.pi / 4, 0.95
 
 
-def margins(value) -> dict | None:
+def margins(value) -> dict[Any, Any] | None:
     """Return left, right, bottom and top margins under the names that Plotly gives them."""
     if value is None or isinstance(value, dict):
         return value
@@ -387,7 +387,7 @@ def place_titles(figure, titles: list[str], row_titles: list[str], cols: int) ->
             )
 
 
-def spacing(rows: int, cols: int, shape, margin) -> dict:
+def spacing(rows: int, cols: int, shape, margin) -> dict[Any, Any]:
     """Return the spacing between subplots that their texts need, as fractions of the plot."""
     side: Any = margins(margin)
     width, height = max(shape[0] - side["l"] - side["r"], 50), max(shape[1] - side["t"] - side["b"], 50)
@@ -595,7 +595,7 @@ class Figure:
         Settings of the layout, read each time the figure is shown or saved.
     """
 
-    def __init__(self, figure, settings: dict):
+    def __init__(self, figure, settings: dict[Any, Any]):
         self.fig = figure
         self.settings = settings
         self._notes: list[str] = []
@@ -827,7 +827,7 @@ def text(name: str, value) -> Any:
     raise TypeError(f"{name} must be a string, got {type(value).__name__}")
 
 
-def texts(name: str, value, least: int = 0) -> list:
+def texts(name: str, value, least: int = 0) -> list[Any]:
     """Return titles or labels as a list of at least so many."""
     if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
         raise TypeError(f"{name} must be a sequence of strings, got {value!r:.80}")
@@ -837,7 +837,7 @@ def texts(name: str, value, least: int = 0) -> list:
     return found
 
 
-def numbers(name: str, value, count: int, *, positive: bool = False, least: float | None = None) -> list:
+def numbers(name: str, value, count: int, *, positive: bool = False, least: float | None = None) -> list[Any]:
     """Return `count` real numbers, such as pixels, as a list."""
     found = list(_validate.several(name, value, count, positive=positive))
     if least is not None and min(found) < least:
@@ -852,7 +852,7 @@ def share(name: str, value) -> float:
     return number
 
 
-def mapping(name: str, value, default: Mapping) -> dict:
+def mapping(name: str, value, default: Mapping) -> dict[Any, Any]:
     """Return settings of Plotly as a new dictionary, the default for None."""
     _validate.instance(name, value, (Mapping, type(None)), "a dictionary")
     return dict(default if value is None else value)

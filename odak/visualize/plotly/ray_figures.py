@@ -551,7 +551,7 @@ class rayshow(SceneFigure):
             Draw lines of equal z.
         """
 
-        def style(factor: int) -> dict:
+        def style(factor: int) -> dict[Any, Any]:
             if isinstance(surface_color, str):
                 figures.colour("surface_color", surface_color)
                 return {"colorscale": [[0, surface_color], [1, surface_color]], "showscale": False}
@@ -613,7 +613,7 @@ class rayshow(SceneFigure):
         self._add(trace, row, column)
 
 
-def colors(color, count: int, settings: dict, repeat: int = 1) -> dict:
+def colors(color, count: int, settings: dict[Any, Any], repeat: int = 1) -> dict[Any, Any]:
     """Return the colours of markers or lines as arguments of Plotly: one, or one for each of `count`.
 
     Parameters
@@ -639,7 +639,7 @@ def colors(color, count: int, settings: dict, repeat: int = 1) -> dict:
     return {"color": found if scale else found.tolist(), **scale}
 
 
-def face_colors(color, count: int, settings: dict) -> dict:
+def face_colors(color, count: int, settings: dict[Any, Any]) -> dict[Any, Any]:
     """Return the colours or values of the `count` triangles of a mesh as arguments of Plotly."""
     style = colors(color, count, settings)
     if isinstance(color, str):

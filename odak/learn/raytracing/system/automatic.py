@@ -185,7 +185,7 @@ class LensRequirements:
     chief_ray_angle: float | None = None
     unit: str = "mm"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("focal_length", "f_number", "distortion", "axial_color", "chief_ray_angle"):
             _set_number(self, name, positive=True)
         _set_number(self, "half_field", least=0)
@@ -239,7 +239,7 @@ class LensDimensions:
     track: float | None = None
     cover: tuple[str | Material, float] | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("glass", "air"):
             if getattr(self, name) is not None:
                 least, largest = _validate.several(name, getattr(self, name), 2)
@@ -308,7 +308,7 @@ class DesignSearch:
     seed: int = 0
     callback: Callable[[Stage], Any] | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, least in (("starts", 1), ("stages", 1), ("iterations", 1), ("polish", 0), ("seed", 0)):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _validate.integer(name, getattr(self, name), minimum=least))

@@ -701,7 +701,7 @@ class lens_design:
         columns = torch.tensor(self.columns["glass"]).reshape(-1, 2).tolist()
         places = [place for place, _ in self.places["glass"][::2]]
 
-        def best_of(rows: list, values: list, keep: int) -> list:
+        def best_of(rows: list[Any], values: list[Any], keep: int) -> list[Any]:
             """Return merits, glasses and values of the best of several choices: first few steps, then all for a few."""
             held = torch.stack(values)
             for row, own in zip(rows, held, strict=True):
@@ -886,7 +886,7 @@ class zoom_design(lens_design):
         values = self._checked(values)
         parts = [design.prescription(values[..., row]) for design, row in zip(self.each, self.rows, strict=True)]
 
-        def stacked(column: tuple) -> Any:
+        def stacked(column: tuple[Any, ...]) -> Any:
             if not isinstance(column[0], torch.Tensor):
                 return column[0]
             return torch.stack(torch.broadcast_tensors(*column), min(values.ndim - 1, column[0].ndim - 1))

@@ -70,7 +70,7 @@ class SurfaceRecord(NamedTuple):
     cosine: torch.Tensor
     gamma: torch.Tensor | None
     root: torch.Tensor | None
-    normal: tuple
+    normal: tuple[Any, ...]
     squared: torch.Tensor | None
 
 
@@ -80,12 +80,12 @@ class SurfaceGradients(NamedTuple):
     curvature: Any
     conic: Any
     distance: Any
-    coefficients: list
+    coefficients: list[Any]
     before: Any
     behind: Any
 
 
-def plain(layout: Layout, numbers: Numbers, rays: tuple) -> State:
+def plain(layout: Layout, numbers: Numbers, rays: tuple[Any, ...]) -> State:
     """Return the trace of rays ``[B, R]`` in plain operations; failed rays lie on the axis."""
     return plain_trace(layout, *rays, *flat_arguments(layout, numbers)[0])
 
@@ -260,7 +260,7 @@ def _gradients(layout, tensors, status, gradients):
     return (*out, *totals[:5])
 
 
-def ray_derivatives(layout: Layout, tensors, status) -> tuple[tuple, tuple]:
+def ray_derivatives(layout: Layout, tensors, status) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Return the derivatives of what each ray is behind the last surface, however many numbers there are.
 
     Parameters

@@ -108,7 +108,7 @@ class TracedSystem:
 
     __repr__ = _show.one_line
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if checked_system(self.system).at_infinity:
             raise ValueError("system must have an object_distance, got one with its object at infinity")
         if self.system.image is not None:

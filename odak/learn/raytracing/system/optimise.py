@@ -205,7 +205,7 @@ def least_squares(
     damping: float | torch.Tensor = 1e-3,
     tolerance: float = 1e-10,
     callback: Callable | None = None,
-    ladder: tuple = ONE,
+    ladder: tuple[Any, ...] = ONE,
     floor: float = 0.0,
 ) -> LeastSquares:
     """Minimise half the sums of squares of N independent problems side by side, within bounds.

@@ -463,7 +463,7 @@ class ThirdOrder(NamedTuple):
 
     seidel: torch.Tensor
     chromatic: torch.Tensor
-    transverse: dict
+    transverse: dict[Any, Any]
 
     def __repr__(self) -> str:
         return _show.one_line(self)

@@ -50,10 +50,10 @@ class Prescription(NamedTuple):
     index: torch.Tensor  # type: ignore[assignment]  # hides tuple.index
     shift: torch.Tensor | None = None
     tilt: torch.Tensor | None = None
-    shapes: tuple | None = None
-    phases: tuple | None = None
+    shapes: tuple[Any, ...] | None = None
+    phases: tuple[Any, ...] | None = None
     wavelengths: torch.Tensor | None = None
-    gradients: tuple | None = None
+    gradients: tuple[Any, ...] | None = None
 
     def __repr__(self) -> str:
         return _show.one_line(self)

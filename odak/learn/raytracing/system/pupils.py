@@ -456,7 +456,7 @@ def through_pupil(system, points: torch.Tensor, fields: torch.Tensor, prescripti
     return through_places(system, fields, pupil, *places_of(pupil, points))
 
 
-def real_places(system, numbers: Prescription, pupil, points: torch.Tensor, fields: torch.Tensor) -> tuple:
+def real_places(system, numbers: Prescription, pupil, points: torch.Tensor, fields: torch.Tensor) -> tuple[Any, ...]:
     """Return coordinates (x, y) of rays that pass the stop at given points, and whether they are across the fields."""
     # Of a device that is not read, the system's own fields decide.
     given = fields.flatten().tolist() if is_readable(fields) else sum(system.fields, ())

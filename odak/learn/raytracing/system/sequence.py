@@ -406,14 +406,14 @@ class Passage(NamedTuple):
 
     place: int
     action: str
-    incoming: tuple = ()
-    outgoing: tuple = ()
-    normal: tuple = ()
+    incoming: tuple[Any, ...] = ()
+    outgoing: tuple[Any, ...] = ()
+    normal: tuple[Any, ...] = ()
     before: Any = None
     behind: Any = None
     length: Any = None
     change: Any = None
-    point: tuple = ()
+    point: tuple[Any, ...] = ()
     status: Any = None
 
 
@@ -641,7 +641,7 @@ class Frame(NamedTuple):
     """
 
     matrix: Any
-    origin: tuple
+    origin: tuple[Any, ...]
 
     def enter(self, point, direction):
         """Return points and directions in this frame."""

@@ -25,7 +25,7 @@ class SystemScene(NamedTuple):
         image; NaN from where a ray is lost.
     """
 
-    items: list
+    items: list[Any]
     frames: list[tuple[np.ndarray, np.ndarray]]
     radii: list[float]
     paths: np.ndarray

@@ -48,7 +48,7 @@ class SystemAperture:
     aperture_type: str = "EPD"
     telecentric: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         set_(self, aperture=_validate.constant("aperture", self.aperture, positive=True))
         set_(self, aperture_type=_validate.one_of("aperture_type", self.aperture_type, APERTURES))
         if _validate.flag("telecentric", self.telecentric) and self.aperture_type not in ("NA", "stop"):
@@ -88,7 +88,7 @@ class Fields:
     field_weights: Iterable[Any] | None = None
     vignetting_factors: Iterable[Any] | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         points = checked_fields(self.fields)
         weights = checked_weights("field_weights", self.field_weights, len(points))
         factors = _factors(self.vignetting_factors, len(points))
@@ -126,7 +126,7 @@ class Wavelengths:
     reference: int | None = None
     wavelength_weights: Iterable[Any] | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         waves = None if self.wavelengths is None else checked_wavelengths(self.wavelengths)
         count = 1 if waves is None else len(waves)
         if self.reference is not None and _validate.integer("reference", self.reference) >= count:
@@ -169,7 +169,7 @@ class Conjugates:
     object_material: Any = AIR
     afocal: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         (distance,) = _validate.constants(object_distance=self.object_distance)
         set_(self, object_distance=float(number_or_infinity("object_distance", distance)))
         if not self.object_distance > 0:
@@ -213,7 +213,7 @@ class SystemRecord:
     source: str = ""
     settings: Sequence[tuple[Any, ...]] = ()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _validate.text("name", self.name), _validate.text("source", self.source)
 
 
@@ -288,7 +288,7 @@ SETTINGS = {
 }
 
 
-def checked_settings(settings, count: int) -> tuple[tuple[str, int | None, tuple], ...]:
+def checked_settings(settings, count: int) -> tuple[tuple[str, int | None, tuple[Any, ...]], ...]:
     """Return settings (name, place, values) of configurations after checking that they are.
 
     Parameters

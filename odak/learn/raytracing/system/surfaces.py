@@ -80,7 +80,7 @@ class Coating:
     thicknesses: Any = ()
     substrate: Any = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         media = self.media
         if isinstance(media, (str, bytes)) or not isinstance(media, Sequence):
             raise TypeError(f"media must be a sequence of names, materials or indices, got {type(media).__name__}")
@@ -195,7 +195,7 @@ class _Parameters(torch.nn.Module):
 
     def __init__(self, name: str, given: Any):
         super().__init__()
-        self.kind = type(given)
+        self.kind: type[Any] = type(given)
         for field in fields_of(given):
             value = getattr(given, field.name)
             value = list(value) if isinstance(value, tuple) else value
@@ -213,7 +213,8 @@ class _Films(torch.nn.Module):
 
     def __init__(self, given: Coating):
         super().__init__()
-        self.media, self.substrate = given.media, given.substrate
+        self.media: Sequence[Any] = given.media
+        self.substrate: Any = given.substrate
         values = given.thicknesses
         values = values if isinstance(values, torch.Tensor) else list(values)
         _hold(self, "thicknesses", _validate.real("coating.thicknesses", values) if len(values) else values)
@@ -289,6 +290,10 @@ class surface(torch.nn.Module):
     index: torch.Tensor
     order: str | int | None = None
 
+    own_shape: _Parameters | None
+    own_phase: _Parameters | None
+    own_gradient: _Parameters | None
+
     def __init__(
         self,
         radius: float = math.inf,
@@ -327,15 +332,19 @@ class surface(torch.nn.Module):
         _hold(self, "conic", _validate.real("conic", conic))
         coefficients = _listed("coefficients", coefficients)
         _hold(self, "coefficients", _validate.real("coefficients", coefficients) if len(coefficients) else coefficients)
-        self.own_shape = None if shape is None else _Parameters("shape", _checked("shape", shape, Shape))
-        self.own_phase = None if phase is None else _Parameters("phase", _checked("phase", phase, Phase))
+        self.own_shape: _Parameters | None = (
+            None if shape is None else _Parameters("shape", _checked("shape", shape, Shape))
+        )
+        self.own_phase: _Parameters | None = (
+            None if phase is None else _Parameters("phase", _checked("phase", phase, Phase))
+        )
         self.own_gradient = None
         if gradient is not None:
             self.own_gradient = _Parameters("gradient", _checked("gradient", gradient, Gradient))
         _hold(self, "thickness", _validate.real("thickness", thickness))
         _hold(self, "shift", _several("shift", shift, (2,)))
         _hold(self, "tilt", _several("tilt", tilt, (2, 3)))
-        self.material = checked_medium(material)
+        self.material: Any = checked_medium(material)
         if isinstance(self.material, (Real, torch.Tensor)):
             _hold(self, "index", _validate.real("material", material, positive=True))
             self.material = None
@@ -350,8 +359,8 @@ class surface(torch.nn.Module):
         if semi_diameter is not None:
             self.semi_diameter = _validate.constant("semi_diameter", semi_diameter, positive=True)
         parts = [] if aperture is None else aperture if isinstance(aperture, (list, tuple)) else [aperture]
-        self.apertures = tuple(_checked("aperture", part, Aperture) for part in parts)
-        self.stop = _validate.flag("stop", stop)
+        self.apertures: tuple[Aperture, ...] = tuple(_checked("aperture", part, Aperture) for part in parts)
+        self.stop: bool = _validate.flag("stop", stop)
 
     @property
     def curvature(self) -> torch.Tensor:
@@ -535,7 +544,7 @@ class coordinate_break(surface):
         tilt = _several("tilt", tilt, (2, 3))
         tilt = [*tilt, 0.0] if len(tilt) == 2 and not isinstance(tilt, torch.Tensor) else tilt
         super().__init__(thickness=thickness, shift=shift, tilt=tilt)
-        self.order = _validate.one_of("order", order, ORDERS)
+        self.order: str | int = _validate.one_of("order", order, ORDERS)
         if return_to is not None:
             self.order = _validate.integer("return_to", return_to)
             if self.is_off_axis:
@@ -796,7 +805,10 @@ class optical_system(torch.nn.Module):
     afocal: bool
     name: str
     source: str
-    settings: tuple[tuple[str, int | None, tuple], ...]
+    settings: tuple[tuple[str, int | None, tuple[Any, ...]], ...]
+    stop: int
+    unit: str
+    image: surface | None
 
     @_validate.takes_fields(
         "self surfaces aperture aperture_type",

@@ -193,7 +193,7 @@ def _setting(name: str, place: int | None, values: tuple) -> list:
     return [name, place, kept]
 
 
-def own_surfaces(system) -> list:
+def own_surfaces(system) -> list[Any]:
     """Return the surfaces without the lens that an afocal system appends."""
     return list(system.surfaces)[: -1 if system.afocal else None]
 
@@ -458,7 +458,7 @@ class Context(NamedTuple):
     """Properties that all surfaces of a file share."""
 
     scale: float
-    glasses: dict
+    glasses: dict[Any, Any]
     makers: list[str]
     waves: list[float]
     ignored: list[str]
@@ -569,7 +569,7 @@ def aperture_of_working(system, number: float) -> float:
 
 
 def fields_of_image_heights(
-    system, points, real: bool, aim: str = "paraxial", notes: list | None = None
+    system, points, real: bool, aim: str = "paraxial", notes: list[Any] | None = None
 ) -> tuple[tuple[float, float], ...]:
     """Return the field points whose chief rays land at given heights at the primary wavelength.
 

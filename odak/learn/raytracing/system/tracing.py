@@ -322,7 +322,7 @@ def curved_paths(system: optical_system, rays: Rays, place: int, ends: torch.Ten
     return (points @ matrices[place].mT + origins[place]).reshape(*shape, count + 1, 3)
 
 
-def in_surface_frame(system, prescription: Prescription, place: int, traced: Traced) -> tuple:
+def in_surface_frame(system, prescription: Prescription, place: int, traced: Traced) -> tuple[Any, ...]:
     """Return points ``(x, y, z)`` of a trace that ended behind a surface in that surface's own, tilted frame."""
     if prescription.shift is None and prescription.tilt is None:
         return traced[:3]

@@ -347,7 +347,7 @@ def pupil_image(
     system,
     counts: Sequence[int],
     size: int | None,
-    options: dict,
+    options: dict[Any, Any],
     amplitudes: Callable | None = None,
     fineness: int = 4,
 ) -> Spread:

@@ -411,7 +411,7 @@ class _Configurations:
         }
         return key in enter and enter[key](key, place, lines)
 
-    def settings(self) -> list[tuple]:
+    def settings(self) -> list[tuple[Any, ...]]:
         """Return all settings: name, place of the surface or None, and values."""
         if self.kind in (2, 3):
             self.found.append((("image_heights", "real_image_heights")[self.kind - 2], None, self.fields))

@@ -99,7 +99,7 @@ class configurations(torch.nn.Module):
     extra_repr = _show.numbers_of
 
     @property
-    def settings(self) -> tuple[tuple, ...]:
+    def settings(self) -> tuple[tuple[Any, ...], ...]:
         """What differs, as (name, place, values), with the current values."""
         numbers = [(name, place, tuple(getattr(self, key).tolist())) for (name, place), key in self._numbers.items()]
         return (*numbers, *self._others)
