@@ -114,7 +114,8 @@ def test_gerchberg_saxton_takes_the_steps_of_the_one_in_memory(tmp_path):
     expected, _ = odak.wave.gerchberg_saxton(
         np.sqrt(target), 1, 2e-3, (8e-6, 7e-6), 532e-9, 2 * np.pi, "AS", initial_phase=start
     )
-    np.testing.assert_allclose(np.exp(1j * phase.compute()), expected, atol=2e-5)
+    # The phase of a pixel with a hundredth of the brightest field is known to 100 times the rounding of transforms.
+    np.testing.assert_allclose(np.exp(1j * phase.compute()), expected, atol=100 * 8 * np.finfo(np.float32).eps)
 
 
 @pytest.mark.slow

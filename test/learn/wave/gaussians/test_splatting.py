@@ -138,7 +138,8 @@ def test_tiles_do_not_change_the_picture(side, monkeypatch):
     whole = composite_gaussians(means, conics, opacities, weights, layers, Tiling(50, 70, 50, 70))
     tiled = composite_gaussians(means, conics, opacities, weights, layers, Tiling(50, 70, side, side + 1))
     assert tiled.dtype == torch.complex64
-    assert float((tiled - whole).abs().max()) < 1e-6
+    # A few tens of Gaussians overlap in a pixel, each of which rounds.
+    assert float((tiled - whole).abs().max()) < 30 * torch.finfo(torch.float32).eps
     total = sum_of_gaussians(means, conics, weights, 50, 70)
     monkeypatch.setattr(gaussian_tiles, "_SIDES", (side,))
     assert float((sum_of_gaussians(means, conics, weights, 50, 70) - total).abs().max()) < 1e-5
