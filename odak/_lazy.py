@@ -16,7 +16,8 @@ def attach(package: str, file: str) -> tuple[Callable, Callable, list[str]]:
 
     The stub ``__init__.pyi`` beside the package's ``__init__.py`` holds one line for each public name, which type
     checkers, editors and the reference read too: ``from .module import name as name``. The modules that it names are
-    attributes of the package as well; private ones, and packages of others, are not listed in ``__all__``.
+    attributes of the package as well: `dir` lists those that are public. ``__all__`` holds functions, classes and
+    constants alone, so that a star import never binds a module.
 
     Parameters
     ----------
@@ -32,6 +33,7 @@ def attach(package: str, file: str) -> tuple[Callable, Callable, list[str]]:
     children = {module.rpartition(".")[2] for module in modules} - set(home)
     listed = {name for name, (module, _) in home.items() if module.startswith("odak.")}
     public = sorted({*listed, *(child for child in children if not child.startswith("_"))})
+    starred = [name for name in public if home.get(name, ("", None))[1] is not None]
     homonyms = {n for n in home if home[n] == (f"{package}.{n}", n) or f"{package}.{n}" in MOVED_MODULES}
     if homonyms:
         sys.modules[package].__dict__["_homonyms"] = homonyms
@@ -55,7 +57,7 @@ def attach(package: str, file: str) -> tuple[Callable, Callable, list[str]]:
             return getattr(importlib.import_module(place), renamed or name)
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
 
-    return load, lambda: public, public
+    return load, lambda: public, starred
 
 
 def _read_stub(package: str, stub: Path) -> dict[str, tuple[str, str | None]]:

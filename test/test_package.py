@@ -4,6 +4,7 @@ import ast
 import functools
 import importlib
 import inspect
+import operator
 import pathlib
 import re
 import subprocess
@@ -234,11 +235,25 @@ def test_version_is_its_parts():
 @pytest.mark.parametrize("package", PACKAGES)
 def test_every_public_name_resolves(package):
     module = importlib.import_module(package)
-    # A package whose parent lists its names has none of its own.
-    listed = getattr(module, "__all__", dir(module))
-    for name in listed:
-        assert getattr(module, name) is not None
-    assert set(listed) == set(dir(module))
+    public = {name: getattr(module, name) for name in dir(module)}
+    assert None not in public.values()
+    # A package whose parent lists its names has none of its own. No star import binds a module.
+    listed = getattr(module, "__all__", None)
+    assert listed is None or set(listed) == {name for name, value in public.items() if not inspect.ismodule(value)}
+
+
+def test_no_new_public_name_is_also_a_submodule_of_its_package():
+    names = {f"{package}.{name}" for package in PACKAGES for name in dir(importlib.import_module(package))}
+    both = {name for name in names & set(MODULES) if not inspect.ismodule(operator.attrgetter(name[5:])(odak))}
+    assert both == {"odak.cli.app"}
+
+
+def test_star_imports_leave_names_as_they_are():
+    code = (
+        "from odak.learn.wave import *\nkept = optimise\nfrom odak.learn.raytracing.system import *\n"
+        "print(optimise is kept, optical_system.__name__)"
+    )
+    assert run(code).split() == ["True", "optical_system"]
 
 
 def test_a_stub_of_names_holds_imports_alone(tmp_path):

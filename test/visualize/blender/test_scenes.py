@@ -35,7 +35,7 @@ def ends_of(item):
 def test_every_public_name_resolves():
     for name in blender.__all__:
         assert getattr(blender, name) is not None
-    assert set(blender.__all__) == set(dir(blender))
+    assert set(blender.__all__) < set(dir(blender))
 
 
 def test_import_needs_neither_torch_nor_blender():
