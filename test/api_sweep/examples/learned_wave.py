@@ -6,7 +6,7 @@ import math
 import torch
 from api_sweep.build import Build, tensor, tensor_field
 
-from odak.learn.wave import Run, display_model, focal_surface_light_propagation, propagator
+from odak.learn.wave import Observer, Run, display_model, focal_surface_light_propagation, propagator
 
 COLOUR = 515e-9
 
@@ -299,6 +299,10 @@ BY_CALL = {
     "odak.learn.wave.Display.fields": {"phases": tensor(32, 48)},
     "odak.learn.wave.Display.forward": {"phases": tensor(32, 48)},
     "odak.learn.wave.Display.judge": {"phases": tensor(32, 48)},
+    "odak.learn.wave.Display.recorded_by": {
+        "observer": Observer.camera(),
+        "phases": tensor(32, 48),
+    },
     "odak.learn.wave.Display.lit_by": {"powers": tensor(1, 1)},
     "odak.learn.wave.optimise": {"target": tensor(48, 64), "run": Run(iterations=3, progress=False)},
     "odak.learn.wave.propagator": {"distances": tensor(1) * 1e-3},

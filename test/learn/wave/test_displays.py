@@ -902,7 +902,7 @@ def test_distances_jitter_as_in_the_older_display(random):
     errors = {"vaccination": True, "vaccination_scale": 2e-4, "seed": 7}
     old = older(distances, propagator_type="forward", aperture="open", **errors)
     display = Display(Modulator((16, 20), PITCH, None), [639e-9, 515e-9], Free(distances, jitter=2e-4), 2)
-    display.seeded(7)
+    display._seeded(7)
     found = []
     for _ in range(2):
         expected = old.reconstruct(phases, get_complex=True).diagonal(dim1=0, dim2=2)

@@ -39,7 +39,7 @@ def test_planes_colours_and_frames_of_one_picture_are_shared(count):
 def test_each_device_computes_a_nearly_equal_part(monkeypatch):
     """Of 2 planes, 2 colours and 2 frames: 8 units; each plane's transfer functions are made once per device."""
     made, shown = [], []
-    kernel, image = FreePath._of_plane, Display.images_of
+    kernel, image = FreePath._of_plane, Display._images_of
 
     def makes(path, device, colour, plane, dtype):
         made.append((colour, plane))
@@ -50,7 +50,7 @@ def test_each_device_computes_a_nearly_equal_part(monkeypatch):
         return image(own, part, *given)
 
     monkeypatch.setattr(FreePath, "_of_plane", makes)
-    monkeypatch.setattr(Display, "images_of", shows)
+    monkeypatch.setattr(Display, "_images_of", shows)
     display = shared_among(colour_display(), [torch.device("cpu")] * 3)
     display(torch.zeros(2, 12, 16))
     units = {}

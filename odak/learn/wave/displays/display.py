@@ -34,7 +34,7 @@ class Display(Prepared, torch.nn.Module):
 
     Use it where you want to know what an eye or a camera sees of phase patterns: :meth:`forward` returns the means of
     the intensity over the areas of pixels, with the spectrum of pixels of finite size. Patterns for it are computed
-    by :func:`optimise`. For fields at points or a relay, use :class:`odak.learn.wave.propagator`.
+    by :func:`optimise`.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ class Display(Prepared, torch.nn.Module):
         self._kept = Kept(self.powers.device)
         self._kept.generator, self._kept.errors = drawn.generator, drawn.errors
 
-    def seeded(self, seed: int) -> list[torch.Generator]:
+    def _seeded(self, seed: int) -> list[torch.Generator]:
         """Begin the random numbers of the path anew, and return what draws them; none where nothing is random."""
         if not self.path.jitter:
             return []
@@ -272,9 +272,9 @@ class Display(Prepared, torch.nn.Module):
         torch.Tensor
             Complex ``[..., F, D, C, rows, columns]``.
         """
-        lights = self.lights(phases, amplitudes)
+        lights = self._lights(phases, amplitudes)
         colours = range(self.shape[1])
-        return torch.stack([self.path.middles(self._kept, self.lit_by_source(lights, c), c) for c in colours], -3)
+        return torch.stack([self.path.middles(self._kept, self._lit_by_source(lights, c), c) for c in colours], -3)
 
     def forward(
         self, phases: torch.Tensor, powers: torch.Tensor | None = None, amplitudes: torch.Tensor | None = None
@@ -323,15 +323,17 @@ class Display(Prepared, torch.nn.Module):
             Real ``[grids, ..., D, C, rows, columns]``: one grid for an observer whose pixels are those of the image,
             and four that are half a pixel apart for one at any place; see :meth:`Observer.recorded`.
         """
-        lights = self.lights(phases, amplitudes)
+        if not isinstance(observer, Observer):
+            raise TypeError(f"observer must be an odak.learn.wave.Observer, got {type(observer).__name__}")
+        lights = self._lights(phases, amplitudes)
         powers = self.powers if powers is None else self._in_its_frames(self._fitting(powers))
         if self.shares is not None:
             return self.shares.images(observer, lights, powers)
         planes = tuple(range(self.shape[0]))
         parts = [Part(colour, planes, frames) for colour, frames in enumerate(self.lit_frames)]
-        return torch.stack([self.images_of(part, observer, lights, powers) for part in parts], -3)
+        return torch.stack([self._images_of(part, observer, lights, powers) for part in parts], -3)
 
-    def replaced(self, amplitudes: torch.Tensor, light: torch.Tensor, color: int) -> torch.Tensor:
+    def _replaced(self, amplitudes: torch.Tensor, light: torch.Tensor, color: int) -> torch.Tensor:
         """Return the light on the panel whose images have other amplitudes ``[D, rows, columns]``, by the adjoint."""
         return self.path.replaced(self._kept, amplitudes, light, color)
 
@@ -362,7 +364,7 @@ class Display(Prepared, torch.nn.Module):
         given = self.modulator, self.wavelengths, self.path.ends, self.frames, powers, self.profile
         return Display(*given, self.iris, self.medium).to(self.powers.device)
 
-    def lights(self, phases: torch.Tensor, amplitudes: torch.Tensor | None = None) -> Lights:
+    def _lights(self, phases: torch.Tensor, amplitudes: torch.Tensor | None = None) -> Lights:
         """Return what each panel does to the light, in the order in which it meets them, ``[..., F, rows, columns]``.
 
         The modulator is the last of them; with a `phase_scale`, it has an axis of colours in front.
@@ -431,13 +433,13 @@ class Display(Prepared, torch.nn.Module):
     def _lit(self, light, colour):
         return light if self.profile is None else light * self.profile[colour].to(light.dtype)
 
-    def lit_by_source(self, lights: Lights, color: int) -> Lights:
+    def _lit_by_source(self, lights: Lights, color: int) -> Lights:
         """Return what panels do to light, the first lit by the source of a colour."""
         first, *others = *lights[:-1], self._of_colour(lights[-1], color)
         return self._lit(first, color), *others
 
     @torch.no_grad()
-    def flat_light(self, color: int) -> tuple[torch.Tensor, torch.Tensor]:
+    def _flat_light(self, color: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Return what the light of a flat pattern has: amplitude, of mean square one, and phase, such as aberration."""
         if self.profile is None and self.modulator.response is None:
             return self.powers.new_ones(()), self.powers.new_zeros(())
@@ -445,7 +447,7 @@ class Display(Prepared, torch.nn.Module):
         light = self._lit(flat, color)[self.lit_frames[color][0]]
         return light.abs() / intensity(light).mean().sqrt(), light.angle()
 
-    def images_of(self, part: Part, observer: Observer, lights: Lights, powers: torch.Tensor) -> torch.Tensor:
+    def _images_of(self, part: Part, observer: Observer, lights: Lights, powers: torch.Tensor) -> torch.Tensor:
         """Return a part of what an observer sees of panels, ``[grids, ..., planes, rows, columns]``.
 
         Parameters
@@ -464,7 +466,7 @@ class Display(Prepared, torch.nn.Module):
         whole = len(frames) == self.frames
         if not whole:
             lights = tuple(torch.stack([light[..., f, :, :] for f in frames], -3) for light in lights)
-        lit = self.lit_by_source(lights, colour)
+        lit = self._lit_by_source(lights, colour)
         shown = self.path.points(self._kept, lit, colour, part.planes)
         power = power / power.sum() if whole else torch.stack([power[f] for f in frames]) / power.sum()
         amplitudes = power.sqrt()[:, None].to(shown.real.dtype)

@@ -88,8 +88,8 @@ def judged(
 
     Without a comparison, `compared` and `sharp` are empty.
     """
-    lights, at = display.lights(phases, amplitudes), display.path
-    given = display.lit_by_source(lights, 0)[-1].shape
+    lights, at = display._lights(phases, amplitudes), display.path
+    given = display._lit_by_source(lights, 0)[-1].shape
     if len(given) > 3:
         raise ValueError(f"phases must be without a batch, [frames, rows, columns], got {list(given)}")
     planes, colours = display.shape[:2]
@@ -101,7 +101,7 @@ def judged(
             light: Any = 0.0
             for f in display.lit_frames[c]:
                 # One frame at a time, which takes less memory.
-                own = display.lit_by_source(tuple(one[..., f : f + 1, :, :] for one in lights), c)
+                own = display._lit_by_source(tuple(one[..., f : f + 1, :, :] for one in lights), c)
                 shown, finer = _field_at(at, [one[0] for one in own], c, d)
                 light = light + power[f] * fine_intensity(shown)
             samples = 2 * finer

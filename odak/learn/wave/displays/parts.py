@@ -68,12 +68,12 @@ class Shares:
             *there, own = (values.to(display.powers.device, non_blocking=True) for values in (*lights, powers))
             # A rank without a part computes one that does not count, since all ranks take part in the gradient.
             for part in parts or [Part(0, (0,), display.lit_frames[0][:1])]:
-                shown = display.images_of(part, observer, tuple(there), own).to(powers.device, non_blocking=True)
+                shown = display._images_of(part, observer, tuple(there), own).to(powers.device, non_blocking=True)
                 for plane, image in zip(part.planes, (shown if parts else 0 * shown).unbind(-3), strict=True):
                     images[plane][part.colour] = images[plane][part.colour] + image
         if self.ranks is None:
             return torch.stack([torch.stack(row, -3) for row in images], -4)
-        like = self.parts[0][0].lit_by_source(lights, 0)[-1].real[..., 0, :, :]
+        like = self.parts[0][0]._lit_by_source(lights, 0)[-1].real[..., 0, :, :]
         nothing = like.new_zeros(observer.grids, *like.shape)
         return self.ranks.sum(torch.stack([torch.stack([nothing + one for one in row], -3) for row in images], -4))
 
@@ -114,7 +114,7 @@ class Streamed:
     def _part(self, part: Part, observer, powers, *lights) -> torch.Tensor:
         if not self.keeps:
             self.display.forget()
-        return self.display.images_of(part, observer, lights, powers)
+        return self.display._images_of(part, observer, lights, powers)
 
 
 def streamed(display: Any, budget: int) -> Any:

@@ -137,7 +137,7 @@ def starting_phases(display, target, start, seed) -> torch.Tensor:
             seed=seed,
             frames=len(frames),
         )
-        aberration = 0.0 if name in ("flat", "random") else display.flat_light(colour)[1]
+        aberration = 0.0 if name in ("flat", "random") else display._flat_light(colour)[1]
         for frame, phase in zip(frames, found.reshape(len(frames), *shape[1:]), strict=True):
             if begun != name:
                 phase = _projected(display, target, colour, phase)
@@ -149,5 +149,5 @@ def _projected(display, target, colour, phase, iterations: int = 10):
     """Return a phase after iterations of Gerchberg and Saxton's between the panel and its images."""
     amplitudes, light = target[:, colour].sqrt(), unit_phasor(phase)
     for _ in range(iterations):
-        light = unit_phasor(display.replaced(amplitudes, light, colour).angle())
+        light = unit_phasor(display._replaced(amplitudes, light, colour).angle())
     return light.angle()

@@ -63,7 +63,7 @@ class Descent:
         loss, drawn_from = seeded_loss(problem.loss, run.seed, phases.device)
         problem = replace(problem, loss=loss)
         # Not the random numbers of the start, nor those of the loss.
-        drawn_from = [*drawn_from, *problem.display.seeded((run.seed + 2) % 2**62)]
+        drawn_from = [*drawn_from, *problem.display._seeded((run.seed + 2) % 2**62)]
 
         def found():
             return (unit * learned["amplitude"]).square() if self.powers else None

@@ -54,7 +54,7 @@ class DoublePhase:
                 "auto",
                 zero_padding=[True, False, True],
             )
-            illumination, aberration = display.flat_light(colour)
+            illumination, aberration = display._flat_light(colour)
             encoded = encode_double_phase(there / illumination.clamp_min(_DIMMEST))
             phases[frame] = display.modulator.asked(encoded - aberration, colour)
         return phases

@@ -40,7 +40,7 @@ class Network:
         for frame, plane, colour in frames_alone(display, "a network"):
             wavelength, distance = display.wavelengths[colour] / display.medium, display.distances[plane]
             wanted = model(problem.target[plane, colour], wavelength, display.modulator.pitch, distance)
-            phases[frame] = display.modulator.asked(wanted - display.flat_light(colour)[1], colour)
+            phases[frame] = display.modulator.asked(wanted - display._flat_light(colour)[1], colour)
         return phases
 
 

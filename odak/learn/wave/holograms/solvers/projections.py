@@ -42,7 +42,7 @@ class AlternatingProjections:
         display = problem.display
         phases = problem.start.clone()
         for frame, plane, colour in frames_alone(display, "alternating projections"):
-            illumination, aberration = display.flat_light(colour)
+            illumination, aberration = display._flat_light(colour)
             scale = 1.0 if display.modulator.phase_scale is None else display.modulator.phase_scale[colour]
             hologram = phase_retrieval.retrieve(
                 problem.target[plane, colour].sqrt() + 0j,
