@@ -49,8 +49,9 @@ print(f"RMS difference of the pictures: ≈ {100 * error:.1f} % of white")
 noise = torch.randn(first.shape, generator=torch.Generator().manual_seed(0))
 noisy = first + error * noise
 for name, place in (("at this gaze", gaze), ("at another gaze", elsewhere)):
-    distance, of_noise = loss(second, first, place), loss(noisy, first, place)
-    print(f"metameric distance {name}: ≈ {distance:.1e}, of equal noise ≈ {of_noise:.1e}")
+    distance, noise_gives = loss(second, first, place), loss(noisy, first, place)
+    print(f"metameric distance {name}: ≈ {distance:.1e},", end=" ")
+    print(f"of equal noise ≈ {noise_gives:.1e}")
 
 # %%
 places = [[(x / 24, y / 16) for x in range(1, 24, 2)] for y in range(1, 16, 2)]
