@@ -17,17 +17,17 @@ import tokenize
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from numbers import Real
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from odak import _validate
 from odak._validate import one_of
-from odak._warnings import AccuracyWarning, warn
+from odak._warnings import AccuracyWarning, ArgumentWarning, warn
 from odak.log import logger
 from odak.tools.paths import expanduser as expanduser
 from odak.tools.paths import extension_of, regular_file, replacing, temporary_name
@@ -640,7 +640,13 @@ _READABLE = (*_FORMATS, ".gif", ".webp", ".pbm", ".pgm", ".ppm", ".sr", ".ras", 
 _SIZE_OF_RADIANCE = re.compile(rb"\n\n-Y (\d{1,9}) \+X (\d{1,9})\n")
 # Formats are listed one by one, so that no file selects a decoder that runs programs (EPS) or reads other files.
 _DECODERS = ("PNG", "JPEG", "BMP", "TIFF", "GIF", "WEBP", "PPM", "SUN")
+# First bytes of a TIFF, of either order of bytes and either size of offsets.
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _ENCODER_OPTIONS = {"JPEG": {"quality": 95, "subsampling": 0}}
+
+
+class _TooDeep(ValueError):
+    """Pillow would read fewer bits of a picture than there are."""
 
 
 def save_image(
@@ -706,7 +712,12 @@ def save_image(
 
 
 def load_image(
-    fn: str | os.PathLike[str], normalizeby: float = 0.0, torch_style: bool = False, *, color_managed: bool = False
+    fn: str | os.PathLike[str],
+    normalizeby: float = 0.0,
+    torch_style: bool = False,
+    *,
+    color_managed: bool = False,
+    pages: int | Sequence[int] | Literal["all"] | None = None,
 ) -> np.ndarray:
     """Read an image from a file.
 
@@ -724,19 +735,25 @@ def load_image(
         Convert colours by the ICC profile of the file to sRGB (relative colorimetric), which photographs of a phone
         in Display P3 need. By default the levels of the file are returned. A picture without a profile is taken for
         sRGB; of one with 16 bits per channel the profile is not applied, and a warning says so.
+    pages : int, sequence of int or "all", optional
+        Pages of a TIFF, or frames of a GIF, WebP or animated PNG, counted from 0. A number returns that page as one
+        image; a sequence, or "all", returns them along a new first axis. By default the first page is read, and an
+        :class:`~odak.ArgumentWarning` says if there are more.
 
     Returns
     -------
     numpy.ndarray
         float64, turned upright by its EXIF orientation: ``[H, W]`` for grey, ``[H, W, 3]`` or ``[H, W, 4]`` for colour
-        (channels first on request), row 0 at the top; 0 … 255, or 0 … 65535 for 16 bits; radiances of
-        ``.hdr`` and ``.exr`` as they are stored.
+        (channels first on request), row 0 at the top, and a first axis for several `pages`; 0 … 255, or 0 … 65535 for
+        16 bits; the numbers of ``.hdr``, ``.exr`` and TIFF in floating point as they are stored.
 
     Raises
     ------
     ValueError
         If the path is not acceptable, or the file is missing, broken, not an image, or has more than 89 megapixels, or
-        more than 16 in less than a byte for each 10 000; the message names the file.
+        more than 16 in less than a byte for each 10 000; if there is no such page, or the pages differ in shape or
+        type; if a TIFF of floating-point colour or of 16-bit colour in planes meets no package tifffile. The message
+        names the file.
 
     Examples
     --------
@@ -751,13 +768,18 @@ def load_image(
     ((3, 2, 4), 1.0)
     """
     divisor = float(_validate.real("normalizeby", normalizeby))
-    image = read_levels(fn, torch_style, color_managed).astype(np.float64)
+    image = read_levels(fn, torch_style, color_managed, pages).astype(np.float64)
     if divisor != 0:
         image /= divisor
     return image
 
 
-def read_levels(fn: str | os.PathLike, torch_style: bool = False, color_managed: bool = False) -> np.ndarray:
+def read_levels(
+    fn: str | os.PathLike,
+    torch_style: bool = False,
+    color_managed: bool = False,
+    pages: int | Sequence[int] | Literal["all"] | None = None,
+) -> np.ndarray:
     """Read the levels of an image as they are stored in the file.
 
     Parameters
@@ -768,12 +790,14 @@ def read_levels(fn: str | os.PathLike, torch_style: bool = False, color_managed:
         Put the channels first.
     color_managed : bool
         Convert colours by the file's ICC profile to sRGB, as :func:`load_image` does.
+    pages : int, sequence of int or "all", optional
+        Pages or frames, as :func:`load_image` takes them.
 
     Returns
     -------
     numpy.ndarray
         uint8 or uint16; int32 or float32 for a TIFF that holds them, float32 for ``.hdr`` and ``.exr``. ``[H, W]``,
-        ``[H, W, 3]`` or ``[H, W, 4]``, channels first on request.
+        ``[H, W, 3]`` or ``[H, W, 4]``, channels first on request; a first axis for several pages.
 
     Raises
     ------
@@ -782,17 +806,26 @@ def read_levels(fn: str | os.PathLike, torch_style: bool = False, color_managed:
     """
     path, torch_style = validate_path(fn, _READABLE), _validate.flag("torch_style", torch_style)
     color_managed = _validate.flag("color_managed", color_managed)
+    if pages is not None and not isinstance(pages, str):
+        several = isinstance(pages, Sequence)
+        pages = [_validate.integer("pages", page) for page in pages] if several else _validate.integer("pages", pages)
+    elif pages is not None:
+        pages = _validate.one_of("pages", pages, ("all",))
     if not os.path.isfile(path):
         reason = "it is not a regular file" if os.path.exists(path) else "there is no such file"
         raise ValueError(f"Failed to load image {path!r}: {reason}")
     try:
-        levels = _read(path, color_managed)
+        found = _read(path, color_managed, pages)
     except Image.DecompressionBombError as error:
         raise ValueError(f"Failed to load image {path!r}: more than 89 megapixels are refused ({error})") from error
     except Exception as error:
         # On broken files Pillow's decoders raise errors of many types: OSError, SyntaxError, struct.error, KeyError, …
         raise ValueError(f"Failed to load image {path!r}: {error or type(error).__name__}") from error
-    return np.ascontiguousarray(np.moveaxis(levels, -1, 0) if torch_style and levels.ndim == 3 else levels)
+    if len({(levels.shape, levels.dtype) for levels in found}) > 1:
+        raise ValueError(f"pages of {path!r} differ in shape or type: read them one by one, such as with pages=0")
+    if torch_style and found[0].ndim == 3:
+        found = [np.moveaxis(levels, -1, 0) for levels in found]
+    return np.ascontiguousarray(found[0] if pages is None or isinstance(pages, int) else np.stack(found))
 
 
 def embedded_profile(fn: str | os.PathLike) -> bytes | None:
@@ -842,24 +875,76 @@ def white_level(levels: np.ndarray) -> float:
     return float(np.iinfo(levels.dtype).max) if levels.dtype.kind in "iu" else 1.0
 
 
-def _read(path, color_managed=False):
+def _read(path, color_managed, pages):
+    """Return the images on the pages asked for, a list of arrays."""
     if (kind := extension_of(path)) in (_RADIANCE, _OPEN_EXR):
-        return _read_radiance(path) if kind == _RADIANCE else _read_exr(path)
-    with _open(path) as image:
-        if image.format == "PNG":
-            with _open(path) as checked:
-                # Loading alone does not compare the checksums of the pixels.
-                checked.verify()
-        profile = image.info.get("icc_profile") if color_managed else None
-        if _is_deep(image):
-            if profile:
-                warn(f"the colour profile of {path!r} is not applied: it has 16 bits per channel", AccuracyWarning)
-            with _open(path) as again:
-                levels = _read_deep(image, again)
-        else:
-            levels = _shallow(_in_srgb(image, profile) if profile else image)
-        # Read last: in PNG it may follow the pixels. Pillow turns TIFF while it decodes, and no other format.
-        return levels if image.format == "TIFF" else _upright(levels, image.getexif().get(_ORIENTATION, 1))
+        _pages_of(path, pages, 1)
+        return [_read_radiance(path) if kind == _RADIANCE else _read_exr(path)]
+    try:
+        with _open(path) as image:
+            if image.format == "PNG":
+                with _open(path) as checked:
+                    # Loading alone does not compare the checksums of the pixels.
+                    checked.verify()
+            # The further frames of a JPEG are previews and maps of its gain.
+            count = getattr(image, "n_frames", 1) if image.format in ("TIFF", "GIF", "WEBP", "PNG") else 1
+            return [_read_page(path, image, page, color_managed) for page in _pages_of(path, pages, count)]
+    except (UnidentifiedImageError, _TooDeep):
+        with open(path, "rb") as stream:
+            if stream.read(4) not in _TIFF:
+                raise
+        return _read_tiff(path, pages)
+
+
+def _pages_of(path, pages, count):
+    """Return the indices of the pages asked for, of so many; warn where the first is taken because nothing is asked."""
+    if pages is None and count > 1:
+        # The command line gives the same warning, of which Python shows one.
+        warn(f"{path!r} has {count} frames or pages; the first one is used", ArgumentWarning)
+    wanted = range(count) if pages == "all" else (pages or 0,) if pages is None or isinstance(pages, int) else pages
+    if not wanted or max(wanted) >= count:
+        raise ValueError(f"pages must be from 0 to {count - 1}, got {pages!r}")
+    return wanted
+
+
+def _read_page(path, image, page, color_managed):
+    image.seek(page)
+    _check_size(path, image.width, image.height)
+    profile = image.info.get("icc_profile") if color_managed else None
+    if _is_deep(image):
+        if profile:
+            warn(f"the colour profile of {path!r} is not applied: it has 16 bits per channel", AccuracyWarning)
+        with _open(path) as again:
+            again.seek(page)
+            levels = _read_deep(image, again)
+    else:
+        levels = _shallow(_in_srgb(image, profile) if profile else image)
+    # Read last: in PNG it may follow the pixels. Pillow turns TIFF while it decodes, and no other format.
+    return levels if image.format == "TIFF" else _upright(levels, image.getexif().get(_ORIENTATION, 1))
+
+
+def _read_tiff(path, pages):
+    """Return pages of a TIFF that Pillow cannot represent: colour of floats, and of 16 bits in planes."""
+    try:
+        import tifffile
+    except ImportError:
+        raise ValueError("a TIFF of floats, or of 16 bits in planes, needs tifffile: pip install tifffile") from None
+    found = []
+    with tifffile.TiffFile(path) as file:
+        for number in _pages_of(path, pages, len(file.pages)):
+            page = file.pages[number]
+            _check_size(path, page.imagewidth, page.imagelength)
+            samples = page.samplesperpixel
+            if samples not in (1, 3, 4) or page.photometric.name not in ("RGB", "MINISBLACK"):
+                raise ValueError(f"it has {samples} samples of {page.photometric.name}; grey, RGB and RGBA can be read")
+            levels = page.asarray()
+            if levels.dtype.kind == "f":
+                levels = levels.astype(np.float32)
+            elif levels.dtype.type not in (np.uint8, np.uint16):
+                raise ValueError(f"its samples are {levels.dtype}; 8 and 16 bits and floating point can be read")
+            levels = np.moveaxis(levels, 0, -1) if page.axes == "SYX" else levels
+            found.append(_upright(levels, page.tags.valueof(_ORIENTATION, 1)))
+    return found
 
 
 def _upright(levels, orientation):
@@ -1045,7 +1130,7 @@ def _is_deep(image: Any) -> bool:
     bits = image.tag_v2.get(_BITS_PER_SAMPLE, (8,)) if image.format == "TIFF" else (8,)
     ppm_white = image.tile[0][3][1] if image.format == "PPM" and isinstance(image.tile[0][3], tuple) else 255
     if max(bits) > 8 or (isinstance(ppm_white, int) and ppm_white > 255):
-        raise ValueError(f"its colour has more than 8 bits in a layout that cannot be read whole ({raw}); use PNG")
+        raise _TooDeep(f"its colour has more than 8 bits in a layout that cannot be read whole ({raw}); use PNG")
     return False
 
 

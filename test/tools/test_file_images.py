@@ -1,5 +1,6 @@
 import os
 import struct
+import sys
 import zlib
 
 import numpy as np
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
 
+import odak
 from odak.learn import tools as learned
 from odak.tools import file
 from odak.tools.file import load_image, resize_image, save_image
@@ -439,3 +441,63 @@ def test_a_broken_profile_is_named(tmp_path):
     assert load_image(path)[0, 0].tolist() == [10.0, 20.0, 30.0]
     with pytest.raises(ValueError, match="its colour profile cannot be used"):
         load_image(path, color_managed=True)
+
+
+@pytest.mark.parametrize("kind", ["tif", "gif", "webp", "png"])
+def test_pages_are_read_on_request_and_told_of_otherwise(tmp_path, kind):
+    levels = np.asarray([0, 100, 200], np.uint8)
+    frames = [Image.fromarray(np.full((4, 6, 3), level, np.uint8)) for level in levels]
+    path = tmp_path / f"stack.{kind}"
+    frames[0].save(path, save_all=True, append_images=frames[1:], **({"lossless": True} if kind == "webp" else {}))
+    with pytest.warns(odak.ArgumentWarning, match=r"has 3 frames or pages; the first one is used") as caught:
+        first = load_image(path)
+    assert len(caught) == 1 and first.shape == (4, 6, 3) and (first == 0).all()
+    stack = load_image(path, pages="all")
+    assert stack.shape == (3, 4, 6, 3) and np.array_equal(stack[:, 0, 0, 0], levels)
+    assert np.array_equal(load_image(path, pages=[2, 0], torch_style=True), np.moveaxis(stack[[2, 0]], -1, 1))
+    assert np.array_equal(load_image(path, pages=1), stack[1])
+    learnt = learned.load_image(path, pages="all", torch_style=True)
+    assert np.allclose(learnt.numpy(), np.moveaxis(stack, -1, 1) / 255)
+    for pages, error in ((3, ValueError), ([], ValueError), ("most", ValueError), (1.5, TypeError), (-1, ValueError)):
+        with pytest.raises(error, match="pages must be"):
+            load_image(path, pages=pages)
+
+
+def test_deep_pages_and_pages_of_several_sizes(tmp_path, random):
+    tifffile = pytest.importorskip("tifffile")
+    deep = random.integers(0, 65536, (3, 5, 7, 3)).astype(np.uint16)
+    tifffile.imwrite(tmp_path / "deep.tif", deep, photometric="rgb")
+    assert np.array_equal(load_image(tmp_path / "deep.tif", pages="all"), deep)
+    with tifffile.TiffWriter(tmp_path / "sizes.tif") as writer:
+        writer.write(deep[0])
+        writer.write(deep[0, :3])
+    with pytest.raises(ValueError, match=r"pages of .*sizes\.tif' differ in shape or type"):
+        load_image(tmp_path / "sizes.tif", pages="all")
+    assert np.array_equal(load_image(tmp_path / "sizes.tif", pages=1), deep[0, :3])
+
+
+@pytest.mark.parametrize("dtype", ["float16", "float32", "uint16"])
+@pytest.mark.parametrize("planar", ["contig", "separate"])
+def test_floating_point_colour_and_planes_of_tiff(tmp_path, random, dtype, planar, monkeypatch):
+    tifffile = pytest.importorskip("tifffile")
+    picture = (random.random((5, 7, 3)) * (1 if "float" in dtype else 65535)).astype(dtype)
+    given = np.moveaxis(picture, -1, 0) if planar == "separate" else picture
+    # Orientation 6: the first row of the file is the right side of the picture.
+    tifffile.imwrite(tmp_path / "a.tif", given, photometric="rgb", planarconfig=planar, extratags=[(274, 3, 1, 6)])
+    levels = file.read_levels(tmp_path / "a.tif")
+    assert levels.dtype == ("uint16" if dtype == "uint16" else "float32")
+    assert np.array_equal(levels, np.rot90(picture, -1).astype(levels.dtype))
+    if planar == "separate":
+        monkeypatch.setitem(sys.modules, "tifffile", None)
+        with pytest.raises(ValueError, match=r"Failed to load image .*a\.tif'.*pip install tifffile"):
+            load_image(tmp_path / "a.tif")
+
+
+def test_tiffs_that_remain_refused(tmp_path):
+    tifffile = pytest.importorskip("tifffile")
+    tifffile.imwrite(tmp_path / "a.tif", np.zeros((3, 4, 3), np.int64), photometric="rgb")
+    with pytest.raises(ValueError, match="its samples are int64"):
+        load_image(tmp_path / "a.tif")
+    tifffile.imwrite(tmp_path / "b.tif", np.zeros((6, 4, 5), np.float32), photometric="rgb", planarconfig="contig")
+    with pytest.raises(ValueError, match="it has 5 samples of RGB"):
+        load_image(tmp_path / "b.tif")

@@ -853,22 +853,22 @@ def color_map(input_image: torch.Tensor, target_image: torch.Tensor, model: str 
 
 
 def rgb_to_gray(image: torch.Tensor) -> torch.Tensor:
-    """Return BT.601 luma 0.299·R + 0.587·G + 0.114·B of one picture.
+    """Return BT.601 luma 0.299·R + 0.587·G + 0.114·B of pictures.
 
     Parameters
     ----------
     image : torch.Tensor
-        ``[3, H, W]``, or ``[H, W, 3]`` whose first axis is not 3.
+        ``[..., 3, H, W]``, or one picture ``[H, W, 3]`` whose first axis is not 3.
 
     Returns
     -------
     torch.Tensor
-        ``[1, H, W]``, or ``[H, W]`` when the channels come last.
+        ``[..., 1, H, W]``, or ``[H, W]`` when the channels come last.
 
     Raises
     ------
     ValueError, TypeError
-        If the image is not one picture of three channels of real floats.
+        If the image does not hold pictures of three channels of real floats.
 
     Examples
     --------
@@ -879,9 +879,11 @@ def rgb_to_gray(image: torch.Tensor) -> torch.Tensor:
     [0.299]
     """
     floating_tensor("image", image)
-    if image.ndim != 3 or 3 not in (image.shape[0], image.shape[-1]):
-        raise ValueError(f"image must be [3, H, W] or [H, W, 3], got {tuple(image.shape)}")
-    return _luma(image)[None] if image.shape[0] == 3 else _luma(image.permute(2, 0, 1))
+    if image.ndim > 2 and image.shape[-3] == 3:
+        return _luma(image).unsqueeze(-3)
+    if image.ndim == 3 and image.shape[-1] == 3:
+        return _luma(image.permute(2, 0, 1))
+    raise ValueError(f"image must be [..., 3, H, W] or [H, W, 3], got {tuple(image.shape)}")
 
 
 def _of_one(name, image):

@@ -5,7 +5,8 @@ import os
 import pickle
 import re
 import zipfile
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -72,6 +73,7 @@ def load_image(
     torch_style: bool = False,
     *,
     color_managed: bool = False,
+    pages: int | Sequence[int] | Literal["all"] | None = None,
 ) -> torch.Tensor:
     """Read an image from a file; see :func:`odak.tools.file.load_image` for the formats.
 
@@ -85,11 +87,13 @@ def load_image(
         Put the channels first.
     color_managed : bool
         Convert colours by the file's ICC profile to sRGB, as :func:`odak.tools.load_image` does.
+    pages : int, sequence of int or "all", optional
+        Pages or frames, as :func:`odak.tools.load_image` takes them; by default the first, with a warning of others.
 
     Returns
     -------
     torch.Tensor
-        float32 ``[H, W]`` for grey, ``[H, W, C]`` or ``[C, H, W]`` for colour.
+        float32 ``[H, W]`` for grey, ``[H, W, C]`` or ``[C, H, W]`` for colour; a first axis for several pages.
 
     Raises
     ------
@@ -108,7 +112,7 @@ def load_image(
     >>> [round(value, 6) for value in image[0].tolist()]
     [0.0, 0.2, 1.0]
     """
-    levels = file.read_levels(fn, torch_style, color_managed)
+    levels = file.read_levels(fn, torch_style, color_managed, pages)
     divisor = file.white_level(levels) if normalizeby is None else _validate.constant("normalizeby", normalizeby)
     image = torch.from_numpy(levels.astype("float32"))
     return image if divisor in (0, 1) else image.div_(divisor)

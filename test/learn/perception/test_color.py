@@ -273,7 +273,9 @@ def test_rgb_to_gray():
     assert grey.shape == (1, 4, 5)
     assert torch.allclose(grey[0], 0.299 * image[0] + 0.587 * image[1] + 0.114 * image[2])
     assert torch.equal(p.rgb_to_gray(image.permute(1, 2, 0)), grey[0])
-    for shape in ((1, 3, 4, 4), (4, 4), (4, 4, 4)):
+    batch = torch.stack([image, image.flip(0)])
+    assert torch.equal(p.rgb_to_gray(batch), torch.stack([grey, p.rgb_to_gray(image.flip(0))]))
+    for shape in ((1, 4, 4, 3), (4, 4), (4, 4, 4)):
         with pytest.raises(ValueError, match="image must be"):
             p.rgb_to_gray(torch.zeros(shape))
     for value in ([1.0], torch.zeros(3, 2, 2, dtype=torch.uint8)):
