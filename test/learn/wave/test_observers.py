@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 from independent_camera import (
+    RoundStop,
     Seen,
     SquareStop,
     camera,
@@ -213,3 +214,53 @@ def test_an_observer_is_an_observer(picture):
         optimise(display, picture, observer="camera")
     with pytest.raises(ValueError, match="observer must have pixels within an image of 40 pixels"):
         optimise(display, picture, observer=Observer.camera(1e-3))
+
+
+def of_iris(share, shape, distance):
+    """Return an iris that passes a share of one order across its diameter, and the quadrature over it."""
+    radius = share / 2
+    reach = freely(PITCH, WAVELENGTH, distance)[1]
+    return Iris(radius / PITCH * WAVELENGTH * 0.1, 0.1), RoundStop(shape, radius, 2 * radius * reach)
+
+
+@pytest.mark.parametrize("distance", [0.0, 3e-3])
+@pytest.mark.parametrize(("shape", "share"), [((32, 28), 0.9), ((32, 28), 0.05), ((48, 64), 0.3), ((64, 48), 0.1)])
+def test_the_judge_is_right_behind_a_round_iris(random, shape, share, distance):
+    """Against polar quadrature over the stop: all pixels, edges and corners among them, and the brightness."""
+    phases, (iris, stop) = random.uniform(0, 6, shape), of_iris(share, shape, distance)
+    display = Display(Modulator(shape, PITCH, bits=None), WAVELENGTH, distance, iris=iris)
+    found, points = (image[0, 0].numpy() for image in display.judge(torch.from_numpy(phases)))
+    truth = Seen([np.exp(1j * phases)], [1], stop, freely(PITCH, WAVELENGTH, distance)[0])
+    places = [np.arange(n) for n in shape]
+    expected = truth.means(*places)
+    assert np.linalg.norm(found - expected) < 2e-3 * np.linalg.norm(expected)
+    assert abs(found.mean() / expected.mean() - 1) < 2e-3
+    middles = truth.on_a_grid(*places)
+    assert np.linalg.norm(points - middles) < 2e-3 * np.linalg.norm(middles)
+
+
+@pytest.mark.parametrize("distance", [0.0, 1e-3, 5e-3])
+@pytest.mark.parametrize("orders", [1, 3])
+def test_the_judge_is_right_behind_a_square_stop_and_of_nine_orders(random, orders, distance):
+    phases = random.uniform(0, 6, (32, 28))
+    iris = "order" if orders == 1 else None
+    display = Display(Modulator((32, 28), PITCH, bits=None), WAVELENGTH, distance, iris=iris)
+    found = display.judge(torch.from_numpy(phases))[0][0, 0].numpy()
+    expected = seen_of([phases], distance, orders).means(np.arange(32), np.arange(28), points=5 * orders)
+    assert np.linalg.norm(found - expected) < 5e-4 * np.linalg.norm(expected)
+
+
+@pytest.mark.slow
+def test_the_judge_is_right_on_a_large_panel(random):
+    """At pixels drawn by a seed, edges and corners among them, behind a stop of one order and a round one."""
+    shape, distance = (270, 480), 30e-3
+    phases = random.uniform(0, 6, shape)
+    rows, columns = (np.unique(np.r_[0, n - 1, random.integers(0, n, 14)]) for n in shape)
+    transfer, reach = freely(PITCH, WAVELENGTH, distance)
+    round_iris = of_iris(0.3, shape, distance)
+    for iris, stop in (("order", SquareStop(shape, reach)), round_iris):
+        display = Display(Modulator(shape, PITCH, bits=None), WAVELENGTH, distance, iris=iris)
+        found = display.judge(torch.from_numpy(phases))[0][0, 0].numpy()[np.ix_(rows, columns)]
+        expected = Seen([np.exp(1j * phases)], [1], stop, transfer).means(rows, columns)
+        assert found.size >= 200
+        assert np.linalg.norm(found - expected) < 2e-3 * np.linalg.norm(expected)

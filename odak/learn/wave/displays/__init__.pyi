@@ -11,7 +11,6 @@ from ..holograms.solvers.projections import AlternatingProjections as Alternatin
 from ..holograms.starts import starting_phases as starting_phases
 from ..training import brightness_of as brightness_of
 from .display import Display as Display
-from .judge import mean_over_areas as mean_over_areas
 from .panels import AmplitudePanel as AmplitudePanel
 from .panels import Iris as Iris
 from .panels import Modulator as Modulator

@@ -13,13 +13,17 @@ import torch
 
 from odak import _array
 from odak.instruments import Lens
-from odak.learn.wave.displays.observers import Observer, fine_intensity, resolved
+from odak.learn.wave.displays.observers import Observer, fine_intensity, pixels_of, resolved
 from odak.learn.wave.displays.panels import Iris, orders_through
 from odak.learn.wave.eyes import Eyes, Sight
 from odak.learn.wave.propagation import propagate_beam
 from odak.wave.sampling import sampling_report
 from odak.wave.transfer_functions import divided_pitch
 from odak.wave.viewing import covered
+
+# Pixels that a grid has along each axis at least, the periods of the highest frequency that a round iris passes, and
+# pixels that it has at most for their sake.
+_LEAST, _PERIODS, _MOST = 512, 24, 2048
 
 
 @dataclass(frozen=True)
@@ -106,8 +110,7 @@ def judged(
                 light = light + power[f] * fine_intensity(shown)
             samples = 2 * finer
             images[0].append(resolved(light, samples, at.sizes, (1.0, 1.0), 1))
-            middles = (slice((n - n // 2) * samples, (2 * n - n // 2) * samples, samples) for n in at.sizes)
-            images[1].append(light[tuple(middles)])
+            images[1].append(light[pixels_of(light, samples, at.sizes)])
             yield light, samples
 
     found = []
@@ -138,11 +141,12 @@ def _field_at(at, lights, colour: int, image: int) -> tuple[torch.Tensor, int]:
         field = _both(at, lights[0], lights[1], colour, finer)
     else:
         finer = orders_through(at.iris, at.wavelengths, at.pitches)
+        wide = _wide(at, colour)
         # Without a round stop the grid has no frequencies but those that pass.
-        passed = _passed(at, finer, colour, at.iris, lights[0].device) if isinstance(at.iris, Iris) else 1.0
+        passed = _passed(at, finer, colour, at.iris, lights[0].device, wide) if isinstance(at.iris, Iris) else 1.0
         if at.mask is not None:
             passed = passed * torch.fft.ifftshift(at.mask).to(lights[0].device)
-        field = _sampled(at, lights[0], finer, at.fill, passed)
+        field = _sampled(at, lights[0], finer, at.fill, passed, wide)
     return _spread_freely(at, field, at.wavelengths[colour] / at.medium, at.distances[image], finer), finer
 
 
@@ -220,36 +224,50 @@ def _on_retina(light, sight: Sight):
     return light, finer
 
 
-def _sampled(at, light, samples, fill, passed: torch.Tensor | float = 1.0):
-    """Return the field of square pixels on a grid of twice its extent, with several samples in each pixel.
+def _wide(at, colour: int) -> list[int]:
+    """Return how many times twice the panel's extent a grid has along each axis, on which light is followed.
+
+    What a stop cuts off sharply spreads far; what leaves the grid comes back on its other side. That is little on
+    large panels, and the grid of small ones is widened.
+    """
+    if at.mask is not None:
+        return [1, 1]
+    cutoff = at.iris.cutoff(at.wavelengths[colour]) if isinstance(at.iris, Iris) else math.inf
+    least = [max(_LEAST, min(_MOST, math.ceil(_PERIODS / (cutoff * pitch)))) for pitch in at.pitches]
+    return [math.ceil(count / (2 * n)) for count, n in zip(least, at.sizes, strict=True)]
+
+
+def _sampled(at, light, samples, fill, passed: torch.Tensor | float = 1.0, wide: Sequence[int] = (1, 1)):
+    """Return the field of square pixels on a grid of so many times twice its extent, with several samples in a pixel.
 
     `passed` is what a stop passes of the frequencies of the grid.
     """
     sizes = at.sizes
-    comb = light.new_zeros([2 * n * samples for n in sizes])
+    comb = light.new_zeros([2 * n * k * samples for n, k in zip(sizes, wide, strict=True)])
     # The middle of the panel, its pixel n // 2, lies on the middle of the finer grid.
-    first = [n * samples - n // 2 * samples for n in sizes]
+    first = [(n * k - n // 2) * samples for n, k in zip(sizes, wide, strict=True)]
     comb[tuple(slice(a, a + n * samples, samples) for a, n in zip(first, sizes, strict=True))] = light
     down, across = (
         torch.sinc(math.sqrt(fill) * p * f) * samples
-        for p, f in zip(at.pitches, _frequencies(at, samples, light.device), strict=True)
+        for p, f in zip(at.pitches, _frequencies(at, samples, light.device, wide), strict=True)
     )
     return torch.fft.ifft2(torch.fft.fft2(comb) * (down[:, None] * across * passed))
 
 
-def _frequencies(at, samples, device) -> list[torch.Tensor]:
-    """Return the frequencies along rows and columns of a grid of twice the extent of the panel."""
+def _frequencies(at, samples, device, wide: Sequence[int] = (1, 1)) -> list[torch.Tensor]:
+    """Return the frequencies along rows and columns of a grid of so many times twice the extent of the panel."""
     return [
-        torch.fft.fftfreq(2 * n * samples, p, device=device)
-        for n, p in zip(at.sizes, divided_pitch(at.pitches, samples), strict=True)
+        torch.fft.fftfreq(2 * n * k * samples, p, device=device)
+        for n, k, p in zip(at.sizes, wide, divided_pitch(at.pitches, samples), strict=True)
     ]
 
 
-def _passed(at, samples, colour, iris, device) -> torch.Tensor:
-    """Return what a stop passes of the frequencies of a grid."""
-    down, across = _frequencies(at, samples, device)
+def _passed(at, samples, colour, iris, device, wide: Sequence[int] = (1, 1)) -> torch.Tensor:
+    """Return what a stop passes of the frequencies of a grid: at the rim of a round one, the share of their area."""
+    down, across = _frequencies(at, samples, device, wide)
     if isinstance(iris, Iris):
-        return down[:, None] ** 2 + across**2 <= iris.cutoff(at.wavelengths[colour]) ** 2
+        down, across = (f / iris.cutoff(at.wavelengths[colour]) for f in (down, across))
+        return covered(torch, down[:, None], across, [float(f[1]) for f in (down, across)])
     # Half of the last frequency itself, which is rounded, on either side.
     half = [0.5 * orders_through(iris, at.wavelengths, at.pitches) / p for p in at.pitches]
     down, across = (
@@ -279,20 +297,3 @@ def _spread_freely(at, field, wavelength, distance, samples):
     return propagate_beam(
         field, None, distance, pitch, wavelength, with_padding.recommended, zero_padding=[True, False, True]
     )
-
-
-def mean_over_areas(shown: torch.Tensor, shape: Sequence[int], orders: int = 1) -> torch.Tensor:
-    """Return the mean intensity over the area of each pixel of a window in the middle of a field.
-
-    It is a product of spectra: exact, but for what the grid wraps around.
-
-    Parameters
-    ----------
-    shown : torch.Tensor
-        Band-limited field ``[2·rows·orders, 2·columns·orders]``.
-    shape : sequence of int
-        Rows and columns of pixels of the window.
-    orders : int
-        Samples per pixel.
-    """
-    return resolved(fine_intensity(shown), 2 * orders, shape, (1.0, 1.0), 1)

@@ -292,7 +292,7 @@ def resolved(
     Parameters
     ----------
     light : torch.Tensor
-        Intensity ``[2·rows·samples, 2·columns·samples]``; pixel n // 2 of the image lies at sample n · samples.
+        Periodic intensity, in whose middle pixel n // 2 of an image of n pixels lies along each axis.
     samples : int
         Samples for each pixel of the image along each axis, which describe the intensity.
     shape : sequence of int
@@ -312,10 +312,17 @@ def resolved(
         cycles = torch.fft.rfftfreq(light.shape[axis], 1 / samples, dtype=torch.float64)
         passed = (torch.sinc(side * cycles) * finer / samples).to(light)
         spectrum = torch.fft.rfft(light, dim=axis) * (passed if axis == -1 else passed[:, None])
-        light = torch.fft.irfft(spectrum, 2 * n * finer, axis)
-        chosen = slice((n - n // 2) * finer, (2 * n - n // 2) * finer, finer // places)
+        light = torch.fft.irfft(spectrum, light.shape[axis] * finer // samples, axis)
+        first = (light.shape[axis] // (2 * finer) - n // 2) * finer
+        chosen = slice(first, first + n * finer, finer // places)
         light = light[:, chosen] if axis == -1 else light[chosen]
     return light
+
+
+def pixels_of(light: torch.Tensor, samples: int, shape: Sequence[int]) -> tuple[slice, ...]:
+    """Return which samples of an intensity are the middles of the pixels of an image; see :func:`resolved`."""
+    first = [m // 2 - n // 2 * samples for m, n in zip(light.shape, shape, strict=True)]
+    return tuple(slice(a, a + n * samples, samples) for a, n in zip(first, shape, strict=True))
 
 
 def means_of_squares(target: torch.Tensor, places: Sequence[np.ndarray], sides: Sequence[float]) -> torch.Tensor:
