@@ -69,7 +69,9 @@ class Comparison:
 
         `lights` are the intensity around the image of each plane and its samples per pixel.
         """
-        found, sharp, whole = [], 0.0, 0.0
+        found: list[torch.Tensor] = []
+        sharp: Any = 0.0
+        whole: Any = 0.0
         for d, (light, samples) in enumerate(lights):
             target = self.target[d, colour]
             image = self.observer.image(light, samples, target.shape, pitches)
