@@ -129,6 +129,7 @@ REASONS = {
         raytracing/system/sequence: _adjoint axis_signs
         raytracing/system/waves: _peak resolved strehl_ratio
         wave/display_models: _match_brightness _numbers match_gaps misfit
+        wave/holograms/solvers/levels: _proposed step
         tools/iterations: step
     """,
 }

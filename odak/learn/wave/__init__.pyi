@@ -139,6 +139,7 @@ from .holograms.problem import Problem as Problem
 from .holograms.result import DisplayedHologram as DisplayedHologram
 from .holograms.solvers.descent import Descent as Descent
 from .holograms.solvers.double_phase import DoublePhase as DoublePhase
+from .holograms.solvers.levels import LevelSearch as LevelSearch
 from .holograms.solvers.network import Network as Network
 from .holograms.solvers.projections import AlternatingProjections as AlternatingProjections
 from .loss import multiplane_loss as multiplane_loss

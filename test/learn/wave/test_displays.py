@@ -260,7 +260,7 @@ def test_names_of_solvers_and_starts(disc):
     assert torch.equal(computed.phases, found(Network(hologram_network(pretrained=True))).phases)
     # Two steps of descent from the network's hologram gain on it.
     assert found("lbfgs", "network").psnr > computed.psnr + 0.5
-    with pytest.raises(ValueError, match="solver must be one of 'lbfgs', 'adam', 'gs', 'double phase', 'network'"):
+    with pytest.raises(ValueError, match="solver must be one of 'auto', 'lbfgs', 'adam', 'gs', 'double phase'"):
         found("quadratic")
     with pytest.raises(ValueError, match=r"start must be one of 'quadratic', 'flat', 'random', .*'gs', 'network'"):
         found("lbfgs", "adam")

@@ -325,7 +325,10 @@ class Display(Prepared, torch.nn.Module):
         """
         if not isinstance(observer, Observer):
             raise TypeError(f"observer must be an odak.learn.wave.Observer, got {type(observer).__name__}")
-        lights = self._lights(phases, amplitudes)
+        return self._recorded_of(observer, self._lights(phases, amplitudes), powers)
+
+    def _recorded_of(self, observer: Observer, lights: Lights, powers: torch.Tensor | None = None) -> torch.Tensor:
+        """Return what an observer sees of the light of panels; see :meth:`recorded_by`."""
         powers = self.powers if powers is None else self._in_its_frames(self._fitting(powers))
         if self.shares is not None:
             return self.shares.images(observer, lights, powers)

@@ -170,7 +170,7 @@ class Modulator:
         """Return the responses of the frames where each has its own."""
         return list(self.response) if isinstance(self.response, torch.nn.ModuleList) else []
 
-    def _of_frames(self, method: str, phases: torch.Tensor, *given: float) -> torch.Tensor:
+    def _of_frames(self, method: str, phases: torch.Tensor, *given: Any) -> torch.Tensor:
         """Return what a method gives for phases ``[..., frames, rows, columns]``, each frame by its own response."""
         alone = [replace(self, response=one) for one in self.responses()]
         if phases.ndim < 3 or phases.shape[-3] != len(alone):
@@ -204,11 +204,15 @@ class Modulator:
         """Return the nearest phases that the levels of the panel can show, 0 … 2π."""
         if self.bits is None:
             return torch.remainder(phases, TURN)
+        return self.phases_of(self.levels(phases), phases.dtype)
+
+    def phases_of(self, levels: torch.Tensor, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+        """Return the phases 0 … 2π of levels, integers ``[..., rows, columns]`` below 2^bits."""
         if self.responses():
-            return self._of_frames("shown", phases)
+            return self._of_frames("phases_of", levels, dtype)
         if getattr(self.response, "lut", None) is not None:
-            return self.response.lut.to(phases)[self.levels(phases).long()]  # type: ignore[union-attr]
-        return even_levels(phases, 2**self.bits) * (TURN / 2**self.bits)
+            return self.response.lut.to(levels.device, dtype)[levels.long()]  # type: ignore[union-attr]
+        return levels.to(dtype) * (TURN / 2 ** _validate.integer("bits", self.bits))
 
     def levels(self, phases: torch.Tensor) -> torch.Tensor:
         """Return the levels whose phases are nearest, int32 of the shape of the phases; 256 where there are none."""

@@ -1,6 +1,7 @@
 """The function that computes holograms for a display: it poses a problem, has it solved, and has the result judged."""
 
 import copy
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from typing import Any, overload
@@ -10,6 +11,7 @@ import torch
 from odak import _validate
 from odak._bars import tqdm
 from odak._torch_private import differentiates, in_own_precision
+from odak._warnings import AccuracyWarning, warn
 from odak.learn.tools.iterations import Run
 from odak.learn.wave.devices import DISTRIBUTED, Ranks, on_devices, used_devices
 from odak.learn.wave.displays.display import Display
@@ -21,6 +23,7 @@ from odak.learn.wave.holograms.problem import Problem, Solver
 from odak.learn.wave.holograms.result import DisplayedHologram
 from odak.learn.wave.holograms.solvers.descent import Descent
 from odak.learn.wave.holograms.solvers.double_phase import DoublePhase
+from odak.learn.wave.holograms.solvers.levels import FEW_BITS, LevelSearch
 from odak.learn.wave.holograms.solvers.network import Network
 from odak.learn.wave.holograms.solvers.projections import AlternatingProjections
 from odak.learn.wave.holograms.starts import named, starting_phases
@@ -34,7 +37,10 @@ SOLVERS: dict[str, Callable] = {
     "gs": AlternatingProjections,
     "double phase": DoublePhase,
     "network": Network,
+    "levels": LevelSearch,
 }
+# Loss of quality by rounding to levels, in decibels, of which is warned where a search over levels is possible.
+_ROUNDED = 3.0
 Target = torch.Tensor | tuple[torch.Tensor, torch.Tensor] | FocalTargets
 
 
@@ -43,7 +49,7 @@ def optimise(
     display: Display,
     target: Target,
     loss: Callable[..., Any] | None = None,
-    solver: str | Solver = "lbfgs",
+    solver: str | Solver = "auto",
     start: str | torch.Tensor = "gs",
     run: Run | None = None,
     devices: Sequence[torch.device | str | int] | str | None = None,
@@ -56,7 +62,7 @@ def optimise(
     display: Display,
     target: list[Target] | list[torch.Tensor],
     loss: Callable[..., Any] | None = None,
-    solver: str | Solver = "lbfgs",
+    solver: str | Solver = "auto",
     start: str | torch.Tensor = "gs",
     run: Run | None = None,
     devices: Sequence[torch.device | str | int] | str | None = None,
@@ -70,7 +76,7 @@ def optimise(
     display: Display,
     target: Target | list[Target] | list[torch.Tensor],
     loss: Callable[..., Any] | None = None,
-    solver: str | Solver = "lbfgs",
+    solver: str | Solver = "auto",
     start: str | torch.Tensor = "gs",
     run: Run | None = None,
     devices: Sequence[torch.device | str | int] | str | None = None,
@@ -97,8 +103,9 @@ def optimise(
         ``loss(images, target)``, both ``[D, C, rows, columns]``; the mean squared error by default, for a picture with
         depth its :class:`odak.learn.wave.multiplane_loss`. One that takes a `generator` is given one.
     solver : str or object
-        "lbfgs", "adam", "gs" (or "gerchberg-saxton"), "double phase" or "network", or an object with a method
-        ``solve(problem) -> phases``, or phases and powers, such as :class:`Descent` or :class:`Network`.
+        "lbfgs", "adam", "levels", "gs" (or "gerchberg-saxton"), "double phase" or "network", or an object with a
+        method ``solve(problem) -> phases``, or phases and powers, such as :class:`Descent` or :class:`LevelSearch`.
+        "auto" is "levels" for a single panel of at most four bits, and "lbfgs" for others.
     start : str or torch.Tensor
         "gs", "double phase" or "network", a hologram by these methods, or "quadratic", "flat" or "random", see
         :func:`odak.learn.wave.stochastic_gradient_descent`; or phases ``[F, rows, columns]`` in radians.
@@ -158,7 +165,8 @@ def optimise(
     focal = target if isinstance(target, FocalTargets) else focal_targets(display, target)
     target = checked_target(display, target if focal is None else focal.targets)
     if isinstance(solver, str):
-        solver = SOLVERS[named("solver", solver, tuple(SOLVERS))]()
+        name = named("solver", solver, ("auto", *SOLVERS))
+        solver = SOLVERS[_chosen(display) if name == "auto" else name]()
     if not callable(getattr(solver, "solve", None)):
         raise TypeError(f"solver must have a method solve(problem), got {type(solver).__name__}")
     if where is not None and isinstance(solver, (AlternatingProjections, DoublePhase, Network)):
@@ -186,6 +194,8 @@ def optimise(
     solved = solved if isinstance(solved, tuple) else (solved,)
     phases, powers, amplitudes = (*solved, None, None)[:3]
     amplitudes = None if first is None or amplitudes is None else first.shown(amplitudes)
+    if not isinstance(solver, LevelSearch) and _chosen(display) == "levels" and powers is None:
+        _warn_of_rounding(problem, phases)
     phases, display = display.modulator.shown(phases), display if powers is None else display.lit_by(powers)
     held = Comparison(observer, target, None if focal is None else focal.masks)
     found = judged(display, phases, amplitudes, held)
@@ -214,6 +224,26 @@ def _in_parts(display, where, run: Run, devices) -> Display:
         if used:
             raise ValueError(f"devices must be None for one picture with {what}, got {devices!r:.80}")
     return shared_among(display, where)
+
+
+def _chosen(display: Display) -> str:
+    """Return the solver that "auto" stands for."""
+    panel = display.modulator
+    return "levels" if panel.lit_through is None and panel.bits is not None and panel.bits <= FEW_BITS else "lbfgs"
+
+
+def _warn_of_rounding(problem: Problem, phases: torch.Tensor) -> None:
+    """Warn where most of the quality of phases is lost when they are rounded to the levels of the panel."""
+    with torch.no_grad():
+        found, rounded = (problem.loss_of(one) for one in (phases, problem.display.modulator.shown(phases)))
+    cost = 10 * math.log10(max(float(rounded), 1e-30) / max(float(found), 1e-30))
+    if cost > _ROUNDED:
+        count = 2 ** (problem.display.modulator.bits or 0)
+        warn(
+            f"rounding to the {count} levels of the panel costs {cost:.1f} dB of the loss: the solver 'levels' "
+            "searches among them",
+            AccuracyWarning,
+        )
 
 
 def _optimise_each(display, targets, where, options: dict[str, Any], run: Run) -> list[DisplayedHologram]:

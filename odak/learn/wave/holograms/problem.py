@@ -10,6 +10,7 @@ import torch
 from odak.learn.tools.iterations import Run
 from odak.learn.wave.displays.display import Display
 from odak.learn.wave.displays.observers import ANYWHERE, Observer
+from odak.learn.wave.displays.paths.base import Lights
 from odak.learn.wave.training import brightness_of
 
 
@@ -81,7 +82,11 @@ class Problem:
         torch.Tensor
             The loss.
         """
-        images = self.scaled(self.display.recorded_by(self.observer, phases, powers, amplitudes))
+        return self.loss_of_lights(self.display._lights(phases, amplitudes), powers)
+
+    def loss_of_lights(self, lights: Lights, powers: torch.Tensor | None = None) -> torch.Tensor:
+        """Return the loss of what each panel does to the light, in the order in which the light meets them."""
+        images = self.scaled(self.display._recorded_of(self.observer, lights, powers))
         each = [self.loss(*pair) for pair in zip(images, self.wanted, strict=True)]
         return torch.stack(each).mean(0) if len(each) > 1 else each[0]
 
