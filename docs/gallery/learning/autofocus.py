@@ -40,7 +40,7 @@ for _ in range(80):
     loss.backward()
     optimizer.step()
     history.append(float(distance.detach()))
-print(f"found {1e3 * history[-1]:.3f} mm, true {1e3 * true_distance:.3f} mm")
+print(f"found ≈ {1e3 * history[-1]:.2f} mm, true {1e3 * true_distance:.3f} mm")
 
 # %%
 figure, axes = plt.subplots(1, 4, figsize=(14, 3.2))
