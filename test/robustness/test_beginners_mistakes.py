@@ -124,11 +124,16 @@ def test_impossible_densities_of_pixels_are_refused():
             perception.flip(GREY, GREY, density)
 
 
-def test_a_gaze_in_pixels_is_pointed_out():
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [("BlurLoss", {}), ("MetamericLoss", {}), ("MetamericLoss", {"use_radial_weight": True}), ("MetamerMSELoss", {})],
+)
+def test_a_gaze_in_pixels_is_pointed_out_once(kind, options):
     picture = torch.rand(1, 3, 64, 64)
-    loss = perception.BlurLoss()
-    with pytest.warns(odak.ArgumentWarning, match="divide pixels"):
+    loss = getattr(perception, kind)(**options)
+    with pytest.warns(odak.ArgumentWarning, match="^gaze must be shares .* divide pixels") as caught:
         loss(picture, picture, gaze=[32, 24])
+    assert len(caught) == 1
     loss(picture, picture, gaze=[-0.5, 1.5])
 
 

@@ -456,8 +456,14 @@ def _place(name, value) -> tuple:
     return _number(x), _number(y)
 
 
-def _point(name, value) -> tuple[float, float]:
+class _Point(tuple):
+    """Two floats that have been checked, so that nothing is told of them again under another name."""
+
+
+def _point(name, value) -> _Point:
     """Return two finite floats, which carry no gradient."""
+    if isinstance(value, _Point):
+        return value
     x, y = (_validate.constant(name, number) for number in _place(name, value))
     if max(abs(x), abs(y)) > _FARTHEST:
         warn(
@@ -465,7 +471,7 @@ def _point(name, value) -> tuple[float, float]:
             "outside: divide pixels by its width and height",
             ArgumentWarning,
         )
-    return x, y
+    return _Point((x, y))
 
 
 def _growth(alpha, mode):

@@ -389,6 +389,7 @@ class MetamericLoss(_StatisticsLoss):
             if visualise_loss:
                 self.loss_map = torch.cat([one.loss_map for one, _ in each])
             return torch.stack(values).mean()
+        gaze = _point("gaze", gaze)
         visualise_loss, geometry = _validate.flag("visualise_loss", visualise_loss), self._geometry(gaze)
         key = (geometry, self._options(), image_colorspace)
         reference, self.target_stats, kept = self._kept.get(
@@ -1031,7 +1032,7 @@ class MetamerMSELoss(_EachGaze):
         return self.loss_func(image, self.target_metamer)
 
     def _metamer_of(self, target, gaze):
-        inner = self.metameric_loss
+        inner, gaze = self.metameric_loss, _point("gaze", gaze)
         key = (inner._geometry(gaze), inner._options(), self.iterations)
         constant = _torch_private.as_constant(target)
         with _torch_private.outside_functional_transforms(constant):
