@@ -406,13 +406,6 @@ class Response(NamedTuple):
     amplitude: "numpy.ndarray | None" = None
     lens: "Lens | None" = None
 
-    def light(self, like: "torch.Tensor") -> "torch.Tensor | float":
-        """Return the amplitude as a tensor on the device of another, in its precision; 1.0 for even light."""
-        import torch
-
-        kind = like.real.dtype
-        return 1.0 if self.amplitude is None else torch.as_tensor(self.amplitude, dtype=kind, device=like.device)
-
 
 @functools.lru_cache(maxsize=4)
 def _response(calibration: str | None, lut: str | None, slm_range: float | None, bits: int) -> Response | None:

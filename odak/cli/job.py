@@ -37,7 +37,7 @@ ITERATIONS_OF_LBFGS = {"fast": 4, "good": 30, "best": 400}
 EXACT = ("Angular Spectrum", "Bandlimited Angular Spectrum", "Bandextended Angular Spectrum", "Linear Angular Spectrum")
 # Share of the area of a pixel that emits, of the panels of the presets.
 USUAL_FILL = 0.9
-COMPUTED_PHASES = {"double-phase": "double phase", "gs": "gs"}
+COMPUTED_PHASES = ("double-phase", "gs")
 INITIAL_PHASES = ("flat", "slight", "quadratic", "normal", "uniform", *COMPUTED_PHASES)
 DEFAULT_INITIAL_PHASE = {
     "sgd": "gs",
