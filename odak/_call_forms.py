@@ -87,6 +87,14 @@ _WORDS = (
     ("center", "centre"),
     ("color", "colour"),
 )
+# Arguments that hold what other programs take by words of their own: the argument, the words, and what to write.
+_ELSEWHERE = (
+    ("run", (*_WORDS[0], "epochs", "steps", "n_steps", "max_iterations"), "run=Run(iterations=...)"),
+    ("run", ("progress", "callback", "checkpoint", "checkpoint_every", "seed", "memory_budget"), "run=Run({}=...)"),
+    ("solver", ("learning_rate", "lr"), "solver=Descent('adam', learning_rate=...)"),
+    ("solver", ("method", "algorithm", "optimizer", "optimiser"), "solver, such as solver='adam'"),
+    ("display", ("device",), "a display on that device, display.to(device)"),
+)
 
 
 def _known_name(word: str, own: list[str]) -> str:
@@ -102,7 +110,9 @@ def _by_known_names(function, own: list[str], options) -> dict[str, Any]:
         name = _known_name(word, own)
         if name not in own:
             callee = function.__qualname__.removesuffix(".__init__")
-            raise TypeError(f"{callee} has no argument {word!r}.{did_you_mean(word, own)}")
+            places = [place for owner, words, place in _ELSEWHERE if owner in own and word in words]
+            hint = f" Give {places[0].format(word)}." if places else did_you_mean(word, own)
+            raise TypeError(f"{callee} has no argument {word!r}.{hint}")
         if name in found or (name != word and name in options):
             raise TypeError(f"{name} and {word} are one argument; give one of them")
         found[name] = value

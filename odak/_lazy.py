@@ -1,14 +1,18 @@
 """Lazy loading of the public names listed in stub files (PEP 562), and import of modules under their earlier paths."""
 
 import ast
+import functools
 import importlib
 import importlib.machinery
+import opcode
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
 from odak._moved import MOVED_MODULES, MOVED_NAMES
+
+_IMPORT_FROM = opcode.opmap["IMPORT_FROM"]
 
 
 def attach(package: str, file: str) -> tuple[Callable, Callable, list[str]]:
@@ -55,7 +59,11 @@ def attach(package: str, file: str) -> tuple[Callable, Callable, list[str]]:
             place, _, renamed = moved[name].partition(":")
             warn(f"{package}.{name} is deprecated: import it as {place}.{renamed or name}", DeprecationWarning)
             return getattr(importlib.import_module(place), renamed or name)
-        raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        hint = "" if name.startswith("_") else _import_of(name, package)
+        if hint and f"{package}.{name}" not in sys.modules and _imports(sys._getframe(1)):
+            # Python replaces the text of an AttributeError here; it tries submodules, with hasattr, before it asks.
+            raise ImportError(f"cannot import name {name!r} from {package!r}{hint}", name=package, path=file)
+        raise AttributeError(f"module {package!r} has no attribute {name!r}{hint}")
 
     return load, lambda: public, starred
 
@@ -75,6 +83,42 @@ def _read_stub(package: str, stub: Path) -> dict[str, tuple[str, str | None]]:
             name = alias.asname or alias.name
             home[name] = (module, alias.name) if statement.module else (f"{module}.{alias.name}", None)
     return home
+
+
+@functools.cache
+def _homes() -> dict[str, list[str]]:
+    """Return the packages that list each function, class and constant, those nearest to the top first."""
+    root, found = Path(__file__).parent, dict[str, list[str]]()
+    for stub in sorted(root.rglob("__init__.pyi"), key=lambda path: (len(path.parts), path)):
+        package = ".".join(stub.parent.relative_to(root.parent).parts)
+        for name, (module, attribute) in _read_stub(package, stub).items():
+            if attribute is None or name.startswith("_") or not module.startswith("odak."):
+                continue
+            places = found.setdefault(name, [])
+            # The packages of holograms and displays list names for the package above.
+            if not any(package.startswith(f"{place}.") for place in places):
+                places.append(package)
+    return found
+
+
+def _import_of(name: str, package: str) -> str:
+    """Return the end of a message with the import of a name, or of the nearest one, that a package lacks; or ""."""
+    import difflib
+
+    homes = _homes()
+    near = [name] if name in homes else []
+    for names in ([other for other in homes if package in homes[other]], homes):
+        near = near or difflib.get_close_matches(name, names, n=1, cutoff=0.8)
+    if not near:
+        return ""
+    places = homes[near[0]]
+    places = [package] if package in places else places
+    return ". Did you mean: " + ", or ".join(f"from {place} import {near[0]}" for place in places) + "?"
+
+
+def _imports(frame) -> bool:
+    """Return whether a frame is executing ``from … import name``."""
+    return frame.f_code.co_code[frame.f_lasti] == _IMPORT_FROM
 
 
 class _PackageOfHomonyms(ModuleType):

@@ -228,6 +228,34 @@ def test_unknown_names_are_attribute_errors():
             owner.nonsense  # noqa: B018
 
 
+@pytest.mark.parametrize(
+    ("package", "name", "proposed"),
+    [
+        ("odak", "Display", "from odak.learn.wave import Display"),
+        ("odak", "load_image", "from odak.tools import load_image, or from odak.learn.tools import load_image"),
+        ("odak.learn.wave", "optimize", "from odak.learn.wave import optimise"),
+        ("odak.learn.wave", "optical_system", "from odak.learn.raytracing.system import optical_system"),
+        ("odak.learn.raytracing", "Optimise", "from odak.learn.wave import optimise"),
+    ],
+)
+def test_the_import_of_a_name_that_a_package_lacks_is_proposed(package, name, proposed):
+    module = importlib.import_module(package)
+    with pytest.raises(AttributeError, match=f"no attribute '{name}'. Did you mean: {proposed}"):
+        getattr(module, name)
+    with pytest.raises(ImportError, match=f"cannot import name '{name}' from '{package}'. Did you mean: {proposed}"):
+        exec(f"from {package} import {name}")
+    assert getattr(module, name, None) is None and not hasattr(module, name)
+    # The proposal is one that works, also after Python has remembered the failure.
+    exec(proposed.split(", or ")[0])
+
+
+def test_an_import_of_what_is_nowhere_and_of_submodules_is_left_to_python():
+    with pytest.raises(ImportError, match=r"cannot import name 'nonsense' from 'odak.wave' \("):
+        exec("from odak.wave import nonsense")
+    code = "from odak.learn.wave import training; from odak import _validate; print(training.__name__)"
+    assert run(code).split() == ["odak.learn.wave.training"]
+
+
 def test_version_is_its_parts():
     assert odak.__version__ == ".".join(map(str, odak.version_info))
 

@@ -806,16 +806,18 @@ def read_levels(
     """
     path, torch_style = validate_path(fn, _READABLE), _validate.flag("torch_style", torch_style)
     color_managed = _validate.flag("color_managed", color_managed)
-    if pages is not None and not isinstance(pages, str):
-        several = isinstance(pages, Sequence)
-        pages = [_validate.integer("pages", page) for page in pages] if several else _validate.integer("pages", pages)
+    asked: Any = pages
+    if isinstance(pages, str):
+        asked = _validate.one_of("pages", pages, ("all",))
+    elif isinstance(pages, Sequence):
+        asked = [_validate.integer("pages", page) for page in pages]
     elif pages is not None:
-        pages = _validate.one_of("pages", pages, ("all",))
+        asked = _validate.integer("pages", pages)
     if not os.path.isfile(path):
         reason = "it is not a regular file" if os.path.exists(path) else "there is no such file"
         raise ValueError(f"Failed to load image {path!r}: {reason}")
     try:
-        found = _read(path, color_managed, pages)
+        found = _read(path, color_managed, asked)
     except Image.DecompressionBombError as error:
         raise ValueError(f"Failed to load image {path!r}: more than 89 megapixels are refused ({error})") from error
     except Exception as error:
@@ -825,7 +827,7 @@ def read_levels(
         raise ValueError(f"pages of {path!r} differ in shape or type: read them one by one, such as with pages=0")
     if torch_style and found[0].ndim == 3:
         found = [np.moveaxis(levels, -1, 0) for levels in found]
-    return np.ascontiguousarray(found[0] if pages is None or isinstance(pages, int) else np.stack(found))
+    return np.ascontiguousarray(found[0] if asked is None or isinstance(asked, int) else np.stack(found))
 
 
 def embedded_profile(fn: str | os.PathLike) -> bytes | None:

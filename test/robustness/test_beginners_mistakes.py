@@ -2,6 +2,7 @@
 
 import inspect
 import math
+import re
 import time
 import timeit
 import warnings
@@ -122,6 +123,29 @@ def test_impossible_densities_of_pixels_are_refused():
     for density, words in ((3840.0, "1 to 1000, got 3840: pixels per radian"), (0.067, "got 0.067")):
         with pytest.raises(ValueError, match=words):
             perception.flip(GREY, GREY, density)
+
+
+@pytest.mark.parametrize(
+    ("word", "value", "remedy"),
+    [
+        ("iterations", 3, "run=Run(iterations=...)"),
+        ("epochs", 3, "run=Run(iterations=...)"),
+        ("seed", 3, "run=Run(seed=...)"),
+        ("learning_rate", 0.1, "solver=Descent('adam', learning_rate=...)"),
+        ("method", "adam", "solver, such as solver='adam'"),
+        ("device", "cpu", "a display on that device, display.to(device)"),
+    ],
+)
+def test_words_of_other_programs_are_answered_with_the_argument_that_holds_them(word, value, remedy):
+    with pytest.raises(TypeError, match=re.escape(f"optimise has no argument {word!r}. Give {remedy}.")):
+        wave.optimise(None, None, **{word: value})
+
+
+@pytest.mark.parametrize("name", ["sgd", "SGD", "gradient descent"])
+def test_descent_by_another_name_is_adam(name):
+    display = wave.Display(wave.Modulator((16, 16), 8e-6), 532e-9, 2e-3)
+    with pytest.raises(ValueError, match=r"solver must be one of .*Did you mean 'adam'"):
+        wave.optimise(display, torch.ones(16, 16), solver=name)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import torch
 
 from odak import _validate
 from odak._bars import tqdm
+from odak._call_forms import takes_units
 from odak._torch_private import differentiates, in_own_precision
 from odak._warnings import AccuracyWarning, warn
 from odak.learn.tools.iterations import Run
@@ -70,6 +71,7 @@ def optimise(
 ) -> list[DisplayedHologram]: ...
 
 
+@takes_units()
 @differentiates
 @in_own_precision
 def optimise(

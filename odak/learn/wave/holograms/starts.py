@@ -19,6 +19,8 @@ from odak.wave.transfer_functions import Request
 # The last three are the names of solvers too; see optimising.SOLVERS.
 STARTS = ("quadratic", "flat", "random", "double phase", "gs", "network")
 _SPELLINGS = {"gerchberg-saxton": "gs", "gerchberg–saxton": "gs", "double-phase": "double phase"}
+# What other programs call a descent along the gradient, with Adam mostly.
+_DESCENTS = ("sgd", "stochastic gradient descent", "gradient descent", "gradient_descent", "descent", "gd")
 # Of the Nyquist frequency, reached at the edges of the hologram.
 _QUADRATIC_SHARE = 0.25
 # Iterations of the start "gs"; more would leave the descent less to gain than they take.
@@ -28,6 +30,8 @@ _PROJECTIONS = 10
 def named(argument: str, name: str, names: Sequence[str]) -> str:
     """Return the name of a start or a solver, which may be spelt in other ways."""
     spelt = _SPELLINGS.get(name.strip().casefold(), name) if isinstance(name, str) else name
+    if isinstance(spelt, str) and spelt.strip().casefold() in _DESCENTS and "adam" in names:
+        raise ValueError(f"{argument} must be one of {', '.join(map(repr, names))}; got {name!r}. Did you mean 'adam'?")
     return _validate.one_of(argument, spelt, names)
 
 
