@@ -770,7 +770,7 @@ def refractive_index(
     -----
     At another temperature the index in vacuum changes by (n² − 1)/(2n)·[D₀ΔT + D₁ΔT² + D₂ΔT³ + (E₀ΔT + E₁ΔT²)/(λ² −
     λ_TK²)] (Schott, Technical Information 19); air follows :func:`air_index`. A material without these constants
-    keeps its index in vacuum.
+    keeps its index in vacuum, and an :class:`~odak.AccuracyWarning` says so where a temperature is given.
 
     Examples
     --------
@@ -791,6 +791,7 @@ def refractive_index(
     _check_range(found, wide, extrapolate)
     index = found.index(wide)
     check_weather(temperature, pressure)
+    _tell_constant(found, temperature)
     if temperature is not None or pressure is not None or found.environment is not None:
         own = found.environment or (found.measured_at, 101325.0)
         here = own[0] if temperature is None else temperature, own[1] if pressure is None else pressure
@@ -799,6 +800,21 @@ def refractive_index(
         air = material("air").index(wide)
         index = index * air if medium == "vacuum" else index / air
     return _array.cast(index, wavelength, _array.real_dtype(wavelength)) if _array.is_array(wavelength) else index
+
+
+def _tell_constant(found: Material, temperature) -> None:
+    """Warn of a temperature that is given for a material whose dn/dT is not known."""
+    if temperature is None or found.formula == "gas" or _key(found.name) == "vacuum":
+        return
+    constants, _, start = thermal_of(found)
+    # Numbers alone are compared: a GPU is not waited for.
+    if constants is not None or (isinstance(temperature, (int, float)) and temperature == start):
+        return
+    warn(
+        f"dn/dT of {found.name} is not known and counts as 0: the index in vacuum is that at {start:g} °C; give a "
+        "Material with `thermal`, or load a maker's catalogue (AGF)",
+        AccuracyWarning,
+    )
 
 
 def _in_environment(found: Material, index, wide, medium: str, temperature, pressure):

@@ -483,3 +483,19 @@ def test_errors_in_numbers_of_other_programs_name_the_file(name, text, tmp_path)
     path.write_text(text)
     with pytest.raises(ValueError, match=name):
         catalog.load_materials(path)
+
+
+@pytest.mark.parametrize("name", ["PMMA", "germanium", "water"])
+def test_a_temperature_of_what_has_no_known_change_is_told(name):
+    wave, own = 10e-6 if name == "germanium" else LINE_D * 1e-6, materials.material(name).measured_at
+    with pytest.warns(
+        odak.AccuracyWarning, match=f"dn/dT of {name} is not known and counts as 0: .* at 20 °C"
+    ) as caught:
+        warm = refractive_index(name, wave, temperature=60.0, medium="vacuum")
+    assert len(caught) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert refractive_index(name, wave, temperature=own, medium="vacuum") == pytest.approx(warm, rel=1e-12)
+        refractive_index(name, wave, pressure=9e4)
+        for known in ("N-BK7", "air", "vacuum"):
+            refractive_index(known, LINE_D * 1e-6, temperature=60.0)
