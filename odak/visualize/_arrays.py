@@ -81,13 +81,15 @@ def triangles(name: str, value) -> np.ndarray:
     return found.astype(np.result_type(found, np.float32), copy=False)
 
 
-def faces(name: str, value, count: int) -> np.ndarray:
-    """Return the corners of triangles, numbers ``[t, 3]`` of `count` points."""
+def faces(name: str, value, count: int, of: str = "vertices") -> np.ndarray:
+    """Return the corners of triangles, numbers ``[t, 3]`` of `count` points of an argument."""
     found = real_array(name, value)
     if found.ndim != 2 or found.shape[1] != 3 or found.dtype.kind not in "iu":
         raise ValueError(f"{name} must be integers [t, 3], got {found.dtype} {list(found.shape)}")
     if found.size and not 0 <= found.min() <= found.max() < count:
-        raise ValueError(f"{name} must be indices of vertices, 0 to {count - 1}, got {found.min()} to {found.max()}")
+        raise ValueError(
+            f"{name} must be indices of vertices, 0 to {count - 1} of {of}, got {found.min()} to {found.max()}"
+        )
     return found
 
 

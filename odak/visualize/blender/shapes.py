@@ -578,7 +578,7 @@ def _mesh(mesh, faces) -> tuple[str, Mesh]:
         corners = _arrays.triangles("mesh", mesh)
         return "mesh", Mesh(corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3))
     vertices = _arrays.points("mesh", mesh)
-    return "mesh", Mesh(vertices, _arrays.faces("faces", faces, len(vertices)))
+    return "mesh", Mesh(vertices, _arrays.faces("faces", faces, len(vertices), "mesh"))
 
 
 def _grid(parts, shape) -> np.ndarray:
