@@ -14,6 +14,7 @@ from independent_camera import (
 
 from odak.instruments import Lens
 from odak.learn.wave import Display, Iris, Modulator, Observer, Problem, Run, optimise
+from odak.learn.wave.displays import observers
 from odak.learn.wave.displays.observers import fine_intensity, resolved
 
 PITCH, WAVELENGTH, SQUARE = 8e-6, 532e-9, (1.0, 1.0)
@@ -264,3 +265,12 @@ def test_the_judge_is_right_on_a_large_panel(random):
         expected = Seen([np.exp(1j * phases)], [1], stop, transfer).means(rows, columns)
         assert found.size >= 200
         assert np.linalg.norm(found - expected) < 2e-3 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize(("samples", "size"), [(2, 16), (3, 24), (6, 24)])
+def test_points_are_those_of_the_intensity_on_a_finer_grid_too(samples, size):
+    """The highest frequency of an even number of samples counted twice where the grid was refined."""
+    light = torch.rand(size, size, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    shape = (size // samples // 2 * 2 - 2,) * 2
+    found = observers.resolved(light, samples, shape, (0.0, 0.0))[:: observers.PLACES, :: observers.PLACES]
+    torch.testing.assert_close(found, light[observers.pixels_of(light, samples, shape)], rtol=0, atol=1e-12)

@@ -310,7 +310,11 @@ def resolved(
     finer = places * math.ceil(samples / places)
     for axis, n, side in zip((-1, -2), shape[::-1], sides[::-1], strict=True):
         cycles = torch.fft.rfftfreq(light.shape[axis], 1 / samples, dtype=torch.float64)
-        passed = (torch.sinc(side * cycles) * finer / samples).to(light)
+        passed = torch.sinc(side * cycles) * finer / samples
+        if finer > samples and light.shape[axis] % 2 == 0:
+            # The highest frequency is one with its negative, which are two on a finer grid.
+            passed[-1] /= 2
+        passed = passed.to(light)
         spectrum = torch.fft.rfft(light, dim=axis) * (passed if axis == -1 else passed[:, None])
         light = torch.fft.irfft(spectrum, light.shape[axis] * finer // samples, axis)
         first = (light.shape[axis] // (2 * finer) - n // 2) * finer
