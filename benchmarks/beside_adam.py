@@ -1,13 +1,14 @@
 """Seconds to given qualities of a hologram: odak's defaults beside Adam written with torch alone, step by step in turn.
 
-By areas: `optimise` for a display of real pixels, beside Adam on the same images, whose means over pixels are taken in
-the spectrum of the intensity. At samples: `stochastic_gradient_descent`, beside Adam on the padded angular spectrum.
-Adam gets the best of several starts and steps. The qualities by areas are those of `Display.judge`, those at samples
+By areas: `optimise` for a display of real pixels and a registered camera, beside Adam on the same images, whose means
+over pixels are taken in the spectrum of the intensity. At samples: `stochastic_gradient_descent`, beside Adam on the
+padded angular spectrum. Adam gets the best of several starts and steps. The qualities by areas are those of `Display.judge`, those at samples
 those of the loss, whose end an independent propagation in complex128 confirms. Starts are part of the time, judging is
 not; on the CPU it is processor time. `TIME_TO_QUALITY_SIDE=1080x1920` or `2160x3840` sets the size; on more than 1440
 rows the first of each two qualities is the last, and Adam starts from the quadratic phase alone.
 """
 
+import dataclasses
 import math
 import os
 import threading
@@ -17,7 +18,16 @@ from collections.abc import Callable, Iterator
 import torch
 from time_to_quality import PITCH, WAVELENGTH, distance_of, judged, photograph, psnr
 
-from odak.learn.wave import Display, Modulator, Run, optimise, stochastic_gradient_descent
+from odak.learn.wave import (
+    Descent,
+    Display,
+    Modulator,
+    Observer,
+    Problem,
+    Run,
+    optimise,
+    stochastic_gradient_descent,
+)
 
 AREAS, SAMPLES = (25.0, 30.0), (35.0, 40.0)
 LARGE = 1440
@@ -189,19 +199,42 @@ def plain(target, model: Callable, judge: Callable, start: str, rate: float) -> 
     return run
 
 
+@dataclasses.dataclass(frozen=True)
+class Watched(Problem):
+    """A problem that keeps the phases whose loss was computed last."""
+
+    latest: list = dataclasses.field(default_factory=list)
+
+    def loss_of(self, phases, *others):
+        """Return the loss of patterns, and keep their phases."""
+        self.latest[:] = [phases]
+        return super().loss_of(phases, *others)
+
+
+class Watching:
+    """The default solver, whose phases are in `latest` meanwhile."""
+
+    def __init__(self):
+        self.latest = []
+
+    def solve(self, problem):
+        """Return the phases of a problem."""
+        given = {field.name: getattr(problem, field.name) for field in dataclasses.fields(problem)}
+        return Descent().solve(Watched(**given, latest=self.latest))
+
+
 def default_by_areas(target, display, judge) -> Callable:
-    """Return a contestant: `optimise` with its defaults."""
+    """Return a contestant: `optimise` with its default solver and start, for a registered camera."""
 
     def run(step):
-        latest = {}
-        hook = display.register_forward_pre_hook(lambda module, given: latest.update(phase=given[0]))
+        solver = Watching()
 
         def watch(iteration, loss):
             # The loss is that before the step and the phase that after it: a step late rather than early.
-            return step(-10 * math.log10(float(loss)), lambda: judge(latest["phase"].detach()))
+            return step(-10 * math.log10(float(loss)), lambda: judge(solver.latest[0].detach()))
 
-        optimise(display, target, run=Run(iterations=MOST, progress=False, callback=watch))
-        hook.remove()
+        settings = Run(iterations=MOST, progress=False, callback=watch)
+        optimise(display, target, solver=solver, run=settings, observer=Observer.camera(registered=True))
 
     return run
 
