@@ -2,10 +2,11 @@
 
 By areas: `optimise` for a display of real pixels and a registered camera, beside Adam on the same images, whose means
 over pixels are taken in the spectrum of the intensity. At samples: `stochastic_gradient_descent`, beside Adam on the
-padded angular spectrum. Adam gets the best of several starts and steps. The qualities by areas are those of `Display.judge`, those at samples
-those of the loss, whose end an independent propagation in complex128 confirms. Starts are part of the time, judging is
-not; on the CPU it is processor time. `TIME_TO_QUALITY_SIDE=1080x1920` or `2160x3840` sets the size; on more than 1440
-rows the first of each two qualities is the last, and Adam starts from the quadratic phase alone.
+padded angular spectrum. Adam gets the best of several starts and steps. The qualities by areas are those of
+`Display.judge`, those at samples those of the loss, whose end an independent propagation in complex128 confirms. Starts
+are part of the time, judging is not; on the CPU it is processor time. `TIME_TO_QUALITY_SIDE=1080x1920` or `2160x3840`
+sets the size; on more than 1440 rows the first of each two qualities is the last, and Adam starts from the quadratic
+phase alone.
 """
 
 import dataclasses
