@@ -49,7 +49,7 @@ hologram = optimise(seen_from(places), targets, run=run)
 alone = optimise(seen_from(places[1:2]), targets[1], run=run)
 beside = seen_from(places).judge(alone.phases)[0]
 beside = beside / beside.amax((2, 3), keepdim=True)
-print("PSNR:", ", ".join(f"≈ {float(value):.0f} dB" for value in hologram.psnr))
+print("PSNR:", ", ".join(f"{float(value):.1f} dB" for value in hologram.psnr))
 
 # %%
 figure, axes = plt.subplots(3, 3, figsize=(11, 7.4), sharex=True, sharey=True)
