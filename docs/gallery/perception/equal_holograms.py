@@ -44,14 +44,14 @@ other = metamer(chain, one, start, iterations=80, bounds=None)
 first, second = seen(one), seen(other)
 turned = torch.angle(torch.exp(1j * (other - one)))
 error = (second - first).square().mean().sqrt()
-print(f"RMS difference of phases: ≈ {turned.square().mean().sqrt():.2f} rad")
-print(f"RMS difference of the pictures: ≈ {100 * error:.1f} % of white")
+print(f"RMS difference of phases: {turned.square().mean().sqrt():.2f} rad")
+print(f"RMS difference of the pictures: {100 * error:.1f} % of white")
 noise = torch.randn(first.shape, generator=torch.Generator().manual_seed(0))
 noisy = first + error * noise
 for name, place in (("at this gaze", gaze), ("at another gaze", elsewhere)):
     distance, noise_gives = loss(second, first, place), loss(noisy, first, place)
     print(f"metameric distance {name}: ≈ {distance:.1e},", end=" ")
-    print(f"of equal noise ≈ {noise_gives:.1e}")
+    print(f"of equal noise {noise_gives:.1e}")
 
 # %%
 places = [[(x / 24, y / 16) for x in range(1, 24, 2)] for y in range(1, 16, 2)]
