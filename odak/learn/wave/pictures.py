@@ -186,7 +186,7 @@ def light_of(
         outside = float((targets.detach().amin(-3) < -_ROUNDING).double().mean())
         targets = _inside(targets, to_xyz[1], gamut)
     lumens = to_xyz[1]
-    watts = lumens / (_EFFICACY * _observed(wavelengths)[1])
+    watts = lumens / (_EFFICACY * _observed(wavelengths)[1].to(lumens))
     return PictureLight(targets[0], wavelengths, watts, lumens, outside, gamut, source)
 
 
@@ -253,7 +253,7 @@ def shown_on_a_screen(images: torch.Tensor, display: Display) -> torch.Tensor:
 
 def _sources(display) -> tuple[tuple[float, ...], torch.Tensor]:
     """Return the wavelengths and, as columns, XYZ of each source in white, whose luminances add up to 1."""
-    given = display.wavelengths if isinstance(display, Display) else display
+    (given,) = _validate.constants(display=display.wavelengths if isinstance(display, Display) else display)
     wavelengths = tuple(_validate.numbers(_validate.real("display", given, positive=True)))
     if len(wavelengths) not in (1, 3):
         raise ValueError(f"display must have one source or three, whose colours can be mixed, got {len(wavelengths)}")

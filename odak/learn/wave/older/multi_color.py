@@ -201,6 +201,7 @@ class multi_color_hologram_optimizer(Prepared):
                 raise TypeError("min_learning_rate and learning_rate_floor are one argument; give one of them")
             min_learning_rate = learning_rate_floor
         if scheduler_power is not None:
+            _validate.real("scheduler_power", scheduler_power)
             warn("scheduler_power has no effect: the learning rate falls along a cosine", ArgumentWarning)
         if not isinstance(propagator, propagator_type):
             raise TypeError(f"propagator must be an odak.learn.wave.propagator, got {propagator!r:.80}")

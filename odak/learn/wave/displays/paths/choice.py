@@ -44,9 +44,11 @@ def path_to(
 
 def _warn_of_millimetres(modulator: Modulator, wavelength: float, furthest: float) -> None:
     """Warn of a distance of metres over which hardly any light of a panel's band stays beside the panel."""
+    if furthest <= _METRES:
+        return
     sides = zip(modulator.resolution, pitch_pair(modulator.pitch), strict=True)
-    share = max(n * pitch**2 for n, pitch in sides) / (wavelength * furthest) if furthest else 1.0
-    if furthest > _METRES and share < _SHARE:
+    share = max(n * pitch**2 for n, pitch in sides) / wavelength / furthest
+    if 0 < share < _SHARE:
         meant = likely_length(furthest, 1e-3, 1.0, "mm")
         warn(
             f"distances are in metres: over {furthest:g} m the first order of the pixels becomes {1 / share:.0f} times "
