@@ -94,9 +94,11 @@ def convert_color(
     ----------
     image : torch.Tensor
         Colours of the space `source`, ``[..., 3, H, W]``.
-    source, target : str
+    source : str
         "XYZ" (Y = 1 for white), "xyY", "RGB" (linear, primaries of sRGB), "sRGB", "Lab" (CIE 1976), "Luv", "LMS",
         "DKL", "Oklab", "OkLCh", "Jzazbz", "CAM02-UCS" or "CAM16-UCS".
+    target : str
+        The space of the result, one of the same names.
     white : sequence of float
         XYZ of the white; D65 with Y = 1 by default. "LMS", "Oklab" and "Jzazbz" do not depend on it.
     luminance : float

@@ -314,8 +314,12 @@ class Display(Prepared, torch.nn.Module):
         ----------
         observer : Observer
             Who looks.
-        phases, powers, amplitudes : torch.Tensor
-            As in :meth:`forward`.
+        phases : torch.Tensor
+            Phases ``[..., F, rows, columns]`` in radians.
+        powers : torch.Tensor, optional
+            Powers ``[F, C]`` of the sources, in place of the display's own.
+        amplitudes : torch.Tensor, optional
+            Amplitudes 0 … 1 of the panel that the modulator is lit through, of the shape of the phases.
 
         Returns
         -------

@@ -78,7 +78,10 @@ class Observer:
     def camera(
         cls, pitch: float | None = None, fill: float = 1.0, magnification: float = 1.0, registered: bool = False
     ) -> "Observer":
-        """Return a camera; see :class:`Observer` for the parameters."""
+        """Return a camera of a `pitch` and `fill`, whose `magnification` and whether it is `registered` is known.
+
+        See :class:`Observer` for each of them.
+        """
         return cls(pitch, fill, magnification, registered)
 
     @classmethod
@@ -119,7 +122,7 @@ class Observer:
         return down, across
 
     def sides(self, pitches: Sequence[float]) -> tuple[float, float]:
-        """Return the sides of what is sensitive of the camera's pixels, in pixels of an image; see :meth:`steps`."""
+        """Return the sides of what is sensitive of the camera's pixels, in pixels of an image of some `pitches`."""
         down, across = (math.sqrt(self.fill) * step for step in self.steps(pitches))
         return down, across
 
@@ -149,7 +152,10 @@ class Observer:
         return torch.stack([values[:, y::grids, x::grids] for y in range(grids) for x in range(grids)])
 
     def wanted(self, target: torch.Tensor, pitches: Sequence[float]) -> torch.Tensor:
-        """Return what :meth:`recorded` is for a picture of squares ``[..., rows, columns]``, ``[grids, ...]``."""
+        """Return what :meth:`recorded` is for a `target` of squares ``[..., rows, columns]`` of `pitches` in metres.
+
+        The result is ``[grids, ..., rows, columns]``.
+        """
         grids = 1 if self.registered else 2
         ends = [np.minimum(np.arange(n * grids) / grids, n - 1) for n in target.shape[-2:]]
         whole = means_of_squares(target, ends, self.sides(pitches))
@@ -211,7 +217,7 @@ class Observer:
         return resolved(light, samples, shape, self.sides(pitches))
 
     def picture(self, target: torch.Tensor, pitches: Sequence[float]) -> torch.Tensor:
-        """Return what :meth:`image` is for a picture of squares ``[rows, columns]``."""
+        """Return what :meth:`image` is for a `target` of squares ``[rows, columns]`` of some `pitches` in metres."""
         places = [np.arange(n * PLACES) / PLACES for n in target.shape]
         return means_of_squares(target, places, self.sides(pitches))
 

@@ -192,7 +192,7 @@ class Modulator:
         return self.response(phases, *given)  # type: ignore[operator]
 
     def asked(self, phases: torch.Tensor, color: int) -> torch.Tensor:
-        """Return the phases to show for the light of a colour to have some phases, as nearly as the panel reaches."""
+        """Return what to show for the light of a source, the number `color`, to have some phases, or the nearest."""
         if self.phase_scale is None:
             return phases
         scale, wanted = self.phase_scale[color], torch.remainder(phases, TURN)
@@ -207,7 +207,7 @@ class Modulator:
         return self.phases_of(self.levels(phases), phases.dtype)
 
     def phases_of(self, levels: torch.Tensor, dtype: torch.dtype = torch.float32) -> torch.Tensor:
-        """Return the phases 0 … 2π of levels, integers ``[..., rows, columns]`` below 2^bits."""
+        """Return the phases 0 … 2π, of a `dtype`, of levels: integers ``[..., rows, columns]`` below 2^bits."""
         if self.responses():
             return self._of_frames("phases_of", levels, dtype)
         if getattr(self.response, "lut", None) is not None:

@@ -85,7 +85,10 @@ class Problem:
         return self.loss_of_lights(self.display._lights(phases, amplitudes), powers)
 
     def loss_of_lights(self, lights: Lights, powers: torch.Tensor | None = None) -> torch.Tensor:
-        """Return the loss of what each panel does to the light, in the order in which the light meets them."""
+        """Return the loss of `lights`: what each panel does to the light, in the order in which it meets them.
+
+        `powers` are those of :meth:`loss_of`.
+        """
         images = self.scaled(self.display._recorded_of(self.observer, lights, powers))
         each = [self.loss(*pair) for pair in zip(images, self.wanted, strict=True)]
         return torch.stack(each).mean(0) if len(each) > 1 else each[0]
@@ -98,7 +101,7 @@ class Problem:
         return torch.stack([self.observer.wanted(self.target[:, c], pitches[c]) for c in colours], -3)
 
     def scaled(self, images: torch.Tensor) -> torch.Tensor:
-        """Return what is recorded at the brightness of each colour that is closest to what is wanted.
+        """Return recorded `images` at the brightness of each colour that is closest to what is wanted.
 
         Sources can be dimmed. The shape is that of :attr:`wanted`.
         """

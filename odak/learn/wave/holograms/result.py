@@ -34,7 +34,7 @@ class DisplayedHologram:
         Peak signal-to-noise ratio of what the observer sees in decibels, ``[D, C]``: for a camera at any place the
         least over its places by quarters of a pixel, without the outermost pixels.
     psnr_at_points : torch.Tensor
-        That of the intensities at the middles of pixels, which no sensor sees.
+        Peak signal-to-noise ratio of the intensities at the middles of pixels, which no sensor sees, ``[D, C]``.
     losses : tuple of float
         Loss after each iteration.
     psnr_in_focus : torch.Tensor, optional
