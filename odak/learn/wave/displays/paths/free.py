@@ -2,8 +2,8 @@
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import torch
 
@@ -70,7 +70,7 @@ class Free:
     torch.Size([2])
     """
 
-    distances: Any
+    distances: float | Sequence[float] | torch.Tensor
     relay: float = 0.0
     method: str = "auto"
     mask: torch.Tensor | None = None
