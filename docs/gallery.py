@@ -221,6 +221,14 @@ def thumbnails(group: str, up: str = "") -> str:
     return '<div class="gallery">\n' + "\n".join(items) + "\n</div>"
 
 
+def on_config(config):
+    """List the pages of the scripts by group in the menu, behind the gallery's own page."""
+    (section,) = (entry["Gallery"] for entry in config.nav if "Gallery" in entry)
+    for place, (group, title) in enumerate(GROUPS.items(), 1 + section.index("gallery/index.md")):
+        section.insert(place, {title: [f"gallery/{group}/{path.stem}.md" for path in scripts() if path.parent.name == group]})
+    return config
+
+
 def on_files(files, config):
     """Add the pages of the scripts to the site."""
     from mkdocs.structure.files import File
