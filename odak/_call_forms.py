@@ -87,13 +87,37 @@ _WORDS = (
     ("center", "centre"),
     ("color", "colour"),
 )
-# Arguments that hold what other programs take by words of their own: the argument, the words, and what to write.
+# Words of other programs for what an argument holds: the argument, the words, and what to give if not the argument.
+_ITERATIONS = (*_WORDS[0], "epochs", "steps", "n_steps", "max_iterations", "max_iter", "n_iter")
+_WAVES = ("lam", "lamda", "lambda_", "wl", "wvl", "wavelength", "wavelengths")
+_FAR = ("z", "r", "d", "propagation_distance", "distance")
 _ELSEWHERE = (
-    ("run", (*_WORDS[0], "epochs", "steps", "n_steps", "max_iterations"), "run=Run(iterations=...)"),
+    ("run", _ITERATIONS, "run=Run(iterations=...)"),
     ("run", ("progress", "callback", "checkpoint", "checkpoint_every", "seed", "memory_budget"), "run=Run({}=...)"),
+    ("run", ("verbose", "quiet"), "run=Run(progress=...)"),
     ("solver", ("learning_rate", "lr"), "solver=Descent('adam', learning_rate=...)"),
     ("solver", ("method", "algorithm", "optimizer", "optimiser"), "solver, such as solver='adam'"),
+    ("start", ("init", "initial_phase", "phase_init", "phase"), ""),
+    ("n_iteration", _ITERATIONS, ""),
+    ("n_iterations", _ITERATIONS, ""),
+    ("powers", (*_WORDS[1], "slm", "resolution", "bits", "fill"), "modulator=Modulator(resolution, pitch, ...)"),
     ("display", ("device",), "a display on that device, display.to(device)"),
+    ("powers", ("device",), "the device afterwards, display.to(device)"),
+    ("propagation_type", ("method", "propagator", "kernel_type"), ""),
+    ("material", ("glass", "n", "index", "medium"), ""),
+    ("radius", ("r", "R", "roc"), ""),
+    ("thickness", ("t", *_FAR), ""),
+    ("surfaces", ("glass", "n", "r", "R", "radii", "radius", "t"), "it to surface(radius, thickness=...)"),
+    ("aperture_type", ("epd", "EPD", "entrance_pupil_diameter"), "aperture=SystemAperture(..., 'EPD')"),
+    ("aperture_type", ("f_number", "fno"), "aperture=SystemAperture(..., 'F-number')"),
+    ("object_distance", ("z", "d", "distance"), ""),
+    ("distance", _FAR, ""),
+    ("distances", _FAR, ""),
+    ("wavelength", _WAVES, ""),
+    ("wavelengths", _WAVES, ""),
+    ("focal_length", ("f", "efl"), ""),
+    ("display", (*_FAR, *_WAVES, *_WORDS[1]), "it to the display, Display(modulator, wavelengths, distances)"),
+    ("", ("device",), "tensors on that device: results are on the device of what is given"),
 )
 
 
@@ -103,16 +127,23 @@ def _known_name(word: str, own: list[str]) -> str:
     return word if word in own or len(same) != 1 else same[0]
 
 
+def unknown_argument(function: Callable, word: str, own: Iterable[str]) -> TypeError:
+    """Return the error of a keyword that a function does not have, with what to give in its place."""
+    callee, own = function.__qualname__.removesuffix(".__init__"), list(own)
+    places = [entry for entry in _ELSEWHERE if word in entry[1] and (entry[0] in own or not entry[0])]
+    name, _, place = places[0] if places else ("", (), "")
+    named = f" Did you mean {name!r}?" if name else did_you_mean(word, own)
+    hint = f" Give {place.format(word)}." if place else named
+    return TypeError(f"{callee} has no argument {word!r}.{hint}")
+
+
 def _by_known_names(function, own: list[str], options) -> dict[str, Any]:
     """Return keyword arguments by the names of a function's parameters."""
     found = {}
     for word, value in options.items():
         name = _known_name(word, own)
         if name not in own:
-            callee = function.__qualname__.removesuffix(".__init__")
-            places = [place for owner, words, place in _ELSEWHERE if owner in own and word in words]
-            hint = f" Give {places[0].format(word)}." if places else did_you_mean(word, own)
-            raise TypeError(f"{callee} has no argument {word!r}.{hint}")
+            raise unknown_argument(function, word, own)
         if name in found or (name != word and name in options):
             raise TypeError(f"{name} and {word} are one argument; give one of them")
         found[name] = value
@@ -136,6 +167,7 @@ def takes_fields(older: str, **kinds: type) -> Callable[[Callable[P, R]], Callab
     def decorated(function):
         parameters = inspect.signature(function).parameters
         newer = [name for name, parameter in parameters.items() if parameter.kind is not inspect.Parameter.KEYWORD_ONLY]
+        known = [*dict.fromkeys((*parameters, *(field.name for kind in kinds.values() for field in fields(kind))))]
 
         @functools.wraps(function)
         def form(*args, **options):
@@ -145,7 +177,7 @@ def takes_fields(older: str, **kinds: type) -> Callable[[Callable[P, R]], Callab
             placed = dict(zip(names, args, strict=False))
             if twice := placed.keys() & options.keys():
                 raise TypeError(f"{function.__name__} got {', '.join(sorted(twice))} twice")
-            options |= placed
+            options = _by_known_names(function, known, options) | placed
             for name, kind in kinds.items():
                 optional = parameters[name].default is None
                 if optional and options.get(name, name) is None:

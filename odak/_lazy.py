@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
-from odak._moved import MOVED_MODULES, MOVED_NAMES
+from odak._moved import MOVED_MODULES, MOVED_NAMES, OTHER_WORDS
 
 _IMPORT_FROM = opcode.opmap["IMPORT_FROM"]
 
@@ -106,7 +106,10 @@ def _import_of(name: str, package: str) -> str:
     import difflib
 
     homes = _homes()
-    near = [name] if name in homes else []
+    near = [name] if name in homes else [key for key, words in OTHER_WORDS.items() if name.casefold() in words.split()]
+    if near and "." in near[0]:
+        return f". Did you mean: from {near[0]} import {name}?"
+    near = near or [other for other in homes if other.casefold() == name.casefold()]
     for names in ([other for other in homes if package in homes[other]], homes):
         near = near or difflib.get_close_matches(name, names, n=1, cutoff=0.8)
     if not near:

@@ -313,6 +313,27 @@ def one_device(**arrays) -> None:
         raise ValueError(f"these must be on one device: {listed}")
 
 
+def in_order(name: str, shape: Sequence[int], last: Sequence[int] = ()) -> str:
+    """Return the end of a message on a shape ``[..., rows, columns]``: what it is, and the order that fits if one does.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name.
+    shape : sequence of int
+        Its shape.
+    last : sequence of int, optional
+        The rows and columns wanted, if they are known.
+    """
+    shape = tuple(shape)
+    got = f"got {list(shape)}"
+    if len(shape) > 2 and shape[-1] in (3, 4) and shape[-3] not in (1, 3, 4):
+        return f"{got}: colours go first, {name}.movedim(-1, -3)"
+    if len(last) == 2 and shape[-2:] == (last[1], last[0]) != tuple(last):
+        return f"{got}: rows go before columns, {name}.mT"
+    return got
+
+
 def alike(**arrays) -> None:
     """Raise ValueError that names arrays unless all have one shape, and tensors one device."""
     shapes = {name: tuple(value.shape) for name, value in arrays.items()}

@@ -15,6 +15,8 @@ import pytest
 import structure
 
 import odak
+from odak import _lazy
+from odak._moved import OTHER_WORDS
 
 ROOT = pathlib.Path(odak.__file__).parent
 MODULES = structure.modules()
@@ -236,6 +238,11 @@ def test_unknown_names_are_attribute_errors():
         ("odak.learn.wave", "optimize", "from odak.learn.wave import optimise"),
         ("odak.learn.wave", "optical_system", "from odak.learn.raytracing.system import optical_system"),
         ("odak.learn.raytracing", "Optimise", "from odak.learn.wave import optimise"),
+        ("odak.learn.wave", "ASM", "from odak.learn.wave import propagate_beam"),
+        ("odak", "SpotDiagram", "from odak.learn.raytracing.system import spot_diagram"),
+        ("odak.learn.tools", "imread", "from odak.learn.tools import load_image"),
+        ("odak", "set_location", "from odak.contrib.commands import set_location"),
+        ("odak.tools", "create_logger", "from odak.log import create_logger"),
     ],
 )
 def test_the_import_of_a_name_that_a_package_lacks_is_proposed(package, name, proposed):
@@ -247,6 +254,17 @@ def test_the_import_of_a_name_that_a_package_lacks_is_proposed(package, name, pr
     assert getattr(module, name, None) is None and not hasattr(module, name)
     # The proposal is one that works, also after Python has remembered the failure.
     exec(proposed.split(", or ")[0])
+
+
+def test_words_of_other_libraries_stand_for_one_public_name_each():
+    homes = _lazy._homes()
+    words = [word for listed in OTHER_WORDS.values() for word in listed.split()]
+    assert len(words) == len(set(words)) and not set(words) & {name.casefold() for name in homes}
+    for key, listed in OTHER_WORDS.items():
+        if "." in key:
+            assert all(hasattr(importlib.import_module(key), word) for word in listed.split())
+        else:
+            assert key in homes
 
 
 def test_an_import_of_what_is_nowhere_and_of_submodules_is_left_to_python():

@@ -13,7 +13,7 @@ import torch
 from array_api_compat import torch as torch_namespace
 
 from odak._array import Array, ArrayT
-from odak._call_forms import did_you_mean
+from odak._call_forms import unknown_argument
 from odak.learn._tensors import checked_device, tensors_of
 
 P = ParamSpec("P")
@@ -130,8 +130,7 @@ def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None, 
         if len(given) != len(args) + len(options) or not keywords.issuperset(options):
             unknown = [name for name in options if name not in named]
             if unknown:
-                nearest = did_you_mean(unknown[0], named)
-                raise TypeError(f"{face.__name__} has no argument {unknown[0]!r}.{nearest}")
+                raise unknown_argument(face, unknown[0], named)
             signature.bind(*args, **options)  # raises the error that Python gives for such a call
         options = {**fixed, **preset, **given}
         for name, take_off in units.items():

@@ -226,12 +226,13 @@ def check_loss_inputs(loss_name: str, image: torch.Tensor, target: torch.Tensor)
         if not isinstance(picture, torch.Tensor):
             raise TypeError(f"{loss_name} ERROR: {name} must be a tensor, got {type(picture).__name__}")
     shapes = f"got {tuple(image.shape)} and {tuple(target.shape)}"
+    order = _validate.in_order("image", image.shape)
     if image.shape != target.shape:
         raise ValueError(f"{loss_name} ERROR: image and target must have one size, {shapes}")
     if image.ndim != 4:
         raise ValueError(f"{loss_name} ERROR: image and target must have four axes [B, C, H, W], {shapes}")
     if image.shape[1] not in (1, 3):
-        raise ValueError(f"{loss_name} ERROR: image and target must have one or three channels, {shapes}")
+        raise ValueError(f"{loss_name} ERROR: image and target must have one or three channels, {order}")
     if not image.numel():
         raise ValueError(f"{loss_name} ERROR: image and target must not be empty, {shapes}")
     _validate.one_device(image=image, target=target)
@@ -301,7 +302,7 @@ def as_pictures(name: str, image: torch.Tensor, channels: int | None = 3) -> tor
     floating_tensor(name, image)
     if image.ndim < 3 or (channels is not None and image.shape[-3] != channels):
         wanted = "C" if channels is None else channels
-        raise ValueError(f"{name} must be pictures [..., {wanted}, H, W], got {tuple(image.shape)}")
+        raise ValueError(f"{name} must be pictures [..., {wanted}, H, W], {_validate.in_order(name, image.shape)}")
     return image if image.ndim > 3 else image[None]
 
 

@@ -243,6 +243,7 @@ def gaussian_spectrum(
     return length / (1 + nodes * width / length), weights
 
 
+@_validate.takes_units()
 def disk_source(
     radius: float,
     rings: int = 4,

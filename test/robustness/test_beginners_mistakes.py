@@ -1,5 +1,6 @@
 """Likely mistakes of first programs: each message names what was given, and what endangers a result warns."""
 
+import dataclasses
 import inspect
 import math
 import re
@@ -15,6 +16,7 @@ import odak
 from odak import _validate
 from odak._lengths import UNITS
 from odak.learn import perception, wave
+from odak.learn.raytracing import system
 from odak.learn.tools import load_image, resize, save_image
 
 WAVELENGTH, PITCH, DISTANCE = 532e-9, 8e-6, 1e-3
@@ -139,6 +141,77 @@ def test_impossible_densities_of_pixels_are_refused():
 def test_words_of_other_programs_are_answered_with_the_argument_that_holds_them(word, value, remedy):
     with pytest.raises(TypeError, match=re.escape(f"optimise has no argument {word!r}. Give {remedy}.")):
         wave.optimise(None, None, **{word: value})
+
+
+@pytest.mark.parametrize(
+    ("door", "word", "answer"),
+    [
+        (wave.propagate_beam, "z", "propagate_beam has no argument 'z'. Did you mean 'distance'?"),
+        (odak.wave.propagate_beam, "lam", "propagate_beam has no argument 'lam'. Did you mean 'wavelength'?"),
+        (wave.Display, "r", "Display has no argument 'r'. Did you mean 'distances'?"),
+        (wave.Display, "pixel_pitch", "Give modulator=Modulator(resolution, pitch, ...)."),
+        (wave.optimise, "z", "Give it to the display, Display(modulator, wavelengths, distances)."),
+        (wave.stochastic_gradient_descent, "epochs", "Did you mean 'n_iteration'?"),
+        (odak.learn.jones.polarizer, "angel", "polarizer has no argument 'angel'. Did you mean 'angle'?"),
+        (system.surface, "r", "surface has no argument 'r'. Did you mean 'radius'?"),
+        (system.surface, "glass", "surface has no argument 'glass'. Did you mean 'material'?"),
+        (system.optical_system, "radii", "Give it to surface(radius, thickness=...)."),
+        (system.optical_system, "epd", "Give aperture=SystemAperture(..., 'EPD')."),
+        (system.optical_system, "feilds", "optical_system has no argument 'feilds'. Did you mean 'fields'?"),
+        (system.optical_system, "lam", "Did you mean 'wavelengths'?"),
+    ],
+)
+def test_words_of_other_programs_are_answered_by_every_door(door, word, answer):
+    with pytest.raises(TypeError, match=re.escape(answer)):
+        door(**{word: 1})
+
+
+def test_doors_that_take_words_apart_answer_an_unknown_one():
+    words = {"wavelength", "wavelengths", "distance", "distances", "radius", "run", "solver", "display"}
+    bare = []
+    for package in (wave, odak.wave, system):
+        for name in package.__all__:
+            door = getattr(package, name)
+            results = dataclasses.is_dataclass(door) or hasattr(door, "_fields")
+            if not callable(door) or results or not words & {*inspect.signature(door).parameters}:
+                continue
+            if inspect.Parameter.VAR_KEYWORD in {p.kind for p in inspect.signature(door).parameters.values()}:
+                continue
+            with pytest.raises(TypeError) as caught:
+                door(no_such_word=1)
+            bare += [name] if "has no argument 'no_such_word'" not in str(caught.value) else []
+    assert bare == []
+
+
+def test_what_readers_of_files_return_is_told_apart_from_the_system_in_it():
+    with pytest.raises(TypeError, match=r"got a tuple with one in front, .* unpack it, system, report"):
+        system.spot_diagram((system.load_system("singlet"), "report"))
+    with pytest.raises(TypeError, match="got tuple"):
+        system.spot_diagram(())
+
+
+def test_pictures_with_their_axes_in_another_order_are_told_the_order():
+    display = wave.Display(wave.Modulator((32, 48), 8e-6), [639e-9, 532e-9, 473e-9], 2e-3)
+    last, turned = torch.rand(32, 48, 3), torch.rand(3, 48, 32)
+    for call in (
+        lambda: wave.optimise(display, last),
+        lambda: wave.light_of(last, display),
+        lambda: perception.flip(last, last),
+        lambda: perception.srgb_to_lab(last[None]),
+        lambda: perception.ciede2000(last[None], last[None]),
+        lambda: perception.MetamericLoss()(last[None], last[None]),
+        lambda: perception.texture_statistics(last[None]),
+    ):
+        with pytest.raises(ValueError, match=r"got \[.*32, 48, 3\]: colours go first, \w+\.movedim\(-1, -3\)"):
+            call()
+    for call in (
+        lambda: wave.optimise(display, turned),
+        lambda: display(turned[0]),
+    ):
+        with pytest.raises(ValueError, match=r"48, 32\]: rows go before columns, \w+\.mT"):
+            call()
+    with pytest.raises(ValueError, match=r"got \[3, 20, 30\]$"):
+        wave.optimise(display, torch.rand(3, 20, 30))
 
 
 @pytest.mark.parametrize("name", ["sgd", "SGD", "gradient descent"])

@@ -12,7 +12,7 @@ from typing import overload
 import torch
 
 from odak import _validate
-from odak.learn._tensors import floating_tensor, in_float32, in_float64, tell_scale
+from odak.learn._tensors import as_pictures, floating_tensor, in_float32, in_float64, tell_scale
 
 PQ_PEAK = 10000.0
 _M1, _M2 = 2610 / 16384, 2523 / 4096 * 128
@@ -70,7 +70,7 @@ def pq_encode(luminance: torch.Tensor) -> torch.Tensor:
     >>> [round(value, 4) for value in pq_encode(torch.tensor([100.0, 10000.0])).tolist()]
     [0.5081, 1.0]
     """
-    relative = in_float32(_floats("luminance", luminance)).clamp(0, PQ_PEAK) / PQ_PEAK
+    relative = in_float32(floating_tensor("luminance", luminance)).clamp(0, PQ_PEAK) / PQ_PEAK
     return _with_bounded_gradient(_pq_signal, relative, _PQ_FLOOR, _PQ_DERIVATIVE).to(luminance)
 
 
@@ -130,7 +130,8 @@ def hlg_encode(light: torch.Tensor) -> torch.Tensor:
     >>> [round(value, 4) for value in hlg_encode(torch.tensor([0.0, 1 / 12, 1.0])).tolist()]
     [0.0, 0.5, 1.0]
     """
-    return _with_bounded_gradient(_hlg_signal, _floats("light", light).clamp_min(0), _HLG_FLOOR, _HLG_DERIVATIVE)
+    light = floating_tensor("light", light).clamp_min(0)
+    return _with_bounded_gradient(_hlg_signal, light, _HLG_FLOOR, _HLG_DERIVATIVE)
 
 
 def hlg_decode(signal: torch.Tensor) -> torch.Tensor:
@@ -314,7 +315,7 @@ def pu21_encode(luminance: torch.Tensor, variant: str = "banding_glare") -> torc
     (256, 595.4)
     """
     p = PU21_PARAMETERS[_validate.one_of("variant", variant, PU21_PARAMETERS)]
-    power = in_float64(_floats("luminance", luminance)).clamp(*PU21_LIMITS) ** p[3]
+    power = in_float64(floating_tensor("luminance", luminance)).clamp(*PU21_LIMITS) ** p[3]
     values = p[6] * (((p[0] + p[1] * power) / (1 + p[2] * power)) ** p[4] - p[5])
     return values.clamp_min(0).to(luminance)
 
@@ -351,7 +352,7 @@ def pu21_decode(values: torch.Tensor, variant: str = "banding_glare") -> torch.T
     # Roots of the eleventh order lose two digits in float32.
     power_limits = [limit ** p[3] for limit in PU21_LIMITS]
     low, high = (p[6] * (((p[0] + p[1] * power) / (1 + p[2] * power)) ** p[4] - p[5]) for power in power_limits)
-    root = (in_float64(_floats("values", values)).clamp(low, high) / p[6] + p[5]) ** (1 / p[4])
+    root = (in_float64(floating_tensor("values", values)).clamp(low, high) / p[6] + p[5]) ** (1 / p[4])
     power = (root - p[0]) / (p[1] - p[2] * root)
     # Rounding must not leave the range, below which the power has no gradient.
     return (power.clamp(*power_limits) ** (1 / p[3])).to(values)
@@ -397,18 +398,11 @@ def _luminance(rgb):
 
 
 def _rgb(name, picture):
-    picture = _floats(name, picture)
-    if picture.ndim < 3 or picture.shape[-3] != 3:
-        raise ValueError(f"{name} must be pictures [..., 3, H, W], got {tuple(picture.shape)}")
+    as_pictures(name, picture)
     return picture
 
 
 def _signal(value):
-    value = _floats("signal", value)
+    value = floating_tensor("signal", value)
     tell_scale("signal", value, "divide code values by the largest one, such as 1023")
-    return value
-
-
-def _floats(name, value):
-    floating_tensor(name, value)
     return value

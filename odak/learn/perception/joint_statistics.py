@@ -213,7 +213,8 @@ def _texture_statistics(picture, maker, levels):
 
 def _checked(name, picture):
     if as_pictures(name, picture, None).ndim != 4 or picture.shape[1] not in (1, 3) or not picture.numel():
-        raise ValueError(f"{name} must be [B, C, H, W] of one or three channels, got {tuple(picture.shape)}")
+        got = _validate.in_order(name, picture.shape)
+        raise ValueError(f"{name} must be [B, C, H, W] of one or three channels, {got}")
     pictures: dict[str, Any] = {name: picture}
     check_values(**pictures)
     return picture

@@ -511,7 +511,7 @@ def _checked(predictions, targets, smallest, data_range):
     if predictions.ndim < 2 or min(predictions.shape[-2:]) < smallest:
         raise ValueError(
             f"predictions and targets must be pictures [..., H, W] of at least {smallest} x {smallest}, "
-            f"got {tuple(predictions.shape)}"
+            f"{_validate.in_order('predictions', predictions.shape)}"
         )
     return pair
 
@@ -1390,5 +1390,6 @@ def _as_batch(pictures, dim_order="BCHW", axes="BCHW"):
     else:
         batch = pictures.permute(*(dim_order.index(axis) for axis in axes))
     if batch.shape[1] not in (1, 3):
-        raise ValueError(f"predictions and targets must have one or three channels, got {batch.shape[1]}")
+        got = _validate.in_order("predictions", batch.shape)
+        raise ValueError(f"predictions and targets must have one or three channels, {got}")
     return batch

@@ -117,6 +117,7 @@ class PictureLight:
         return _show.View(repr(self), [("on a screen", _show.png(shown.movedim(0, -1)))], [head, *rows])
 
 
+@_validate.takes_units()
 def light_of(
     picture: str | os.PathLike[str] | torch.Tensor | np.ndarray,
     display: Display | Sequence[float] | float,
@@ -190,6 +191,7 @@ def light_of(
     return PictureLight(targets[0], wavelengths, watts, lumens, outside, gamut, source)
 
 
+@_validate.takes_units()
 def picture_of(images: torch.Tensor, display: Display | Sequence[float] | float) -> torch.Tensor:
     """Return the sRGB picture that looks on a screen as the light of a display does.
 
@@ -296,7 +298,8 @@ def _decoded(picture: Any, linear: bool | None) -> tuple[torch.Tensor, str]:
         values = floating("picture", picture)
         values = values[None] if values.ndim == 2 else values
         if values.ndim != 3 or values.shape[0] not in (1, 3) or values.numel() == 0:
-            raise ValueError(f"picture must be [3, rows, columns] or [rows, columns], got {tuple(values.shape)}")
+            got = _validate.in_order("picture", values.shape)
+            raise ValueError(f"picture must be [3, rows, columns] or [rows, columns], {got}")
         _validate.check_values("picture", values, None if stated else "divide values of 0 … 255 by 255")
         values = values.expand(3, -1, -1)[None]
         return (values, "linear light") if stated else (srgb_decoded(values), "sRGB")

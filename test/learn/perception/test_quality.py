@@ -145,7 +145,7 @@ def test_refused(measure):
 @pytest.mark.parametrize(("measure", "side"), [(SSIM(), 11), (MSSSIM(), 176)])
 def test_too_small(measure, side):
     measure(*pictures(side, side))
-    with pytest.raises(ValueError, match=rf"at least {side} x {side}, got \({side - 1}, {side}\)"):
+    with pytest.raises(ValueError, match=rf"at least {side} x {side}, got \[{side - 1}, {side}\]"):
         measure(*pictures(side - 1, side))
     with pytest.raises(ValueError, match="data_range must be positive"):
         measure(*pictures(side, side), data_range=0)
@@ -208,7 +208,7 @@ def test_difference_predictors(measure, module, monkeypatch):
     assert metric(one[0], one[0]).item() == 10
     for wrong, message in (
         ((one[0, 0], one[0, 0]), "three or four axes"),
-        ((one[:, :2], one[:, :2]), "one or three channels, got 2"),
+        ((one[:, :2], one[:, :2]), "one or three channels, got "),
         ((one, two, "BCFW"), "dim_order must name"),
     ):
         with pytest.raises(ValueError, match=message):

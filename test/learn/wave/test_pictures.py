@@ -236,7 +236,7 @@ def test_what_cannot_be_mixed_is_refused():
         light_of(picture, (638e-9, 520e-9, 1550e-9))
     with pytest.raises(ValueError, match="display must have sources whose mixture can be white, got 638 nm"):
         light_of(picture, (638e-9, 620e-9, 600e-9))
-    with pytest.raises(ValueError, match=r"picture must be \[3, rows, columns\] or \[rows, columns\], got \(2, 2, 2\)"):
+    with pytest.raises(ValueError, match=r"picture must be \[3, rows, columns\] or \[rows, columns\], got \[2, 2, 2\]"):
         light_of(picture[:2], SOURCES)
     with pytest.raises(ValueError, match="gamut must be"):
         light_of(picture, SOURCES, gamut="perceptual")

@@ -313,6 +313,7 @@ def lateral_color(system: optical_system, **options: Any) -> torch.Tensor:
     return ((place - middle) * outward).sum(-1)
 
 
+@_validate.takes_units()
 def axial_color(
     system: optical_system, wavelengths: Any = None, prescription: Prescription | None = None
 ) -> torch.Tensor:

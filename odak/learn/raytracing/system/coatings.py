@@ -97,6 +97,7 @@ class _Aim(NamedTuple):
         return (r - root * torch.sgn(r)) / self.target.numel() ** 0.5
 
 
+@_validate.takes_units()
 @takes_constants("media", "between", "wavelengths", "target", "angles")
 @differentiates
 def needle_design(

@@ -52,6 +52,7 @@ LEAST_SAMPLES, MOST_SAMPLES, SAMPLES_PER_WAVE = 256, 2048, 8
 MARGIN = 8
 
 
+@_validate.takes_units()
 def navarro_eye(
     accommodation: float = 0.0,
     pupil_diameter: float = 4.0,
@@ -160,6 +161,7 @@ class LensGradient(Gradient):
         return index * index, slope * x, slope * y, 2 * index * (a + 2 * b * z)
 
 
+@_validate.takes_units()
 def liou_brennan_eye(
     pupil_diameter: float = 4.0,
     wavelengths: float | Sequence[float] = 555e-9,
@@ -303,6 +305,7 @@ def _fitted(system, numbers, waves):
     return torch.linalg.lstsq(radius[:, None] ** (2 * torch.arange(1, TERMS + 1)), lag.T).solution.T
 
 
+@_validate.takes_units()
 def eye_wavefront(
     radius: torch.Tensor | float,
     wavelengths: float | Sequence[float] = WAVELENGTHS,
@@ -363,6 +366,7 @@ def eye_wavefront(
     return total + radius**2 * vergence / (1 + (1 + (radius * vergence) ** 2).sqrt())
 
 
+@_validate.takes_units()
 def eye_refraction(
     wavelengths: float | Sequence[float] = WAVELENGTHS, pupil_diameter: float = 4.0, accommodation: float = 0.0
 ) -> torch.Tensor:
@@ -403,6 +407,7 @@ def eye_refraction(
     return -2 * (lag * square).sum(-1) / (square**2).sum()
 
 
+@_validate.takes_units()
 def eye_transfer_function(
     size: Sequence[int],
     pitch: float,
@@ -507,6 +512,7 @@ def _pupil(y, x, pitch, waves, diameter, accommodation, vergence, direction=(0.0
     return phasor_of_cycles(cycles, torch.complex128) * share
 
 
+@_validate.takes_units()
 def retinal_image(
     picture: torch.Tensor,
     vergences: float | Sequence[float],
@@ -622,6 +628,7 @@ class RetinalField(NamedTuple):
         return _show.one_line(self)
 
 
+@_validate.takes_units()
 def retinal_field(
     field: torch.Tensor,
     pitch: float,
@@ -761,6 +768,7 @@ class AccommodationResponse(NamedTuple):
     contrast: torch.Tensor
 
 
+@_validate.takes_units()
 def accommodation_response(
     picture: torch.Tensor,
     vergences: float | Sequence[float],

@@ -374,7 +374,8 @@ def simulate_image(picture: torch.Tensor, spread: PointSpreadMap) -> torch.Tenso
     channels = spread.kernels.shape[0]
     if picture.ndim < 3 or tuple(picture.shape[-2:]) != spread.shape or picture.shape[-3] not in (channels, 1):
         raise ValueError(
-            f"picture must be [..., {channels}, {spread.shape[0]}, {spread.shape[1]}], got {tuple(picture.shape)}"
+            f"picture must be [..., {channels}, {spread.shape[0]}, {spread.shape[1]}], "
+            f"{_validate.in_order('picture', picture.shape, spread.shape)}"
         )
     rows, columns = spread.shape
     kernel = spread.kernels.shape[-1]

@@ -95,6 +95,7 @@ class Matrix(NamedTuple):
         return Matrix(self.a + reduced * self.c, self.b + reduced * self.d, self.c, self.d)
 
 
+@_validate.takes_units()
 def first_order(
     system: optical_system, wavelength: float | None = None, prescription: Prescription | None = None
 ) -> FirstOrder:

@@ -356,6 +356,7 @@ class Ghosts(NamedTuple):
         return total / (width * height / (rows * columns))
 
 
+@_validate.takes_units()
 def ghosts(
     system: optical_system,
     samples: int = 15,

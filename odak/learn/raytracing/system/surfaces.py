@@ -294,6 +294,7 @@ class surface(torch.nn.Module):
     own_phase: _Parameters | None
     own_gradient: _Parameters | None
 
+    @_validate.takes_units()
     def __init__(
         self,
         radius: float = math.inf,
@@ -1086,7 +1087,10 @@ def _angular_lens(surfaces, micrometres: float) -> surface:
 def checked_system(system) -> optical_system:
     """Return a system after checking that it is one."""
     if not isinstance(system, optical_system):
-        raise TypeError(f"system must be an optical_system, got {type(system).__name__}")
+        kinds = f"{type(system).__name__}"
+        if isinstance(system, tuple) and system and isinstance(system[0], optical_system):
+            kinds = "a tuple with one in front, as readers of files return: unpack it, system, report = read_zmx(path)"
+        raise TypeError(f"system must be an optical_system, got {kinds}")
     return system
 
 

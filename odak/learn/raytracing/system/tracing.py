@@ -118,6 +118,7 @@ class Traced(NamedTuple):
         return torch.stack([torch.stack(self[:3], -1), torch.stack(self[3:6], -1)], -2)
 
 
+@_validate.takes_units()
 def trace(
     system: optical_system,
     rays: Any,

@@ -795,6 +795,7 @@ def modulation_transfer_function(spread: Spread, axis: str = "y") -> tuple[torch
     return frequencies, torch.cat([first / first, transfer[..., 1:] / total], -1)
 
 
+@_validate.takes_units()
 def airy_pattern(radius: torch.Tensor, wavelength: float, numerical_aperture: float) -> Any:
     """Return the diffraction image (2J₁(v)/v)² of a point, v = 2π·NA·r/λ.
 
@@ -981,6 +982,7 @@ class ExitField(NamedTuple):
         return _show.one_line(self)
 
 
+@_validate.takes_units()
 def exit_field(
     system: optical_system,
     size: int | Sequence[int] = 512,

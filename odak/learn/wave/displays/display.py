@@ -135,7 +135,7 @@ class Display(Prepared, torch.nn.Module):
             if profile.shape[-2:] != torch.Size(modulator.resolution) or profile.ndim > 3:
                 raise ValueError(
                     f"profile must be [rows, columns] = {list(modulator.resolution)} or [{colours}, rows, columns], "
-                    f"got {list(profile.shape)}"
+                    f"{_validate.in_order('profile', profile.shape, modulator.resolution)}"
                 )
             profile = profile.expand(colours, *modulator.resolution)
         self.register_buffer("profile", profile)
@@ -405,7 +405,8 @@ class Display(Prepared, torch.nn.Module):
         if self.frames == 1 and tuple(values.shape) == shape[1:]:
             values = values[None]
         if tuple(values.shape[-3:]) != shape:
-            raise ValueError(f"{name} must be [frames, rows, columns] = {list(shape)}, got {list(values.shape)}")
+            got = _validate.in_order(name, values.shape, shape[1:])
+            raise ValueError(f"{name} must be [frames, rows, columns] = {list(shape)}, {got}")
         return values.to(self.powers.device)
 
     def _amplitudes(self, amplitudes):

@@ -1,5 +1,6 @@
 """Targets of holograms: what images of a display are to be. Touches a display by its places and stop."""
 
+from odak import _validate
 from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import floating
 from odak.learn.wave.displays.panels import Iris
@@ -38,7 +39,8 @@ def checked_target(display, target):
     accepted |= {(rows, columns)} if alike and colours == 1 else set()
     if tuple(target.shape) not in accepted:
         raise ValueError(
-            f"target must be [planes, colours, rows, columns] = {list(display.shape)}, got {list(target.shape)}"
+            f"target must be [planes, colours, rows, columns] = {list(display.shape)}, "
+            f"{_validate.in_order('target', target.shape, display.shape[-2:])}"
         )
     if float(target.max()) > 2:
         raise ValueError(f"target must be intensities of 0 … 1, got up to {float(target.max()):.4g}: divide by 255?")
