@@ -33,8 +33,8 @@ from odak.learn.raytracing.system import (
     standard_design,
     write_zmx,
 )
-from odak.learn.raytracing.system.drawing import field_label
 from odak.learn.raytracing.system.operands import clear_heights
+from odak.learn.raytracing.system.sketches import field_label
 from odak.learn.raytracing.system.surfaces import is_break
 from odak.learn.raytracing.system.system_files import MICROMETRES
 from odak.tools.paths import replacing

@@ -38,12 +38,12 @@ from odak.learn.raytracing.system import (
 )
 from odak.learn.raytracing.system.drawing import (
     MICROMETRES,
-    field_label,
     image_aperture,
     modulation_frequencies,
     projection_of,
 )
 from odak.learn.raytracing.system.environment import replaced
+from odak.learn.raytracing.system.sketches import field_label
 from odak.learn.raytracing.system.system_files import load_materials
 from odak.raytracing.intersections import RayStatus
 from odak.tools.paths import replacing

@@ -93,6 +93,14 @@ def faces(name: str, value, count: int, of: str = "vertices") -> np.ndarray:
     return found
 
 
+def grid_faces(rows: int, columns: int) -> np.ndarray:
+    """Return two triangles for each cell of a grid of vertices, row by row: int32 ``[2·(rows−1)·(columns−1), 3]``."""
+    index = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
+    near, right, up, far = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    cells = np.stack((np.stack((near, right, far), -1), np.stack((near, far, up), -1)), axis=2)
+    return cells.reshape(-1, 3)
+
+
 def heights(data_x, data_y, data_z, least: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return x and y, ``[m, n]`` or of the columns ``[n]`` and the rows ``[m]``, and heights ``[m, n]``."""
     x, y, z = (real_array(f"data_{axis}", value) for axis, value in zip("xyz", (data_x, data_y, data_z), strict=True))

@@ -87,7 +87,7 @@ def test_mirrors_near_objects_and_pictures_of_parameters():
     system = optical_system([mirror], aperture=10.0, fields=[0.0, (1.0, 2.0)], object_distance=25.0, unit="mm")
     picture = system_show(system, show=False)
     assert [part.name for part in picture.fig.data if part.type == "mesh3d"] == ["mirror", "image plane"]
-    assert [part.name for part in fields(picture)] == ["field 0 mm", "field 1 mm, 2 mm"]
+    assert [part.name for part in fields(picture)] == ["field 0 mm", "field (1, 2) mm"]
     starts = lines(fields(picture)[1], 3)[:, 0]
     assert starts == pytest.approx(np.tile([1.0, 2.0, -25.0], (len(starts), 1)))
     picture.update_layout()

@@ -14,7 +14,7 @@ from odak.catalog.materials import Material as CatalogMaterial
 from odak.catalog.materials import refractive_index
 from odak.raytracing.surfaces import even_asphere_sag
 from odak.tools.transformation import rotation_matrix
-from odak.visualize._arrays import linear_light, real_array
+from odak.visualize._arrays import grid_faces, linear_light, real_array
 
 
 class Mesh(NamedTuple):
@@ -44,18 +44,6 @@ class Mesh(NamedTuple):
         extent = max(np.ptp(self.vertices, axis=0).max(initial=0.0) ** 2, np.finfo(float).tiny)
         kept = np.linalg.norm(np.cross(b - a, c - a), axis=-1) > 1e-12 * extent
         return self._replace(faces=self.faces[kept])
-
-    def moved(self, distance: float) -> "Mesh":
-        """Return the mesh shifted along z."""
-        return self._replace(vertices=self.vertices + np.array([0.0, 0.0, distance]))
-
-
-def grid_faces(rows: int, columns: int) -> np.ndarray:
-    """Return two triangles for each cell of a grid of vertices, row by row: int32 ``[2·(rows−1)·(columns−1), 3]``."""
-    index = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
-    near, right, up, far = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    cells = np.stack((np.stack((near, right, far), -1), np.stack((near, far, up), -1)), axis=2)
-    return cells.reshape(-1, 3)
 
 
 def grid_mesh(points: np.ndarray) -> Mesh:
@@ -121,53 +109,40 @@ def _prism_faces(sides: int, caps_from: int) -> np.ndarray:
     return np.concatenate([np.stack(wall, -1) for wall in walls] + caps)
 
 
-class Profile(NamedTuple):
-    """One face of a lens: z = height(r) above its vertex, out to a distance from the axis; see ``even_asphere_sag``."""
+def profile_sheet(curvature: float, conic: float, coefficients, semi_diameter: float, place: float, segments: int):
+    """Return a sheet of a face of a lens with its vertex at z = place, z = height(r) as of ``even_asphere_sag``.
 
-    curvature: float
-    conic: float
-    coefficients: tuple[float, ...]
-    semi_diameter: float
+    A sheet is points and unit normals towards +z, each ``[rings + 1, segments + 1, 3]`` from the vertex to the rim, the
+    last column being the first again.
+    """
+    distance = np.linspace(0.0, semi_diameter, max(segments // 4, 8) + 1)[:, None]
+    around = np.linspace(0.0, 2 * np.pi, segments + 1)[None]
+    x, y = distance * np.cos(around), distance * np.sin(around)
+    sag = even_asphere_sag(x, y, curvature, conic, np.asarray(coefficients, dtype=np.float64))
+    normals = np.stack((-sag.slope_x, -sag.slope_y, np.ones_like(x)), axis=-1)
+    points = np.stack((x, y, place + np.where(sag.defined, sag.height, np.nan)), axis=-1)
+    return points, normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
-    def at(self, x: np.ndarray, y: np.ndarray):
-        """Return the sag and its derivatives at x and y."""
-        return even_asphere_sag(x, y, self.curvature, self.conic, np.asarray(self.coefficients, dtype=np.float64))
 
-
-def lens_mesh(front: Profile, back: Profile, thickness: float, segments: int) -> Mesh:
-    """Return a lens with its front vertex at the origin and its back vertex at z = thickness.
+def lens_mesh(front: tuple[np.ndarray, np.ndarray], back: tuple[np.ndarray, np.ndarray]) -> Mesh:
+    """Return the lens between two sheets, of which the back is on the side that the normals of the front point to.
 
     Faces and edge share no vertices, so that light sees the exact normals of each up to the rim.
     """
-    first = profile_mesh(front, 0.0, segments, facing=-1)
-    second = profile_mesh(back, thickness, segments, facing=1)
-    around = np.linspace(0.0, 2 * np.pi, segments + 1)
-    outwards = np.stack((np.cos(around), np.sin(around), 0 * around), axis=-1)
-    rims = []
-    for profile, place in ((front, 0.0), (back, thickness)):
-        rim = profile.semi_diameter * outwards
-        rim[:, 2] = place + profile.at(rim[:, 0], rim[:, 1]).height
-        rims.append(rim)
-    slant = np.array([0.0, 0.0, (front.semi_diameter - back.semi_diameter) / (rims[1][0, 2] - rims[0][0, 2])])
-    normals = outwards + slant
+    rims = np.stack((front[0][-1, :-1], back[0][-1, :-1]))
+    normals = np.cross(np.roll(rims, -1, axis=1) - np.roll(rims, 1, axis=1), rims[1] - rims[0])
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    edge = Mesh(np.concatenate(rims), grid_faces(2, segments + 1), np.concatenate((normals, normals)))
-    return joined([first, second, edge])
+    rims, normals = (np.concatenate((part, part[:, :1]), axis=1).reshape(-1, 3) for part in (rims, normals))
+    edge = Mesh(rims, grid_faces(2, len(rims) // 2), normals)
+    return joined([sheet_mesh(*front, facing=-1), sheet_mesh(*back, facing=1), edge])
 
 
-def profile_mesh(profile: Profile, place: float, segments: int, facing: int) -> Mesh:
-    """Return one face of a lens with its vertex at z = place, its outer side towards ``facing·z``."""
-    rings = max(segments // 4, 8)
-    distance = np.linspace(0.0, profile.semi_diameter, rings + 1)[:, None]
-    around = np.linspace(0.0, 2 * np.pi, segments + 1)[None]
-    x, y = distance * np.cos(around), distance * np.sin(around)
-    sag = profile.at(x, y)
-    points = np.stack((x, y, place + sag.height), axis=-1).reshape(-1, 3)
-    normals = np.stack((-sag.slope_x, -sag.slope_y, np.ones_like(x)), axis=-1).reshape(-1, 3)
-    normals *= facing / np.linalg.norm(normals, axis=-1, keepdims=True)
+def sheet_mesh(points: np.ndarray, normals: np.ndarray, facing: int) -> Mesh:
+    """Return one face of a lens, its outer side towards its normals (1) or away from them (-1)."""
     # Along a ring, then outwards: that pair spans −z.
-    faces = grid_faces(rings + 1, segments + 1)
-    return Mesh(points, faces if facing < 0 else faces[:, ::-1], normals).without_slivers()
+    faces = grid_faces(*points.shape[:2])
+    faces = faces if facing < 0 else faces[:, ::-1]
+    return Mesh(points.reshape(-1, 3), faces, facing * normals.reshape(-1, 3)).without_slivers()
 
 
 def joined(parts: list[Mesh]) -> Mesh:

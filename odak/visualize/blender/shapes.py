@@ -16,7 +16,6 @@ from odak.visualize._arrays import coded_light, linear_light
 from odak.visualize.blender.items import (
     Item,
     Mesh,
-    Profile,
     diffuse,
     disc_mesh,
     emission,
@@ -27,7 +26,8 @@ from odak.visualize.blender.items import (
     metal,
     pair,
     positive,
-    profile_mesh,
+    profile_sheet,
+    sheet_mesh,
     sphere_mesh,
     three,
     tube_mesh,
@@ -688,10 +688,13 @@ class Lenses:
         curvatures = [_curvature(radius) for radius in _pair("radii", radii)]
         conics = [float(_validate.real("conics", value)) for value in _pair("conics", conics)]
         terms = [tuple(_validate.numbers(value)) for value in _pair("coefficients", coefficients)]
-        front, back = (Profile(*face, semi) for face in zip(curvatures, conics, terms, strict=True))
-        _check(front, back, thickness)
         segments, ground = _validate.integer("segments", segments, minimum=8), _validate.flag("ground", ground)
-        mesh = lens_mesh(front, back, thickness, segments).moved(start)
+        front, back = (
+            profile_sheet(*face, semi, place, segments)
+            for *face, place in zip(curvatures, conics, terms, (start, start + thickness), strict=True)
+        )
+        _check(front[0], back[0], thickness)
+        mesh = lens_mesh(front, back)
         item = self._add(name, mesh, material, color, glass(), smooth=True, ground=2 * segments if ground else 0)
         item.location, item.rotation = three("location", location), three("rotation", rotation)
         return item
@@ -733,19 +736,14 @@ class Lenses:
         list of Item
             Lenses, mirrors and rays.
 
-        Raises
-        ------
-        ValueError
-            If surfaces are shifted or tilted against each other, which this cannot draw.
-
         Notes
         -----
         Rays and indices of glasses are for the reference wavelength. Surfaces without a semi-diameter are
-        drawn as far as rays reach. Cemented lenses stand 1/10 000 of a thickness apart.
+        drawn as far as rays reach, shifts and tilts are drawn. Cemented lenses stand 1/10 000 of a thickness apart.
         """
         from odak.learn.raytracing.system import launch
         from odak.learn.raytracing.system.sketches import system_scene
-        from odak.learn.raytracing.system.surfaces import is_glass
+        from odak.learn.raytracing.system.surfaces import is_break, is_glass
 
         if not isinstance(getattr(system, "surfaces", None), Iterable):
             raise TypeError(
@@ -755,18 +753,10 @@ class Lenses:
         _validate.instance("name", name, str, "a string")
         if isinstance(colors, str) or not isinstance(colors, Iterable) or not (colors := list(colors)):
             raise TypeError(f"colors must be a sequence of colours, got {colors!r:.80}")
-        surfaces = list(system.surfaces)
-        if any(bool(item.shift.any()) or bool(item.tilt.any()) for item in surfaces):
-            raise ValueError("system must not have shifted or tilted surfaces; draw its lenses one by one")
-        if any(item.own_shape is not None for item in surfaces):
-            raise ValueError("system must consist of planes, conics and even aspheres; other shapes cannot be drawn")
         unit = MICROMETRES[system.unit] * 1e-6 / self.metres
         scene = system_scene(system, launch(system, pupil, max(_validate.integer("count", count), 2)))
-        places = [origin[2] for _, origin in scene.frames]
-        profiles = [
-            Profile(float(item.curvature), float(item.conic), tuple(item.coefficients.tolist()), radius)
-            for item, radius in zip(surfaces, scene.radii, strict=False)
-        ]
+        surfaces, in_front_of_glass = scene.items[:-1], dict(scene.elements())
+        sheets = [scene.sheet(i, max(segments // 4, 8), segments) for i in range(len(surfaces))]
         drawn = []
 
         def keep(mesh: Mesh, material, part: str, ground: int = 0) -> None:
@@ -776,13 +766,12 @@ class Lenses:
             drawn.append(item)
 
         wavelength = system.wavelengths[system.reference]
-        in_front_of_glass = dict(scene.elements())
         for i, item in enumerate(surfaces):
-            if item.reflects:
-                keep(profile_mesh(profiles[i], places[i], segments, facing=1), metal(), f"mirror {i}")
+            if item.reflects and not is_break(item):
+                keep(sheet_mesh(*sheets[i], facing=1), metal(), f"mirror {i}")
             elif i in in_front_of_glass:
                 behind = item.material if item.material is not None else float(item.index)
-                mesh = _element(profiles[i : i + 2], places[i : i + 2], is_glass(surfaces, i - 1), segments)
+                mesh = _element(sheets[i], sheets[in_front_of_glass[i]], is_glass(surfaces, i - 1))
                 keep(mesh, glass(behind, wavelength, system.unit), f"lens {i}", 2 * segments)
         if count:
             fields, rays = scene.paths.shape[:2]
@@ -813,27 +802,23 @@ def _pair(name: str, value) -> list:
     return pair
 
 
-def _check(front: Profile, back: Profile, thickness: float) -> None:
-    heights = []
-    for which, face in (("front", front), ("back", back)):
-        rim = face.at(np.array([face.semi_diameter]), np.array([0.0]))
-        if not rim.defined[0]:
+def _check(front: np.ndarray, back: np.ndarray, thickness: float) -> None:
+    """Raise ValueError unless the points of two faces reach the edge and leave a thickness there."""
+    for which, points in (("front", front), ("back", back)):
+        if np.isnan(points[-1]).any():
             raise ValueError(
-                f"diameter must be smaller than the largest diameter of the {which}, got {2 * face.semi_diameter:g}"
+                f"diameter must be smaller than the largest diameter of the {which}, got {2 * points[-1, 0, 0]:g}"
             )
-        heights.append(float(rim.height[0]))
-    edge = thickness + heights[1] - heights[0]
+    edge = back[-1, 0, 2] - front[-1, 0, 2]
     if edge <= 0:
         raise ValueError(
             f"thickness must leave a positive thickness at the edge, got {thickness:g}, which leaves {edge:.4g}"
         )
 
 
-def _element(faces: list[Profile], places, cemented: bool, segments: int) -> Mesh:
-    """Return one lens of a system; rays may propagate through it towards −z."""
-    start, stop = float(places[0]), float(places[1])
-    start += GAP * (stop - start) if cemented else 0.0
-    if start > stop:
-        start, stop, faces = stop, start, faces[::-1]
-    mesh = lens_mesh(faces[0], faces[1], stop - start, segments)
-    return mesh.moved(start)
+def _element(front, back, cemented: bool) -> Mesh:
+    """Return one lens of a system, between sheets that rays meet in this order; they may propagate towards −z."""
+    across = back[0][0, 0] - front[0][0, 0]
+    if cemented:
+        front = front[0] + GAP * across, front[1]
+    return lens_mesh(front, back) if across @ front[1][0, 0] > 0 else lens_mesh(back, front)

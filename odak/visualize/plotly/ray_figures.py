@@ -695,7 +695,7 @@ def system_show(
     """
     from odak.learn.raytracing.system import launch, optical_system
     from odak.learn.raytracing.system.pupils import PATTERNS
-    from odak.learn.raytracing.system.sketches import system_scene
+    from odak.learn.raytracing.system.sketches import field_label, system_scene, unit_of
 
     _validate.instance("system", system, optical_system, "an odak.learn.raytracing.system.optical_system")
     import torch
@@ -710,7 +710,7 @@ def system_show(
         line_width=2.0,
         opacity=0.8,
         shape=(1100, 600),
-        labels=[f"{axis} ({system.unit.replace('um', 'µm')})" for axis in "xyz"],
+        labels=[f"{axis} ({unit_of(system)})" for axis in "xyz"],
     )
     figure.settings["aspect ratio"] = "data"
     figure.settings["margin"] = [10, 10, 30, 50]
@@ -718,9 +718,9 @@ def system_show(
     with torch.no_grad():
         scene = system_scene(system, launch(system, pattern, rings, aim=aim))
     _draw_surfaces(figure, scene, system.stop)
-    for i, (field, lines) in enumerate(zip(system.fields, scene.paths, strict=True)):
+    for i, lines in enumerate(scene.paths):
         colour = figures.COLORS[i % len(figures.COLORS)]
-        figure.add_path(lines, color=colour, show_legend=True, label=f"field {_field_name(field, system)}")
+        figure.add_path(lines, color=colour, show_legend=True, label=f"field {field_label(system, i)}")
     _frame_from_the_side(figure)
     figure._finish(filename, show)
     return figure
@@ -730,7 +730,7 @@ def _draw_surfaces(figure, scene, stop: int) -> None:
     """Draw each piece of glass as one closed mesh, mirrors as sheets, and the image plane."""
     from odak.learn.raytracing.system.surfaces import is_break
 
-    sheets = [_points_of(scene, i) for i in range(len(scene.items) - 1)]
+    sheets = [scene.sheet(i, RADII, ANGLES)[0] for i in range(len(scene.items) - 1)]
     behind = dict(scene.elements())
     for i, item in enumerate(scene.items[:-1]):
         if is_break(item):
@@ -740,9 +740,7 @@ def _draw_surfaces(figure, scene, stop: int) -> None:
         elif i in behind:
             figure.add_mesh(*_mesh(sheets[i], sheets[behind[i]]), color=GLASS, opacity=0.35, label=f"element {i + 1}")
         if i == stop:
-            rim = sheets[i][-1]
-            ring = np.concatenate([rim, rim[:1]])[None]
-            figure.add_path(ring, color="black", label="stop")
+            figure.add_path(sheets[i][-1:], color="black", label="stop")
     matrix, origin = scene.frames[-1]
     local = (scene.paths[..., -1, :] - origin) @ matrix
     reached = np.nanmax(np.abs(local[..., :2]), axis=(0, 1), initial=0.0)
@@ -751,24 +749,10 @@ def _draw_surfaces(figure, scene, stop: int) -> None:
     figure.add_mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), color=SCREEN, opacity=0.25, label="image plane")
 
 
-def _points_of(scene, i: int) -> np.ndarray:
-    """Return points on a surface in space ``[RADII + 1, ANGLES, 3]``, from the vertex to the rim, where it exists."""
-    angle = np.linspace(0, 2 * np.pi, ANGLES, endpoint=False)
-    unit = np.linspace(0, 1, RADII + 1)[:, None] * np.stack([np.cos(angle), np.sin(angle)])[:, None]
-    rim = scene.radii[i]
-    while np.isnan(found := scene.points(i, *(rim * unit))).any() and rim > 0:
-        rim *= 0.98
-    return found
-
-
 def _mesh(front: np.ndarray, back: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices and faces of the points of a surface, or of the body between two, closed at the rims."""
     rings = front if back is None else np.concatenate([front, back[::-1]])
-    number = np.arange(len(rings) * ANGLES).reshape(len(rings), ANGLES)
-    here, beside = number, np.roll(number, -1, axis=1)
-    first = np.stack([here[:-1], here[1:], beside[1:]], axis=-1).reshape(-1, 3)
-    second = np.stack([here[:-1], beside[1:], beside[:-1]], axis=-1).reshape(-1, 3)
-    return rings.reshape(-1, 3), np.concatenate([first, second])
+    return rings.reshape(-1, 3), _arrays.grid_faces(*rings.shape[:2])
 
 
 def _frame_from_the_side(figure) -> None:
@@ -785,9 +769,3 @@ def _frame_from_the_side(figure) -> None:
     axes["xaxis"] |= {"nticks": 3}
     axes["yaxis"] |= {"nticks": 5}
     figure.fig.update_scenes(camera=camera, **axes)
-
-
-def _field_name(field, system) -> str:
-    unit = "°" if system.at_infinity else f" {system.unit}"
-    values = field if field[0] else field[1:]
-    return ", ".join(f"{value:g}{unit}" for value in values)

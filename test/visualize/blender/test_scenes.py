@@ -15,6 +15,7 @@ from odak.catalog import refractive_index
 from odak.learn.perception.color import rgb_to_linear_rgb
 from odak.learn.raytracing import planar_mesh, triangle_mesh
 from odak.learn.raytracing.system import load_system, optical_system, surface
+from odak.raytracing import OddAsphere
 from odak.tools import save_image, write_PLY
 from odak.visualize import _arrays, blender
 
@@ -344,9 +345,30 @@ def test_cemented_lenses_do_not_touch_and_mirrors_are_metal():
     assert item.material.kind == "metal"
     x, y, z = item.placed_vertices().T
     assert np.allclose(np.hypot(np.hypot(x, y), z + 200), 200, atol=1e-4) and np.hypot(x, y).max() == pytest.approx(20)
-    tilted = surface(60.0, thickness=6.0, material="N-BK7", tilt=[1.0, 0.0])
-    with pytest.raises(ValueError, match="system must not have shifted or tilted surfaces"):
-        picture.add_system(optical_system([tilted, surface(thickness=9.0)], aperture=5.0))
+
+
+def test_shifted_tilted_and_freeform_lenses_are_closed_bodies_where_the_rays_meet_them():
+    """Radii and centres follow from the shift, and from the tilt about x, then about y; the normals from the centre."""
+    a, b = np.radians([3.0, -5.0])
+    front = surface(60.0, thickness=6.0, material="N-BK7", semi_diameter=10.0)
+    back = surface(-80.0, thickness=90.0, semi_diameter=10.0, tilt=(3.0, -5.0), shift=(0.5, 0.0))
+    lens, rays = blender.scene(unit="mm").add_system(optical_system([front, back], aperture=12.0), count=5)
+    axis = np.array([np.sin(b) * np.cos(a), -np.sin(a), np.cos(b) * np.cos(a)])
+    centre = np.array([0.5, 0.0, 6.0]) - 80 * axis
+    away = (lens.vertices - centre) / 80
+    met = (np.linalg.norm(away, axis=-1) - 1 < 1e-6) & (lens.normals @ axis > 0.9)
+    assert met.sum() > 1000 and np.allclose(lens.normals[met], away[met], atol=1e-5)
+    ends = ends_of(rays).reshape(5, 3, 2, 3)[:, 1, 1]
+    assert np.allclose(np.linalg.norm(ends - centre, axis=-1), 80, atol=1e-4)
+    # The volume of a closed body seen from outside: two caps and a disc between their rims, of which one is tilted.
+    depths = {radius: radius - math.sqrt(radius**2 - 100) for radius in (60, 80)}
+    caps = [math.pi * depth**2 * (radius - depth / 3) for radius, depth in depths.items()]
+    wanted = sum(caps) + math.pi * 100 * (6 - sum(depths.values()))
+    assert np.linalg.det(lens.vertices[lens.faces].astype(float)).sum() / 6 == pytest.approx(wanted, rel=1e-2)
+    bent = surface(60.0, thickness=6.0, material="N-BK7", semi_diameter=10.0, shape=OddAsphere(1 / 60, 0.0, (2e-4,)))
+    (drawn,) = blender.scene(unit="mm").add_system(optical_system([bent, back], aperture=12.0), count=0)
+    rim = np.isclose(np.hypot(*lens.vertices.T[:2]), 10.0) & (lens.vertices[:, 2] < 2)
+    assert rim.sum() > 100 and not np.allclose(drawn.vertices[rim], lens.vertices[rim], atol=1e-3)
 
 
 def test_scene_is_written_and_read(picture, tmp_path):

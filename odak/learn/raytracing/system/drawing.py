@@ -52,7 +52,7 @@ from odak.learn.raytracing.system.pupils import (
     trace_fields,
     vignetting_factors,
 )
-from odak.learn.raytracing.system.sketches import SystemScene, system_scene
+from odak.learn.raytracing.system.sketches import SystemScene, field_label, system_scene, unit_of
 from odak.learn.raytracing.system.surfaces import checked_system, is_break, is_glass, optical_system
 from odak.learn.raytracing.system.system_files import system_to_dict
 from odak.learn.raytracing.system.tracing import curved_paths, ray_paths
@@ -230,28 +230,14 @@ def color_of(i: int) -> tuple[float, ...]:
     return tuple(value / 255 for value in COLOURS[i % len(COLOURS)])
 
 
-def field_label(system, i: int) -> str:
-    """Return a field point as it is written in figures."""
-    x, y = system.fields[i]
-    unit = "°" if system.at_infinity else f" {unit_of(system)}"
-    # Two decimals, of small numbers two digits.
-    x, y = (f"{value:.2g}" if 0 < abs(value) < 0.1 else f"{round(value, 2):g}" for value in (x, y))
-    return f"{y}{unit}" if x == "0" else f"({x}, {y}){unit}"
-
-
 def image_unit(system) -> str:
     """Return the unit of small lengths in the image; afocal systems have angles instead."""
     return "µrad" if system.afocal else "µm"
 
 
-def unit_of(system) -> str:
-    """Return the unit of the system's lengths."""
-    return system.unit.replace("um", "µm")
-
-
 def _profile(scene: SystemScene, i: int) -> np.ndarray:
     """Return a section of a surface in the plane x = 0 as points (z, y) in global coordinates."""
-    points = scene.points(i, np.zeros(1), np.linspace(-scene.radii[i], scene.radii[i], POINTS))
+    points, _ = scene.points(i, np.zeros(1), np.linspace(-scene.radii[i], scene.radii[i], POINTS))
     return points[np.isfinite(points).all(-1)][:, [2, 1]]
 
 

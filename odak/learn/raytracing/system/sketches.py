@@ -40,15 +40,34 @@ class SystemScene(NamedTuple):
                 found.append((i, behind))
         return found
 
-    def points(self, i: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return points ``[..., 3]`` of surface `i` at x and y in its own frame, NaN where it is not defined."""
+    def points(self, i: int, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return points of surface `i` at x and y in its own frame, NaN where it is not defined, and normals.
+
+        Both are ``[..., 3]``; the normals have unit length and point towards +z of its frame.
+        """
         item, (matrix, origin) = self.items[i], self.frames[i]
-        z = np.zeros(np.broadcast_shapes(x.shape, y.shape))
+        x, y = np.broadcast_arrays(x, y)
+        z, normals = np.zeros(x.shape), np.broadcast_to([0.0, 0.0, 1.0], (*x.shape, 3))
         if item is not None and not is_break(item):
             with torch.no_grad():
                 sag = item.shape.sag(*(torch.as_tensor(v + z, device=item.curvature.device) for v in (x, y)))
             z = torch.where(sag.defined, sag.height, torch.nan).cpu().numpy()
-        return np.stack(np.broadcast_arrays(x, y, z), axis=-1) @ matrix.T + origin
+            slopes = [np.broadcast_to(value.cpu().numpy(), x.shape) for value in (sag.slope_x, sag.slope_y)]
+            normals = np.stack([-slopes[0], -slopes[1], np.ones(x.shape)], axis=-1)
+        normals = normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+        return np.stack([x, y, z], axis=-1) @ matrix.T + origin, normals @ matrix.T
+
+    def sheet(self, i: int, rings: int, angles: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return points and normals of a surface from its vertex to its rim, each ``[rings + 1, angles + 1, 3]``.
+
+        The rim is where the surface is drawn to, or where it ceases to exist; the last column is the first again.
+        """
+        around = np.linspace(0, 2 * np.pi, angles + 1)
+        x, y = np.linspace(0, 1, rings + 1)[:, None] * np.stack([np.cos(around), np.sin(around)])[:, None]
+        rim = self.radii[i]
+        while np.isnan((found := self.points(i, rim * x, rim * y))[0]).any() and rim > 0:
+            rim *= 0.98
+        return found
 
 
 @torch.no_grad()
@@ -80,3 +99,17 @@ def system_scene(system: optical_system, rays: Any, lead: float = 0.25) -> Syste
         reaches.append(float(np.nanmax(np.hypot(local[..., 0], local[..., 1]), initial=0.0)))
     radii = drawn_radii(items[:-1], reaches[:-1]) + drawn_radii(items[-1:], reaches[-1:])
     return SystemScene(items, frames, radii, paths)
+
+
+def field_label(system, i: int) -> str:
+    """Return a field point as it is written in figures."""
+    x, y = system.fields[i]
+    unit = "°" if system.at_infinity else f" {unit_of(system)}"
+    # Two decimals, of small numbers two digits.
+    x, y = (f"{value:.2g}" if 0 < abs(value) < 0.1 else f"{round(value, 2):g}" for value in (x, y))
+    return f"{y}{unit}" if x == "0" else f"({x}, {y}){unit}"
+
+
+def unit_of(system) -> str:
+    """Return the unit of the system's lengths."""
+    return system.unit.replace("um", "µm")
