@@ -292,8 +292,7 @@ def spots_figure(system: optical_system, found: Spots | None = None) -> Figure:
     count = found.x.shape[-2]
     rows = 1 if count < 4 else 2
     columns = -(-count // rows)
-    figure = _Figure(figsize=(2.6 * columns + 1.2, 3.4 * rows), layout="constrained")
-    cells = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+    figure, cells = _panels(rows, columns, (2.6 * columns + 1.2, 3.4 * rows), sharex=True, sharey=True)
     for axes in cells.flat[count:]:
         axes.remove()
     panels = cells.flat[:count]
@@ -301,7 +300,7 @@ def spots_figure(system: optical_system, found: Spots | None = None) -> Figure:
     for i, axes in enumerate(panels):
         for j in range(found.x.shape[-3]):
             x, y = (value[j, i].detach().cpu().numpy() * scale for value in (found.x, found.y))
-            label = f"{system.wavelengths[j] * scale * 1e3:.0f} nm" if i == 0 else None
+            label = _wavelength(system, j) if i == 0 else None
             axes.plot(x, y, ".", ms=2.5, color=color_of(j), label=label)
         if airy:
             label = f"Airy, radius\n{airy:.3g} {image_unit(system)}" if i == 0 else None
@@ -346,15 +345,14 @@ def fans_figure(system: optical_system, count: int = 41, aim: str = "paraxial") 
     """
     checked_system(system)
     scale, fields = MICROMETRES[system.unit], len(system.fields)
-    figure = _Figure(figsize=(11, 2.0 * fields + 0.8), layout="constrained")
-    panels = figure.subplots(fields, 4, squeeze=False, sharex=True, sharey="col")
+    figure, panels = _panels(fields, 4, (11, 2.0 * fields + 0.8), sharex=True, sharey="col")
     for column, (kind, axis) in enumerate((("ray", "y"), ("ray", "x"), ("path", "y"), ("path", "x"))):
         with torch.no_grad():
             place, values = (ray_fan if kind == "ray" else path_fan)(system, axis, count, aim=aim)
         values = values.cpu().numpy() * (scale if kind == "ray" else 1.0)
         for i in range(fields):
             for j in range(values.shape[-3]):
-                label = f"{system.wavelengths[j] * scale * 1e3:.0f} nm" if i == column == 0 else None
+                label = _wavelength(system, j) if i == column == 0 else None
                 panels[i, column].plot(place.cpu(), values[j, i], color=color_of(j), lw=1.2, label=label)
             panels[i, column].axhline(0, color=FAINT, lw=0.6)
         unit = f"{axis} error ({image_unit(system)})" if kind == "ray" else f"path along {axis} (λ)"
@@ -392,27 +390,21 @@ def field_figure(system: optical_system, points: int = 21, aim: str = "paraxial"
     """
     checked_system(system)
     points, aim = _validate.integer("points", points, minimum=2), _validate.one_of("aim", aim, AIMS)
-    largest = max(math.hypot(*field) for field in system.fields)
-    if not largest:
-        raise ValueError("system must have a field off the axis")
+    heights, fields = _over_field(system, points)
     projection = projection_of(system)
-    heights = torch.linspace(0, largest, points, dtype=torch.float64)
-    fields = torch.stack([0 * heights, heights], -1)
     with torch.no_grad():
         bent = 100 * distortion(system, projection=projection, fields=fields, aim=aim)[system.reference]
         colour = lateral_color(system, fields=fields, aim=aim) * MICROMETRES[system.unit]
     numbers = system.prescription().at(system.reference)
     curves = field_curvature(system, prescription=numbers, fields=fields, aim=aim)
     tangential, sagittal = (value.detach()[0] * focus_unit(system)[1] for value in curves)
-    figure = _Figure(figsize=(9, 3.6), layout="constrained")
-    first, second, third = figure.subplots(1, 3, sharey=True)
+    figure, ((first, second, third),) = _panels(1, 3, (9, 3.6), sharey=True)
     first.plot(tangential, heights, color=color_of(0), label="tangential")
     first.plot(sagittal, heights, color=color_of(2), ls="--", label="sagittal")
     first.legend(fontsize=8, frameon=False)
     second.plot(bent, heights, color=INK)
     for j in range(len(system.wavelengths)):
-        label = f"{system.wavelengths[j] * MICROMETRES[system.unit] * 1e3:.0f} nm"
-        third.plot(colour[j], heights, color=color_of(j), label=label)
+        third.plot(colour[j], heights, color=color_of(j), label=_wavelength(system, j))
     third.legend(fontsize=8, frameon=False)
     for axes, name in zip(
         (first, second, third),
@@ -427,7 +419,7 @@ def field_figure(system: optical_system, points: int = 21, aim: str = "paraxial"
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.ticklabel_format(axis="x", scilimits=(-3, 4))
         axes.set_xlabel(name, fontsize=9)
-    first.set_ylabel("field (°)" if system.at_infinity else f"object height ({unit_of(system)})", fontsize=9)
+    first.set_ylabel(_field_axis(system), fontsize=9)
     return figure
 
 
@@ -476,8 +468,7 @@ def transfer_figure(system: optical_system, samples: int = 64, aim: str = "parax
         raise ValueError("system must have a focus, got an afocal one: there is no modulation transfer at an image")
     numbers = system.prescription().at(place)
     options: dict[str, Any] = {"prescription": numbers, "aim": aim}
-    figure = _Figure(figsize=(10, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, ((left, right),) = _panels(1, 2, (10, 3.6))
     with torch.no_grad():
         # More than a wave of aberration: geometric, for the samples would not resolve the diffraction.
         large = wavefront(system, "rings", 8, aim=aim).rms.nan_to_num().max() > 1
@@ -582,6 +573,41 @@ def _picture(figure: Figure) -> Image.Image:
 def _panels(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Figure, np.ndarray]:
     figure = _Figure(figsize=size, layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
+
+
+def _over_pupil(samples: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return which points of a square grid are within the pupil, and these points ``[n, 2]``."""
+    line = torch.linspace(-1, 1, samples + 1, dtype=torch.float64)
+    y, x = torch.meshgrid(line, line, indexing="ij")
+    inside = x * x + y * y <= 1 + 1e-9
+    return inside, torch.stack([x[inside], y[inside]], -1)
+
+
+def _map_pupil(axes, inside: torch.Tensor, values: torch.Tensor, limits, scale: str, label: str | None) -> None:
+    """Draw values at the points of :func:`_over_pupil`, with a bar of their colours."""
+    grid = np.full(inside.shape, np.nan)
+    grid[inside.cpu().numpy()] = values.cpu().numpy()
+    low, high = limits
+    shown = axes.imshow(grid, origin="lower", extent=(-1, 1, -1, 1), cmap=scale, vmin=low, vmax=high)
+    axes.set(xticks=[-1, 0, 1], yticks=[-1, 0, 1])
+    axes.figure.colorbar(shown, ax=axes, shrink=0.8, label=label)
+
+
+def _over_field(system, points: int, off_axis: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return numbers up to the largest field and the fields ``[points, 2]`` of these along y."""
+    largest = max(math.hypot(*field) for field in system.fields)
+    if off_axis and not largest:
+        raise ValueError("system must have a field off the axis")
+    heights = torch.linspace(0, largest, points, dtype=torch.float64, device="cpu")
+    return heights, torch.stack([0 * heights, heights], -1)
+
+
+def _field_axis(system) -> str:
+    return "field (°)" if system.at_infinity else f"object height ({unit_of(system)})"
+
+
+def _wavelength(system, j: int) -> str:
+    return f"{system.wavelengths[j] * MICROMETRES[system.unit] * 1e3:.0f} nm"
 
 
 @takes_constants("frequency", "shifts")
@@ -726,24 +752,15 @@ def wavefront_figure(
     checked_system(system)
     samples, aim = _validate.integer("samples", samples, minimum=8), _validate.one_of("aim", aim, AIMS)
     fields, numbers = len(system.fields), system.prescription().at(system.reference)
-    line = torch.linspace(-1, 1, samples + 1, dtype=torch.float64)
-    y, x = torch.meshgrid(line, line, indexing="ij")
-    inside = x * x + y * y <= 1 + 1e-9
-    points = torch.stack([x[inside], y[inside]], -1)
+    inside, points = _over_pupil(samples)
     found = wavefront(system, points, prescription=numbers, aim=aim)
     quality = _quality(system, aim, quality)
     small = float(found.rms.nan_to_num(nan=9.0).max()) <= LARGE
     figure, panels = _panels(1 + small, fields, (2.9 * fields + 0.6, 2.9 * (1 + small) + 0.2))
     for i, axes in enumerate(panels[0]):
-        grid = torch.full_like(x, torch.nan)
-        grid[inside] = found.path[0, i].cpu()
-        span = float(grid.abs().nan_to_num().max()) or 1.0
-        shown = axes.imshow(
-            grid.cpu().numpy(), origin="lower", extent=(-1, 1, -1, 1), cmap="RdBu_r", vmin=-span, vmax=span
-        )
+        span = float(found.path[0, i].abs().nan_to_num().max()) or 1.0
         axes.set_title(f"field {field_label(system, i)}\nRMS {float(quality.wavefront_rms[i]):.3g} λ", fontsize=9)
-        axes.set(xticks=[-1, 0, 1], yticks=[-1, 0, 1])
-        figure.colorbar(shown, ax=axes, shrink=0.8, label="path (λ)" if i == fields - 1 else None)
+        _map_pupil(axes, inside, found.path[0, i], (-span, span), "RdBu_r", "path (λ)" if i == fields - 1 else None)
     panels[0, 0].set_ylabel("pupil y", fontsize=9)
     if not small:
         return figure
@@ -795,9 +812,7 @@ def image_figure(system: optical_system, points: int = 11, aim: str = "paraxial"
     first, second = panels[0, :2]
     name = "milliradian" if system.afocal else unit_of(system)
     scale = 1e3 / (1e6 / MICROMETRES[system.unit]) if system.afocal else 1.0
-    largest = max(math.hypot(*field) for field in system.fields)
-    heights = torch.linspace(0, largest, points, dtype=torch.float64)
-    fields = torch.stack([0 * heights, heights], -1)
+    heights, fields = _over_field(system, points, off_axis=False)
     numbers = system.prescription().at(system.reference)
     if projection_of(system) == "tangent":
         for grid, color in zip(distortion_grid(system, points, aim=aim), (FAINT, color_of(0)), strict=True):
@@ -821,8 +836,7 @@ def image_figure(system: optical_system, points: int = 11, aim: str = "paraxial"
     second.plot(
         heights.numpy(), passed.double().mean(-1).cpu().numpy(), color=color_of(2), ls="--", label="rays passed"
     )
-    field = "field (°)" if system.at_infinity else f"object height ({unit_of(system)})"
-    second.set(ylim=(0, 1.05), xlabel=field)
+    second.set(ylim=(0, 1.05), xlabel=_field_axis(system))
     second.set_title("illumination", fontsize=9)
     second.legend(fontsize=8, frameon=False)
     if low < high:
@@ -876,11 +890,7 @@ def performance_figure(
     """
     checked_system(system)
     points, aim = _validate.integer("points", points, minimum=2), _validate.one_of("aim", aim, AIMS)
-    largest = max(math.hypot(*field) for field in system.fields)
-    if not largest:
-        raise ValueError("system must have a field off the axis")
-    heights = torch.linspace(0, largest, points, dtype=torch.float64, device="cpu")
-    fields = torch.stack([0 * heights, heights], -1)
+    heights, fields = _over_field(system, points)
     focus = bool(image_aperture(system)) and not system.afocal
     numbers = system.prescription().at(system.reference)
     samples = pupil_quadrature(system, 16, fields=fields, aim=aim)
@@ -911,7 +921,7 @@ def performance_figure(
     for axes in (first, second):
         axes.set_ylim(0, None)
     for axes in panels[0]:
-        axes.set_xlabel("field (°)" if system.at_infinity else f"object height ({unit_of(system)})", fontsize=9)
+        axes.set_xlabel(_field_axis(system), fontsize=9)
     return figure
 
 
@@ -1064,10 +1074,7 @@ def polarisation_figure(system: optical_system, samples: int = 24, aim: str = "p
     """
     checked_system(system)
     samples, aim = _validate.integer("samples", samples, minimum=4), _validate.one_of("aim", aim, AIMS)
-    line = torch.linspace(-1, 1, samples + 1, dtype=torch.float64)
-    y, x = torch.meshgrid(line, line, indexing="ij")
-    inside = x * x + y * y <= 1 + 1e-9
-    points = torch.stack([x[inside], y[inside]], -1)
+    inside, points = _over_pupil(samples)
     numbers, fields = system.prescription().at(system.reference), len(system.fields)
     found = polarized_trace(system, launch(system, points, prescription=numbers, aim=aim), prescription=numbers)
     figure, panels = _panels(2, fields, (2.9 * fields + 0.6, 5.6))
@@ -1075,13 +1082,8 @@ def polarisation_figure(system: optical_system, samples: int = 24, aim: str = "p
     for row, (values, name) in enumerate(maps):
         top = float(values.nan_to_num().max()) or 1.0
         for i in range(fields):
-            axes, grid = panels[row, i], torch.full_like(x, torch.nan)
-            grid[inside] = values[0, i].cpu()
-            shown = axes.imshow(
-                grid.cpu().numpy(), origin="lower", extent=(-1, 1, -1, 1), cmap="viridis", vmin=0, vmax=top
-            )
-            axes.set(xticks=[-1, 0, 1], yticks=[-1, 0, 1])
-            figure.colorbar(shown, ax=axes, shrink=0.8, label=name if i == fields - 1 else None)
+            label = name if i == fields - 1 else None
+            _map_pupil(panels[row, i], inside, values[0, i], (0, top), "viridis", label)
         panels[row, 0].set_ylabel("pupil y", fontsize=9)
     for i in range(fields):
         kept = found.traced.arrived[0, i]
@@ -1508,8 +1510,8 @@ def spots_view(found: Spots) -> _show.View:
     rms, largest, center = rms.reshape(-1, count)[0], largest.reshape(-1, count)[0], center.reshape(-1, count, 2)[0]
     half = 1.1 * float(largest.nan_to_num(0.0, 0.0, 0.0).max()) or 1.0
     shown = min(count, 8)
-    figure = _Figure(figsize=(2.2 * shown + 0.4, 2.6), layout="constrained")
-    for i, axes in enumerate(figure.subplots(1, shown, squeeze=False, sharey=True)[0]):
+    figure, panels = _panels(1, shown, (2.2 * shown + 0.4, 2.6), sharey=True)
+    for i, axes in enumerate(panels[0]):
         for j in range(len(x)):
             axes.plot(x[j, i].numpy(), y[j, i].numpy(), ".", ms=2, color=color_of(j))
         axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal")
