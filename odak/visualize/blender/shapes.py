@@ -690,8 +690,10 @@ class Lenses:
         terms = [tuple(_validate.numbers(value)) for value in _pair("coefficients", coefficients)]
         segments, ground = _validate.integer("segments", segments, minimum=8), _validate.flag("ground", ground)
         front, back = (
-            profile_sheet(*face, semi, place, segments)
-            for *face, place in zip(curvatures, conics, terms, (start, start + thickness), strict=True)
+            profile_sheet(curvature, conic, series, semi, place, segments)
+            for curvature, conic, series, place in zip(
+                curvatures, conics, terms, (start, start + thickness), strict=True
+            )
         )
         _check(front[0], back[0], thickness)
         mesh = lens_mesh(front, back)
