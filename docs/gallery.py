@@ -5,6 +5,11 @@
 runs the scripts, each in an empty folder, and stores their figures, a thumbnail and what they print. A build of the site
 makes the pages from these. A script begins with a docstring: its title, an empty line, a description. A line
 `# Picture: …` describes each of its figures, in order: the open figures of matplotlib, or the PNG files that it writes.
+A line `# %%` begins a step, and the comment right below it is its text. A line
+
+    # Change: `old` to `new`: What happens.
+
+names a change to try. The script runs with it too, and its page shows the first figure and the output of that run.
 """
 
 import ast
@@ -33,6 +38,9 @@ GROUPS = {
     "blender": "Renders",
 }
 _PICTURE = re.compile(r"^# Picture: (?P<text>.+)$", re.MULTILINE)
+_CHANGE = re.compile(r"^# Change: `(?P<old>[^`]+)` to `(?P<new>[^`]+)`: (?P<text>.+)$", re.MULTILINE)
+_STEP = re.compile(r"^# %%.*\n((?:#.*\n)*)", re.MULTILINE)
+_NOTES = re.compile(r"^# (?:Picture|Thumbnail|Change):.*\n", re.MULTILINE)
 _THUMBNAIL = re.compile(r"^# Thumbnail: ([\d.]+)(?: ([\d.]+))?(?: ([\d.]+) ([\d.]+))?$", re.MULTILINE)
 _LIVE = re.compile(r"^```(?P<kind>frames|plotly) (?P<name>\w+)\n(?P<text>.*)\n```$", re.MULTILINE)
 _BLOCK = re.compile(r"^```gallery(?: (?P<group>\w+))?\n```$", re.MULTILINE)
@@ -57,6 +65,28 @@ def texts(path: Path) -> list[str]:
     return _PICTURE.findall(path.read_text(encoding="utf-8"))
 
 
+def steps(path: Path) -> list[tuple[str, str]]:
+    """Return the steps of a script, each as its text in Markdown and its code."""
+    parts = _STEP.split(_NOTES.sub("", described(path)[2]))
+    texts = ["", *(re.sub(r"^# ?", "", text, flags=re.MULTILINE).strip() for text in parts[1::2])]
+    return [(text, code.strip()) for text, code in zip(texts, parts[::2], strict=True) if text or code.strip()]
+
+
+@cache
+def change(path: Path) -> tuple[str, str, str, str] | None:
+    """Return what a script proposes to change: what stands there, what to put there, what happens, and that source."""
+    source = path.read_text(encoding="utf-8")
+    found = _CHANGE.search(source)
+    if found is None:
+        return None
+    code = source.replace(found[0] + "\n", "")
+    if code.count(found["old"]) != 1:
+        raise ValueError(
+            f"{path}: {found['old']!r} must occur once in the code; it occurs {code.count(found['old'])} times."
+        )
+    return found["old"], found["new"], found["text"], code.replace(found["old"], found["new"])
+
+
 @cache
 def uses(path: Path) -> tuple[str, ...]:
     """Return the public paths that a script imports from odak, or reaches as attributes of what it imports."""
@@ -66,7 +96,11 @@ def uses(path: Path) -> tuple[str, ...]:
             found |= {f"{node.module}.{name.name}" for name in node.names}
             modules |= {name.asname or name.name: f"{node.module}.{name.name}" for name in node.names}
         elif isinstance(node, ast.Import):
-            modules |= {name.asname or "odak": name.asname and name.name or "odak" for name in node.names if name.name.startswith("odak")}
+            modules |= {
+                name.asname or "odak": name.asname and name.name or "odak"
+                for name in node.names
+                if name.name.startswith("odak")
+            }
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute):
             parts = [node.attr]
@@ -79,8 +113,8 @@ def uses(path: Path) -> tuple[str, ...]:
     return tuple(sorted(found))
 
 
-def run(path: Path, folder: Path) -> tuple[str, list]:
-    """Run a script in a folder; return what it prints and its figures as images."""
+def run(path: Path, folder: Path, source: str | None = None) -> tuple[str, list]:
+    """Run a script, or another source in its place, in a folder; return what it prints and its figures as images."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -91,7 +125,8 @@ def run(path: Path, folder: Path) -> tuple[str, list]:
     os.chdir(folder)
     try:
         with plt.style.context(["default", str(SCRIPTS / "odak.mplstyle")]), contextlib.redirect_stdout(printed):
-            exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), {"__name__": "__main__"})
+            code = path.read_text(encoding="utf-8") if source is None else source
+            exec(compile(code, str(path), "exec"), {"__name__": "__main__"})
             images = []
             for number in plt.get_fignums():
                 stream = io.BytesIO()
@@ -110,7 +145,7 @@ def stored(path: Path) -> Path:
 
 
 def refresh(path: Path) -> int:
-    """Run a script, store its figures, thumbnail and output, and return the number of figures."""
+    """Run a script, as it is and changed; store figures, thumbnail and output, and return the number of figures."""
     with tempfile.TemporaryDirectory() as folder:
         printed, images = run(path, Path(folder))
     place = stored(path)
@@ -118,11 +153,18 @@ def refresh(path: Path) -> int:
     for old in place.parent.glob(f"{path.stem}[._][0-9t]*"):
         if re.fullmatch(rf"{path.stem}(_\d+\.webp|\.txt)", old.name):
             old.unlink()
+    for old in place.parent.glob(f"{path.stem}-changed.*"):
+        old.unlink()
     for number, image in enumerate(images, 1):
         image.save(f"{place}_{number}.webp", quality=84, method=6)
     thumbnail(path)
     if printed:
         Path(f"{place}.txt").write_text(printed, encoding="utf-8")
+    if tried := change(path):
+        with tempfile.TemporaryDirectory() as folder:
+            printed, others = run(path, Path(folder), tried[3])
+        others[0].save(f"{place}-changed.webp", quality=84, method=6)
+        Path(f"{place}-changed.txt").write_text(printed, encoding="utf-8")
     return len(images)
 
 
@@ -172,42 +214,59 @@ def _images_in(figure):
 
 def _page(path):
     """Return the Markdown of a script's page."""
-    title, text, code = described(path)
-    place = stored(path)
+    if str(DOCS) not in sys.path:
+        sys.path.append(str(DOCS))
+    from reference import entries
+
+    title, text, _ = described(path)
     up = "../../pictures/gallery/" + path.parent.name
     lines = [f"# {title}", "", text, ""]
     for number, alt in enumerate(texts(path), 1):
         lines += [f"![{alt}]({up}/{path.stem}_{number}.webp)", ""]
-    lines += ["```python", re.sub(r"^# (?:Picture:.*|Thumbnail:.*|%%)\n", "", code, flags=re.MULTILINE).rstrip(), "```", ""]
-    output = Path(f"{place}.txt")
-    if output.exists():
-        lines += ["Output:", "", "```text", output.read_text(encoding="utf-8").rstrip(), "```", ""]
+    for words, code in steps(path):
+        lines += [words, "", *(["```python", code, "```", ""] if code else [])]
+    lines += _output(Path(f"{stored(path)}.txt"))
+    if tried := change(path):
+        old, new, words, _ = tried
+        lines += ["## Change this", "", f"`{old}` to `{new}`: {words}", ""]
+        lines += [
+            f"![The first figure with {new.replace('[', '(').replace(']', ')')}]({up}/{path.stem}-changed.webp)",
+            "",
+        ]
+        lines += _output(Path(f"{stored(path)}-changed.txt"))
     lines += [
         f'<p>Download: <a href="../{path.stem}.py" download>{path.stem}.py</a>, '
         f'<a href="../{path.stem}.ipynb" download>{path.stem}.ipynb</a></p>',
         "",
     ]
-    if str(DOCS) not in sys.path:
-        sys.path.append(str(DOCS))
-    from reference import entries
-
     listed = [name for name in uses(path) if name in entries()]
     if listed:
         lines.append("Used here: " + ", ".join(f"[`{name}`][{name}]" for name in listed) + ".")
     return "\n".join(lines) + "\n"
 
 
+def _output(file):
+    """Return the lines that show what a script printed, none where it printed nothing."""
+    printed = file.read_text(encoding="utf-8").rstrip() if file.exists() else ""
+    return ["Output:", "", "```text", printed, "```", ""] if printed else []
+
+
 def notebook(path: Path):
-    """Return a script as a notebook: its description, then a cell for each part after a line `# %%`."""
+    """Return a script as a notebook: its description, then the text and the code of each step, then what to change."""
     import nbformat
 
-    title, text, code = described(path)
-    parts = re.split(r"^# %%.*\n", code, flags=re.MULTILINE)
+    title, text, _ = described(path)
     cells = [nbformat.v4.new_markdown_cell(f"# {title}\n\n{text}")]
-    cells += [nbformat.v4.new_code_cell(part.strip()) for part in parts if part.strip()]
+    for words, code in steps(path):
+        cells += [nbformat.v4.new_markdown_cell(words)] if words else []
+        cells += [nbformat.v4.new_code_cell(code)] if code else []
+    if tried := change(path):
+        cells.append(nbformat.v4.new_markdown_cell(f"Change this: `{tried[0]}` to `{tried[1]}`: {tried[2]}"))
     for number, cell in enumerate(cells):
         cell.id = f"cell-{number}"
-    return nbformat.v4.new_notebook(cells=cells, metadata={"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}})
+    return nbformat.v4.new_notebook(
+        cells=cells, metadata={"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}
+    )
 
 
 def thumbnails(group: str, up: str = "") -> str:
@@ -217,7 +276,9 @@ def thumbnails(group: str, up: str = "") -> str:
         if path.parent.name == group:
             title = described(path)[0]
             picture = f"{up}../pictures/gallery/{group}/{path.stem}.webp"
-            items.append(f'<a href="{up}{group}/{path.stem}/"><img src="{picture}" alt="{texts(path)[0]}" loading="lazy" width="480" height="360"><span>{title}</span></a>')
+            items.append(
+                f'<a href="{up}{group}/{path.stem}/"><img src="{picture}" alt="{texts(path)[0]}" loading="lazy" width="480" height="360"><span>{title}</span></a>'
+            )
     return '<div class="gallery">\n' + "\n".join(items) + "\n</div>"
 
 
@@ -225,7 +286,9 @@ def on_config(config):
     """List the pages of the scripts by group in the menu, behind the gallery's own page."""
     (section,) = (entry["Gallery"] for entry in config.nav if "Gallery" in entry)
     for place, (group, title) in enumerate(GROUPS.items(), 1 + section.index("gallery/index.md")):
-        section.insert(place, {title: [f"gallery/{group}/{path.stem}.md" for path in scripts() if path.parent.name == group]})
+        section.insert(
+            place, {title: [f"gallery/{group}/{path.stem}.md" for path in scripts() if path.parent.name == group]}
+        )
     return config
 
 
