@@ -188,7 +188,7 @@ def thumbnail(path: Path) -> None:
     elif boxes:
         box = max(boxes, key=lambda box: (box[2] - box[0]) * (box[3] - box[1]))
     else:
-        middle, width = (float(part) for part in (share.groups() if share and share[2] else (0.5, 1)))
+        middle, width = (float(part) for part in (share.groups()[:2] if share and share[2] else (0.5, 1)))
         box = tuple(round(side * figure.width) for side in (middle - width / 2, 0, middle + width / 2, 0))
         box = (max(box[0], 0), 0, min(box[2], figure.width), figure.height)
     boxes = boxes or chosen

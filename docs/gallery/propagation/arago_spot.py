@@ -1,7 +1,10 @@
 """Spot of Arago
 
-Behind an opaque disc the wave from its rim arrives in phase on the axis: a bright spot stands in the centre of the
-shadow. On the axis its intensity is z²/(z² + a²) for a disc of radius a, which the computed one follows.
+Poisson derived from Fresnel's waves that the shadow of a disc must be bright in its middle, and took this for their
+end; Arago looked, and it was. The wave from all of the rim arrives in phase on the axis, where its intensity is z²/(z²
++ a²) for a disc of radius a. It tests any method of propagation, since light must come together from far apart.
+
+[Propagate light](../../guides/propagate_light.md) compares the methods.
 """
 
 import matplotlib.pyplot as plt
@@ -9,12 +12,17 @@ import torch
 
 from odak.learn.wave import propagate_to_window
 
+# %%
+# The disc darkens the middle of a beam with a smooth outer rim, so that only the disc diffracts. Its own rim is
+# softened over less than a pixel, as a round edge on square pixels needs.
 pitch, size, radius, wavelength = 4e-6, 1000, 0.5e-3, 633e-9
 place = (torch.arange(size, dtype=torch.float64) - size // 2) * pitch
 r = torch.hypot(place[:, None], place)
-# The outer rim of the beam is smooth, so that only the disc diffracts.
 beam = torch.exp(-((r / 1.6e-3) ** 16))
 field = (beam * torch.sigmoid((r - radius) / (0.3 * pitch))).to(torch.complex128)
+
+# %%
+# All four distances are computed in one call, and the intensity on the axis is compared with the closed form.
 distances = torch.tensor([0.1, 0.15, 0.2, 0.3], dtype=torch.float64)
 images = (
     propagate_to_window(field, wavelength, distances, pitch, (256, 256), pitch)
@@ -29,6 +37,7 @@ for distance, image in zip(distances, images):
     )
 
 # %%
+# The shadow at two distances, and a row through its centre.
 half = 1e3 * 128 * pitch
 figure, axes = plt.subplots(1, 3, figsize=(12, 3.5))
 for axis, index in zip(axes, (0, 3)):
@@ -42,4 +51,5 @@ axes[2].set_ylim(0, 1.25)
 axes[2].legend(loc="upper center")
 # Thumbnail: 0.42
 # Picture: Shadows of a disc with a bright spot in the centre, and the intensity along a row
+# Change: `0.5e-3, 633e-9` to `0.25e-3, 633e-9`: Half the disc, half the shadow, and the spot becomes twice as wide: its first dark ring lies at 0.38 λz/a.
 plt.show()

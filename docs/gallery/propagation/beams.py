@@ -1,6 +1,11 @@
 """Beams: amplitude and phase
 
-Hermite–Gauss and Laguerre–Gauss modes, a Bessel beam and an Airy beam, with their power or peak amplitude normalised.
+Lasers and fibres deliver modes, not plane waves, and traps, microscopes and displays use beams that keep their shape or
+bend. Hermite–Gauss and Laguerre–Gauss modes are the light of resonators with square and round symmetry; a Bessel beam
+keeps its core over a long distance, and an Airy beam follows a parabola. Modes are normalised to a power of 1, the two
+others to a peak of 1, since they would need infinite power.
+
+[Propagate light](../../guides/propagate_light.md) lets them travel.
 """
 
 import matplotlib.pyplot as plt
@@ -13,6 +18,8 @@ from odak.wave import (
     laguerre_gaussian_beam,
 )
 
+# %%
+# Each beam is a complex field on the same grid. Powers are sums over pixels times their area.
 shape, dx, wavelength, waist = (256, 256), 4e-6, 532e-9, 150e-6
 beams = {
     "Hermite–Gauss (2, 1)": hermite_gaussian_beam(shape, dx, wavelength, waist, (2, 1)),
@@ -26,6 +33,7 @@ for name, beam in list(beams.items())[:2]:
     print(f"{name}: power {(abs(beam) ** 2).sum() * dx**2:.9f}")
 
 # %%
+# Amplitudes above, phases below. The phase of a mode with l = 2 turns twice around the axis.
 figure, axes = plt.subplots(2, 4, figsize=(13, 6.4))
 reach = 1e3 * 128 * dx
 for column, (name, beam) in enumerate(beams.items()):
@@ -45,4 +53,5 @@ figure.colorbar(shown, ax=axes[0], label="amplitude", shrink=0.8)
 figure.colorbar(turned, ax=axes[1], label="phase (rad)", shrink=0.8)
 # Thumbnail: 0.3
 # Picture: Amplitude and phase of a Hermite–Gauss, a Laguerre–Gauss, a Bessel and an Airy beam
+# Change: `waist, 1, 2` to `waist, 0, 5`: With p = 0 one ring is left, and with l = 5 the phase turns five times and the dark core grows.
 plt.show()

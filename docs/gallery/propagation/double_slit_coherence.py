@@ -1,8 +1,11 @@
 """Fringes of an extended source
 
-Behind two slits, each point of an extended source makes fringes of its own, displaced against the others. The visibility
-falls as the source grows: by van Cittert and Zernike it is |2J₁(ρ)/ρ| with ρ = 2π·(angular radius)·(distance of the
-slits)/λ.
+A star is too small to be resolved, yet Michelson measured its diameter: he moved two slits apart until their fringes
+vanished. Each point of an extended source makes fringes of its own, displaced against the others, and the sum loses
+contrast. By van Cittert and Zernike the visibility is |2J₁(ρ)/ρ| for a round source, with ρ = 2π·(angular
+radius)·(distance of the slits)/λ.
+
+[Windows and partial coherence](../../guides/windows_and_partial_coherence.md) treats sources and spectra.
 """
 
 import matplotlib.pyplot as plt
@@ -11,6 +14,9 @@ from scipy.special import j1
 
 from odak.wave import disk_source, propagate_partially_coherent
 
+# %%
+# Two slits 0.4 mm apart. A source is a set of directions with weights; each is propagated, and the intensities are
+# summed.
 wavelength, pitch, apart = 550e-9, 5e-6, 400e-6
 slits = np.zeros((8, 400), complex)
 for center in (-apart / 2, apart / 2):
@@ -28,6 +34,7 @@ for radius in radii:
     visibility.append((middle.max() - middle.min()) / (middle.max() + middle.min()))
 
 # %%
+# Fringes of three sources, and the visibility of all beside the closed form.
 figure, axes = plt.subplots(1, 2, figsize=(11, 3.8), width_ratios=(1.6, 1))
 x = (np.arange(400) - 200) * 10e-3
 for radius, row in list(zip(radii, rows))[::2]:
@@ -43,4 +50,5 @@ axes[1].set(xlabel="radius of the source (mrad)", ylabel="visibility")
 axes[1].legend()
 # Thumbnail: 0.3 0.6
 # Picture: Fringes of two slits for three sizes of the source, and their visibility beside the closed form
+# Change: `550e-9, 5e-6` to `450e-9, 5e-6`: Blue light has narrower fringes, and its visibility falls to zero at 0.69 mrad, not at 0.84 mrad.
 plt.show()
