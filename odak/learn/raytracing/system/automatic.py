@@ -431,7 +431,7 @@ def automatic_design(
             f"1/{1 / ACCEPTED_SPOT:.0f} of the focal length: try another seed",
             ConvergenceWarning,
         )
-    heights: Any = design.heights  # never None, since the operands limit the thickness of edges
+    heights = design.clear_heights(design.values)
     for item, size in zip(system.surfaces, heights, strict=True):
         item.semi_diameter = 1.001 * float(size)
     return AutomaticResult(system, tuple(problem.stages), start)
@@ -933,8 +933,7 @@ class _Growth:
 
     def run_beside(self, design: lens_design, values, count: int):
         """Run several designs beside the best one, whose beam and basis they share."""
-        heights: Any = design.heights  # never None, since the operands limit the thickness of edges
-        design.heights = heights.reshape(1, -1)
+        design.heights = design.clear_heights(design.values).reshape(1, -1)
         basis = _slope_basis(design).expand(len(values), -1, -1)
         found = design._minimised(values, count, damping=1e-3, basis=basis, floor=self.floor)
         return found.x, found.loss

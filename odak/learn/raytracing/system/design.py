@@ -351,14 +351,13 @@ class lens_design:
             taken.add((name, item.surface))
 
     def refresh(self) -> None:
-        """Compute the clear semi-diameters, at which edges are evaluated, from the rays of the present system."""
+        """Take the clear semi-diameters, at which edges are evaluated, from the surfaces if all of them have one.
+
+        Otherwise they are those of the rays, at whatever values of the variables an operand is evaluated.
+        """
         given = [item.semi_diameter for item in self.system.surfaces]
-        if not any(operand.kind in ("edge_thickness", "slope") for operand in self.operands):
-            self.heights = None
-        elif all(value is not None for value in given):
-            self.heights = torch.tensor(given, dtype=torch.float64)
-        else:
-            self.heights = self.clear_heights(self.values)
+        known = all(value is not None for value in given)
+        self.heights = torch.tensor(given, dtype=torch.float64) if known else None
 
     def clear_heights(self, values: torch.Tensor) -> torch.Tensor:
         """Return the largest distance from the axis of rays on each surface, ``[..., S]``, for values ``[..., V]``."""

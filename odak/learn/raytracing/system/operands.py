@@ -108,7 +108,8 @@ class View:
     aim : str
         "paraxial" or "real", how :func:`launch` aims.
     heights : torch.Tensor, optional
-        Clear semi-diameters of the surfaces, ``[S]`` or ``[..., S]``, for the thickness at the edge.
+        Clear semi-diameters of the surfaces, ``[S]`` or ``[..., S]``, for the thickness at the edge; by default the
+        largest distances of rays from the axis, functions of the prescription.
     glass : torch.Tensor, optional
         n_d and V_d behind each surface, ``[..., S, 2]``, where glasses vary.
     """
@@ -123,7 +124,7 @@ class View:
         heights: torch.Tensor | None = None,
         glass: torch.Tensor | None = None,
     ):
-        self.system, self.prescription, self.heights, self.glass = system, prescription, heights, glass
+        self.system, self.prescription, self.given_heights, self.glass = system, prescription, heights, glass
         self.options: dict[str, Any] = {"prescription": prescription, "aim": aim}
         self.points = pupil_of(pupil, count, system)
         weights = weights_of(pupil, count, self.points)
@@ -133,6 +134,13 @@ class View:
     def first_order(self) -> FirstOrder:
         """First-order properties at the reference wavelength."""
         return first_order(self.system, prescription=self.prescription)
+
+    @cached_property
+    def heights(self) -> torch.Tensor:
+        """Clear semi-diameters of the surfaces, ``[..., S]``."""
+        if self.given_heights is not None:
+            return self.given_heights
+        return clear_heights(self.system, self.prescription, aim=self.options["aim"])
 
     @cached_property
     def _all(self) -> Traced:
@@ -183,12 +191,12 @@ def edge_thicknesses(
     curved = torch.tensor([float(i + 1 < count) for i in places], dtype=torch.float64, device=p.thickness.device)
     each = None
     if heights is None:
-        clear = _clear(view, "edge_thickness")
+        clear = view.heights
         each = torch.maximum(clear[..., places], clear[..., behind] * curved)
     y = _at_shares(p, len(places), heights, each, shares)
     ends = [y, y]
     if flanges:
-        ends = [torch.minimum(y, max(shares) * _clear(view, "edge_thickness")[..., own]) for own in (places, behind)]
+        ends = [torch.minimum(y, max(shares) * view.heights[..., own]) for own in (places, behind)]
     gaps = p.thickness[..., places] - _sags(p, places, ends[0]).height + _sags(p, behind, ends[1]).height * curved
     return gaps.movedim(0, -1).flatten(-2)
 
@@ -209,7 +217,7 @@ def slopes(view: View, surfaces: Any = None, heights: Any = None, shares: Any = 
     """
     p = view.prescription
     places = _places(surfaces, p.thickness.shape[-1], range(p.thickness.shape[-1]))
-    each = None if heights is not None else _clear(view, "slope")[..., places]
+    each = None if heights is not None else view.heights[..., places]
     y = _at_shares(p, len(places), heights, each, shares)
     return _sags(p, places, y).slope_y.movedim(0, -1).flatten(-2)
 
@@ -220,13 +228,6 @@ def _sags(p: Prescription, places: list[int], y: torch.Tensor) -> Sag:
         return EvenAsphere(p.curvature[..., places], p.conic[..., places], p.coefficients[..., places, :]).sag(0 * y, y)
     found = [p.shape(i).sag(0 * y[..., k], y[..., k]) for k, i in enumerate(places)]
     return Sag(*(torch.stack(torch.broadcast_tensors(*parts), -1) for parts in zip(*found, strict=True)))
-
-
-def _clear(view: View, kind: str) -> torch.Tensor:
-    """Return the clear semi-diameters of a view that has them."""
-    if view.heights is None:
-        raise ValueError(f"{kind} needs heights, or semi-diameters of the surfaces on both sides")
-    return view.heights
 
 
 def _at_shares(p: Prescription, count: int, heights: Any, each: Any, shares: Any) -> torch.Tensor:

@@ -14,6 +14,7 @@ from odak.learn.raytracing.system import (
     Variable,
     first_order,
     fused,
+    launch,
     lens_design,
     load_system,
     optical_system,
@@ -22,6 +23,7 @@ from odak.learn.raytracing.system import (
     seidel_sums,
     surface,
     tolerance,
+    trace,
     trace_fields,
 )
 from odak.raytracing import Toroid
@@ -343,3 +345,23 @@ def test_rays_outside_the_fused_kernel_have_equal_derivatives(monkeypatch):
     monkeypatch.setattr(fused, "_run", lambda block, row, keep=None: None if keep is not None else run(block, row))
     found = design.linearised(design.values)[1]
     torch.testing.assert_close(found, expected, rtol=1e-10, atol=1e-12 * float(expected.abs().amax()))
+
+
+def test_a_limit_of_edges_holds_at_the_diameters_of_the_design_that_was_found():
+    """The report after an optimisation agrees with its merit, and the last edge with rays traced to both sides."""
+    triplet = load_system("cooke_triplet")
+    operands = [Operand("spot"), Operand("edge_thickness", lower=1.0, options={"surfaces": range(5)})]
+    variables = [Variable("curvature", range(1, 6)), Variable("thickness", [0, 2, 4], 1.0, 6.0)]
+    solves = [Solve("focal_length", 0, 50.0), Solve("marginal_height", 5)]
+    design = lens_design(triplet, operands, variables, solves=solves, count=2)
+    result = design.optimise(8)
+    report = design.report()
+    assert sum(cost for _, _, cost in report) == pytest.approx(result.merit, rel=1e-9)
+    turn = torch.arange(12, dtype=F64) * (math.pi / 6)
+    rays = launch(triplet, torch.stack([turn.sin(), turn.cos()], -1))
+    hits = [trace(triplet, rays, until=i, vignetting=False) for i in (4, 5)]
+    height = max(float(torch.hypot(hit.x, hit.y).max()) for hit in hits)
+    front, rear = (float(triplet.surfaces[i].shape.sag(0.0, torch.tensor(height, dtype=F64)).height) for i in (4, 5))
+    edge = float(triplet.surfaces[4].thickness) - front + rear
+    assert float(report[1][1][4]) == pytest.approx(edge, abs=1e-9)
+    assert edge > 0.998
