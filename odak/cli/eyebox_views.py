@@ -13,11 +13,13 @@ from odak.cli.job import image_path, pitch_pair
 from odak.cli.options import InputError
 from odak.cli.report import find_device, picture_panel, progress, psnr, sheet, versions
 from odak.cli.settings import EyeboxSettings
-from odak.cli.target import fit, fitting_size, read_picture, to_grey
+from odak.cli.target import fit, fitting_size, light_of, on_screen
 from odak.learn import wave
 from odak.learn.wave.training import best_scale
 
 DEFINITIONS = {
+    "target": "Light of the picture's luminance, 1 in white, resized and black around it; with --linear stored values. "
+    "Pictures in views.png are stored values of light on a screen.",
     "views": "For each place of the pupil, in reading order: its middle (y, x) in metres, the picture, and the peak "
     "signal-to-noise ratio in decibels of what an eye there sees of the saved patterns, over the whole frame, at one "
     "brightness for all places: of means over the areas of pixels, whose light is computed by transforms to the plane "
@@ -64,22 +66,26 @@ def run(job: EyeboxSettings, notices: files.Notices = files.SILENT) -> dict:
     panel = wave.Modulator(job.resolution, job.pixel_pitch, job.bits)
     display = wave.Display(panel, job.wavelength, wave.Eyes(job.distance, places, job.pupil), job.frames).to(device)
     wanted = targets.expand(len(places), *job.resolution)
-    solver = "lbfgs" if job.learning_rate is None else wave.Descent("adam", job.learning_rate)
+    solver = "auto" if job.learning_rate is None else wave.Descent("adam", job.learning_rate)
     with progress("eyebox", job.iterations, job.quiet) as clock:
         steps = wave.Run(job.iterations, False, clock.tick, seed=job.seed)
         hologram = wave.optimise(display, wanted[:, None], solver=solver, run=steps)
-    for name, phase in zip(names, hologram.phases, strict=True):
-        files.save_pattern(folder / name, files.quantise(wave.unit_phasor(phase.double()), job.bits), job.bits)
+    for name, levels in zip(names, hologram.levels(), strict=True):
+        files.save_pattern(folder / name, levels, job.bits)
     stored = torch.stack([files.load_pattern(folder / name, job.bits) for name in names]).to(device)
     seen = display.double().judge(stored)[0][:, 0]
     views = seen * best_scale(seen, wanted.double(), None)
     quality = [psnr(view, target) for view, target in zip(views, wanted.double(), strict=True)]
-    panels = [[picture_panel("Picture", target[None].cpu()) for target in targets]]
+
+    def shown_as(light: torch.Tensor) -> torch.Tensor:
+        return on_screen(light[None].cpu(), (job.wavelength,), job.linear)
+
+    panels = [[picture_panel("Picture", shown_as(target)) for target in targets]]
     captions = [
         f"Pupil at {1e3 * y:.3g}, {1e3 * x:.3g} mm: {value:.1f} dB"
         for (y, x), value in zip(places, quality, strict=True)
     ]
-    shown = [picture_panel(caption, view[None].cpu()) for caption, view in zip(captions, views, strict=True)]
+    shown = [picture_panel(caption, shown_as(view)) for caption, view in zip(captions, views, strict=True)]
     panels += [shown[k : k + job.places[1]] for k in range(0, len(shown), job.places[1])]
     files.write_png(folder / "views.png", sheet(panels))
     report = {
@@ -105,7 +111,7 @@ def run(job: EyeboxSettings, notices: files.Notices = files.SILENT) -> dict:
 
 
 def _target(path: Path, job: EyeboxSettings) -> torch.Tensor:
-    picture = to_grey(read_picture(path))
+    picture = light_of(path, (job.wavelength,), True, job.linear)[0]
     frame, _ = fit(
         picture, job.resolution, fitting_size(picture.shape[-2:], job.resolution, pitch_pair(job.pixel_pitch))
     )

@@ -8,7 +8,6 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,7 +21,6 @@ from odak.cli.job import (
     GREY_WAVELENGTH,
     LEARNING_RATE,
     NOISE,
-    SOLVERS,
     VOLUME_METHODS,
     Job,
     pattern_name,
@@ -89,7 +87,7 @@ def run(job: Job, notices: files.Notices = files.SILENT) -> dict:
         quality = report.overall(target, images, result["channels"])
         figures = ["psnr_area_db", "psnr_points_db", *([] if _shares_frames(job) else ["psnr_db"])]
         quality |= {name: report.mean_decibels(result["channels"], name) for name in figures}
-        shown, wanted = (on_screen(light, job, target.wavelengths) for light in (images, target.intensity))
+        shown, wanted = (on_screen(light, target.wavelengths, job.linear) for light in (images, target.intensity))
         window = (slice(None), *target.window)
         quality["psnr_encoded_db"] = report.psnr(shown[window], wanted[window])
         files.write_png(folder / "reconstruction.png", report.to_image(shown))
@@ -133,7 +131,7 @@ def check_behind_lens(job: Job, lens: Lens) -> None:
         "--planes": job.planes > 1,
         f"--propagation-type {job.propagation_type}": job.propagation_type != Job.propagation_type,
         "--grating": job.grating,
-        "--fill-factor 0": job.fill_factor is None,
+        "--fill-factor 0": not job.fill_factor,
         "--initial-phase double-phase": job.initial_phase == "double-phase",
     }
     for name, used in without.items():
@@ -206,9 +204,10 @@ def comparison(job: Job, target: Target, images, phases, names: list[str], quali
     if (lens := lens_of(job)) is not None:
         where = f"behind a lens of {lens.focal_length * 1e3:.4g} mm"
     first = [
-        report.picture_panel("Target", on_screen(target.intensity, job, target.wavelengths)),
+        report.picture_panel("Target", on_screen(target.intensity, target.wavelengths, job.linear)),
         report.picture_panel(
-            f"Reconstruction {where}{psnr}, SSIM {quality['ssim']:.3f}", on_screen(images, job, target.wavelengths)
+            f"Reconstruction {where}{psnr}, SSIM {quality['ssim']:.3f}",
+            on_screen(images, target.wavelengths, job.linear),
         ),
     ]
     difference = report.difference_panel("Reconstruction minus target", images - target.intensity)
@@ -243,7 +242,7 @@ def _verification(job: Job, target: Target) -> dict:
         "modulator": _described(job),
         "observer": replace(observer, registered=True).in_words() if _shares_frames(job) else observer.in_words(),
         "aperture": filtered if job.method == "double-phase" else None,
-        "pixel": {"fill_factor": job.fill_factor, "model": points if job.fill_factor is None else squares},
+        "pixel": {"fill_factor": job.fill_factor, "model": squares if job.fill_factor else points},
     }
 
 
@@ -325,7 +324,7 @@ def _group(
     )
     clock, display = saving.clock, found.display
     areas = found.images / found.brightness[:, None, None]
-    images = areas if job.fill_factor is not None else display.judge(found.phases)[1]
+    images = areas if job.fill_factor else display.judge(found.phases)[1]
     before = display.recorded_by(wave.Observer(fill=observer.fill, registered=True), saving.ideal)[0].detach()
     channels, scales, brightness, powers = _channels(job, part, volume, display.powers, images, before)
     _add_observed(job, found, channels)
@@ -344,6 +343,7 @@ def _group(
         (channel,) = result["channels"]
         channel |= {"file": names[0], **({"files": names} if len(names) > 1 else {})}
         channel |= {"seconds_per_iteration": result["seconds_per_iteration"], "final_loss": clock.loss}
+        channel |= {} if saving.gain is None else {"gain_over_rounding_db": saving.gain}
         return result
     planes = _planes(part, volume, images * scales, found.psnr)
     if job.planes > 1:
@@ -352,6 +352,7 @@ def _group(
         )
     amplitudes = powers.sqrt().tolist()
     frames = [{"file": name, "source_amplitudes": each} for name, each in zip(names, amplitudes, strict=True)]
+    result |= {} if saving.gain is None else {"gain_over_rounding_db": saving.gain}
     return {**result, "brightness": brightness, "planes": planes, "frames": frames, "final_loss": clock.loss}
 
 
@@ -380,8 +381,10 @@ def display_of(
     if job.method == "double-phase":
         # The circle around the band of the picture, which passes no other order of the checkerboard.
         iris = wave.Iris(max(wavelengths) * math.sqrt(2) / (4 * max(job.pitches)), 1.0)
-    panel = wave.Modulator(job.resolution, job.pixel_pitch, None, job.fill_factor or _POINT)
-    return wave.Display(panel, wavelengths, lens_of(job) or distances, frames, powers, profile, iris).to(device)
+    bits = job.bits if job.optimizer == "levels" else None
+    panel = wave.Modulator(job.resolution, job.pixel_pitch, bits, job.fill_factor or _POINT)
+    space = distances if job.method == "double-phase" else wave.Free(distances, method=job.propagation_type)
+    return wave.Display(panel, wavelengths, lens_of(job) or space, frames, powers, profile, iris).to(device)
 
 
 @dataclass(frozen=True, repr=False)
@@ -408,7 +411,7 @@ class Framed(wave.Observer):
 
 def observer_of(job: Job, target: Target) -> Framed:
     """Return who looks at the picture: a camera at any place, or points where pixels are points."""
-    points = job.fill_factor is None
+    points = not job.fill_factor
     return Framed(fill=0.0 if points else 1.0, registered=points, window=target.window)
 
 
@@ -421,15 +424,18 @@ class Saving:
         Of the iterations.
     ideal, stored : torch.Tensor
         Phases as computed, and as the files hold them, ``[frames, rows, columns]``.
+    gain : float, optional
+        What a search over levels gains over rounding in decibels of the loss.
     """
 
     clock: report.Clock
     ideal: torch.Tensor
     stored: torch.Tensor
+    gain: float | None
 
     def __init__(self, job: Job, target: Target, volume: Volume, paths: list[Path], count: int) -> None:
         self.job, self.paths, self.count = job, paths, count if job.iterates else 0
-        self.solver = _solver(job, target, volume)
+        self.solver, self.gain = _solver(job, target, volume, self), None
         self.name = f"{job.planes} planes" if job.planes > 1 else f"{target.wavelengths[0] * 1e9:.6g} nm"
         if _shares_frames(job) and job.planes == 1:
             self.name = f"{len(paths)} frames"
@@ -447,25 +453,40 @@ class Saving:
                 torch.cuda.synchronize(problem.target.device)
         self.ideal, *others = solved if isinstance(solved, tuple) else (solved,)
         grating = grating_phase(job.resolution, self.ideal.device) if job.grating else 0.0
-        for path, phase in zip(self.paths, self.ideal, strict=True):
-            modulated = wave.unit_phasor(phase.double() + grating)
-            files.save_pattern(path, files.quantise(modulated, job.bits, response), job.bits)
+        found = self.ideal.double() + grating
+        panel, searched = problem.display.modulator, job.optimizer == "levels"
+        for path, phase in zip(self.paths, found, strict=True):
+            # A phase of a level is the lower end of what is rounded down to it.
+            levels = panel.levels(phase) if searched else files.quantise(wave.unit_phasor(phase), job.bits, response)
+            files.save_pattern(path, levels, job.bits)
         self.stored = torch.stack([files.load_pattern(path, job.bits, response) for path in self.paths])
         shown = (self.stored.to(self.ideal.device) - grating).to(self.ideal)
         return (shown, *others) if others else shown
 
+    def searched(self, problem: wave.Problem) -> torch.Tensor:
+        """Return the phases of levels, with what they gain over phases found without levels and rounded."""
+        search, run = wave.LevelSearch(), problem.run
+        first = replace(run, iterations=search.first(run.iterations))
+        phases: Any = wave.Descent().solve(replace(problem, run=first))
+        rounded = found = problem.display.modulator.shown(phases)
+        if self.clock.ticks == first.iterations:
+            found = search.search(problem, phases)
+        with torch.no_grad():
+            self.gain = -10 * math.log10(float(problem.loss_of(found) / problem.loss_of(rounded)))
+        return found
 
-def _solver(job: Job, target: Target, volume: Volume) -> Any:
+
+def _solver(job: Job, target: Target, volume: Volume, saving: Saving) -> Any:
     """Return the solver of a job."""
     if job.method == "network":
         return By(lambda problem: _by_network(job, target, volume, problem))
     if job.method == "double-phase":
         return By(lambda problem: _double_phase(job, problem))
     if job.method == "gs":
-        return By(lambda problem: _retrieved(job, problem))
-    if not job.by_display:
-        return By(lambda problem: _descended(job, problem))
-    solver = wave.Descent(job.optimizer or SOLVERS[0], job.learning_rate or LEARNING_RATE, job.method == "multi-color")
+        return wave.AlternatingProjections()
+    solver: Any = By(saving.searched)
+    if job.optimizer != "levels":
+        solver = wave.Descent(str(job.optimizer), job.learning_rate or LEARNING_RATE, job.method == "multi-color")
     return solver if job.scale else By(lambda problem: solver.solve(replace(problem, free=False)))
 
 
@@ -502,7 +523,7 @@ def _double_phase(job: Job, problem: wave.Problem) -> torch.Tensor:
         job.propagation_type,
         kernel_length=0,
         amplitude=intensity.sqrt(),
-        pixel_fill=job.fill_factor,
+        pixel_fill=job.fill_factor or None,
     )[None]
 
 
@@ -518,62 +539,13 @@ def _by_network(job: Job, target: Target, volume: Volume, problem: wave.Problem)
     return network(intensity, target.wavelengths, job.pixel_pitch, volume.distances, depth)
 
 
-def _retrieved(job: Job, problem: wave.Problem) -> torch.Tensor:
-    """Return the pattern by the method of Gerchberg and Saxton, after Ctrl-C that of the last iteration."""
-    intensity, display, phase = problem.target[0, 0], problem.display, problem.start[0]
-
-    def callback(iteration: int, latest: torch.Tensor) -> Any:
-        nonlocal phase
-        phase = latest
-        return problem.run.callback(iteration, latest)  # type: ignore[misc]
-
-    with suppress(KeyboardInterrupt):
-        wave.gerchberg_saxton(
-            wave.generate_complex_field(intensity.sqrt(), torch.zeros_like(intensity)),
-            problem.run.iterations,
-            job.distance,
-            job.pixel_pitch,
-            display.wavelengths[0],
-            2 * math.pi,
-            job.propagation_type,
-            initial_phase=phase,
-            progress=False,
-            callback=callback,
-            pixel_fill=job.fill_factor,
-        )
-    return phase[None]
-
-
-def _descended(job: Job, problem: wave.Problem) -> torch.Tensor:
-    """Return the patterns of gradient descent by another propagation type than the display's."""
-    display, profile = problem.display, problem.display.profile
-    hologram, _ = wave.stochastic_gradient_descent(
-        problem.target[0, 0],
-        display.wavelengths[0],
-        job.distance,
-        job.pixel_pitch,
-        job.propagation_type,
-        problem.run.iterations,
-        learning_rate=job.learning_rate or LEARNING_RATE,
-        optimizer=job.optimizer or SOLVERS[0],
-        initial_phase=problem.start if display.frames > 1 else problem.start[0],
-        scale=job.scale,
-        frames=display.frames,
-        pixel_fill=job.fill_factor,
-        slm=None if profile is None else lambda phase: profile[0] * wave.unit_phasor(phase),
-        progress=False,
-        callback=problem.run.callback,
-    )
-    return wave.calculate_phase(hologram).reshape(problem.start.shape)
-
-
 # --- Judgement
 
 
 def _add_observed(job: Job, found: wave.DisplayedHologram, channels: list[dict]) -> None:
     """Add to the quality of colours what is seen of areas and at points and, on one plane, by the observer."""
     registered, seen = [channel["psnr_db"] for channel in channels], found.psnr.amin(0).tolist()
-    if job.fill_factor is None:
+    if not job.fill_factor:
         display = found.display
         panel, given = replace(display.modulator, fill=1.0), (display.frames, display.powers, display.profile)
         whole = wave.Display(panel, display.wavelengths, display.distances, *given).to(found.phases.device)
@@ -584,7 +556,7 @@ def _add_observed(job: Job, found: wave.DisplayedHologram, channels: list[dict])
         others = {"psnr_area_db": registered, "psnr_points_db": found.psnr_at_points.amin(0).tolist()}
     for c, channel in enumerate(channels):
         channel |= {name: values[c] for name, values in others.items()}
-        if job.fill_factor is not None and not _shares_frames(job):
+        if job.fill_factor and not _shares_frames(job):
             channel["psnr_db"] = seen[c]
 
 
@@ -665,7 +637,7 @@ def _focal_stack(job: Job, planes: list[dict], wanted: torch.Tensor, images: tor
         known = [channel["psnr_in_focus_db"] for channel in plane["channels"]]
         quality = "" if None in known else f", in focus {sum(known) / len(known):.1f} dB"
         wavelengths = [channel["wavelength"] for channel in plane["channels"]]
-        target, image = (on_screen(light, job, wavelengths) for light in (target, image))
+        target, image = (on_screen(light, wavelengths, job.linear) for light in (target, image))
         rows[0].append(report.picture_panel(f"Target at {plane['distance'] * 1e3:.4g} mm", target))
         rows[1].append(report.picture_panel(f"Reconstruction{quality}", image))
     return _sheet(job, rows)

@@ -27,25 +27,21 @@ NOISE = {"slight": 0.3, "normal": 1.0}  # standard deviation in radians
 RANDOM_PHASES = (*NOISE, "uniform")
 VOLUME_METHODS = ("multiplane", "multi-color")
 METHODS = ("sgd", "gs", "double-phase", "network", *VOLUME_METHODS)
-# Starts of gradient descent that are computed from the picture.
-SOLVERS = ("lbfgs", "adam")
+SOLVERS = ("lbfgs", "adam", "levels")
+# Bits of a pixel up to which levels are searched by default, and at most.
+FEW_BITS, MOST_BITS = 4, 6
+# Why a solver takes no step size.
+STEPS = {"lbfgs": "finds its steps by a line search", "levels": "changes levels"}
 LEARNING_RATE = 0.2
 # Of a solver by --quality; the last is an end for what goes on gaining.
 ITERATIONS = {"fast": 20, "good": 200, "best": 2000}
 ITERATIONS_OF_LBFGS = {"fast": 4, "good": 30, "best": 400}
-# Without wrap-around these are one, the angular spectrum.
-EXACT = ("Angular Spectrum", "Bandlimited Angular Spectrum", "Bandextended Angular Spectrum", "Linear Angular Spectrum")
+ITERATIONS_OF_LEVELS = {"fast": 20, "good": 120, "best": 1000}
 # Share of the area of a pixel that emits, of the panels of the presets.
 USUAL_FILL = 0.9
 COMPUTED_PHASES = ("double-phase", "gs")
 INITIAL_PHASES = ("flat", "slight", "quadratic", "normal", "uniform", *COMPUTED_PHASES)
-DEFAULT_INITIAL_PHASE = {
-    "sgd": "gs",
-    "gs": "uniform",
-    "double-phase": "flat",
-    "multiplane": "slight",
-    "multi-color": "slight",
-}
+DEFAULT_INITIAL_PHASE = {"gs": "uniform", "double-phase": "flat"}
 # What runs in tiles start from, see odak.wave.hologram_in_chunks.
 TILES_PHASE = "weak lens"
 GREY_WAVELENGTH = 532e-9
@@ -175,7 +171,9 @@ class Job(DeviceSettings):
     learning_rate : float, optional
         Step size in radians of Adam (sgd, multiplane, multi-color).
     optimizer : str, optional
-        Solver of the method sgd. L-BFGS reaches the quality of Adam in half as many iterations or fewer.
+        Solver of the method sgd, and of those for several planes or colours. L-BFGS reaches the quality of Adam in half
+        as many iterations or fewer; levels searches for the levels of a modulator of few bits, where most of the
+        quality is lost if phases are rounded to them.
     scale : bool
         Optimise the brightness of the image as well (methods with a step size) instead of reproducing the stored
         values: 10 dB better on the picture 'photo', because less light must be directed outside the image.
@@ -236,10 +234,17 @@ class Job(DeviceSettings):
     propagation_type: str = option("Bandlimited Angular Spectrum", metavar="NAME", listed=_propagation_types)
     quality: str = option("good", of=("fast", "good", "best"))
     iterations: int | None = option(
-        None, metavar="COUNT", shown="of L-BFGS 4, 30 or as many as help; of other solvers 20, 200", check=at_least(1)
+        None,
+        metavar="COUNT",
+        shown="of L-BFGS 4, 30 or as many as help; of levels 20, 120, 1000; of other solvers 20, 200",
+        check=at_least(1),
     )
     learning_rate: float | None = option(None, metavar="RADIANS", shown=str(LEARNING_RATE), check=positive)
-    optimizer: str | None = option(None, of=SOLVERS, shown="lbfgs; adam with --learning-rate or --tiles")
+    optimizer: str | None = option(
+        None,
+        of=SOLVERS,
+        shown="lbfgs; levels for modulators of at most 4 bits; adam with --learning-rate or --tiles",
+    )
     scale: bool = option(True)
     initial_phase: str | None = option(
         None,
@@ -266,14 +271,9 @@ class Job(DeviceSettings):
         if self.tiles:
             self._check_tiles()
         self._set_fill_factor()
-        if self.method in VOLUME_METHODS and not self.by_display:
-            raise InputError(
-                f"--propagation-type must be one of {', '.join(map(repr, EXACT))} with --method {self.method}, got "
-                f"{self.propagation_type!r}"
-            )
         self._set_initial_phase()
         self._set_optimizer()
-        counts = ITERATIONS_OF_LBFGS if self.optimizer == "lbfgs" else ITERATIONS
+        counts = {"lbfgs": ITERATIONS_OF_LBFGS, "levels": ITERATIONS_OF_LEVELS}.get(str(self.optimizer), ITERATIONS)
         self._set("iterations", self.iterations or counts[self.quality])
         self._check_wavelengths()
         self._check_response()
@@ -284,15 +284,13 @@ class Job(DeviceSettings):
         given = self.fill_factor
         if given is not None and not 0 <= given <= 1:
             raise InputError(f"--fill-factor must be from 0, which stands for points, to 1, got {given}")
-        if given == 0:
-            self._set("fill_factor", None)
-        if given is None and not self.tiles and self.propagation_type == Job.propagation_type:
-            self._set("fill_factor", USUAL_FILL)
+        if given is None and not self.tiles:
+            self._set("fill_factor", USUAL_FILL if self.propagation_type == Job.propagation_type else 0.0)
 
     @property
-    def by_display(self) -> bool:
-        """Whether gradient descent optimises what an observer sees of a display, whose propagation is exact."""
-        return self.method in ("sgd", *VOLUME_METHODS) and self.propagation_type in EXACT
+    def descends(self) -> bool:
+        """Whether the method follows the gradient of what an observer sees."""
+        return self.method in ("sgd", *VOLUME_METHODS)
 
     def _check_response(self) -> None:
         """Check the options that state the modulator's response, which is that at one wavelength."""
@@ -343,7 +341,7 @@ class Job(DeviceSettings):
             "--frames": self.frames not in (None, 1),
             "--initial-phase": self.initial_phase not in (None, TILES_PHASE),
             "--no-scale": not self.scale,
-            "--optimizer lbfgs": self.optimizer == "lbfgs",
+            f"--optimizer {self.optimizer}": self.optimizer not in (None, "adam"),
             "--grating": self.grating,
             "--fill-factor": self.fill_factor is not None,
             "--device": self.device not in ("auto", "cpu"),
@@ -362,21 +360,30 @@ class Job(DeviceSettings):
                 raise InputError("--initial-phase has no effect with --method network, which makes the phase itself")
             return
         if chosen is None:
-            chosen = "gs" if self.by_display else DEFAULT_INITIAL_PHASE[str(self.method)]
+            chosen = DEFAULT_INITIAL_PHASE.get(str(self.method), "gs")
         self._set("initial_phase", chosen)
-        if chosen in COMPUTED_PHASES and self.method != "sgd" and not self.by_display:
+        if chosen in COMPUTED_PHASES and not self.descends:
             raise InputError(
                 f"--initial-phase {chosen} needs --method sgd or one for several planes or colours; got {self.method!r}"
             )
 
     def _set_optimizer(self) -> None:
-        if self.method == "sgd" or self.by_display:
-            usual = "adam" if self.tiles or self.learning_rate is not None else "lbfgs"
+        if self.descends:
+            even = self.method != "multi-color" and not any((self.calibration, self.lut, self.slm_range))
+            usual = "levels" if even and self.bits <= FEW_BITS else "lbfgs"
+            if self.tiles or self.learning_rate is not None:
+                usual = "adam"
             self._set("optimizer", self.optimizer or usual)
-            if self.optimizer == "lbfgs":
+            if self.optimizer == "levels" and not (even and self.bits <= MOST_BITS):
+                raise InputError(
+                    f"--optimizer levels needs --bits of at most {MOST_BITS}, evenly spread phases, and --method "
+                    f"sgd or multiplane; got {self.bits} bits and {self.method!r}"
+                )
+            if self.optimizer in STEPS:
                 if self.learning_rate is not None:
                     raise InputError(
-                        "--learning-rate has no effect with --optimizer lbfgs, which finds its steps by a line search"
+                        f"--learning-rate has no effect with --optimizer {self.optimizer}, which "
+                        f"{STEPS[self.optimizer]}"
                     )
                 return
         elif self.optimizer is not None:
@@ -398,12 +405,11 @@ class Job(DeviceSettings):
     def _check_effects(self) -> None:
         """Raise InputError if an option of the command line has no effect on this run."""
         random = self.initial_phase in RANDOM_PHASES or self.method in VOLUME_METHODS or (self.frames or 1) > 1
-        descends = self.method not in ("gs", "double-phase", "network")
         effects = {
             "iterations": (self.iterates, "which does not iterate"),
             "quality": (self.iterates, "which does not iterate"),
-            "learning_rate": (descends, "which has no step size"),
-            "scale": (descends, "which always leaves the brightness free"),
+            "learning_rate": (self.descends, "which has no step size"),
+            "scale": (self.descends, "which always leaves the brightness free"),
             "propagation_type": (self.method != "network", "which was trained with Angular Spectrum"),
             "seed": (self.method != "network", "which draws no random numbers"),
         }
@@ -454,7 +460,8 @@ class Job(DeviceSettings):
     @property
     def settles(self) -> bool:
         """Whether the iterations end when nothing is gained any more."""
-        return self.quality == "best" and self.iterations in (ITERATIONS["best"], ITERATIONS_OF_LBFGS["best"])
+        counts = {ITERATIONS["best"], ITERATIONS_OF_LBFGS["best"]}
+        return self.quality == "best" and self.optimizer != "levels" and self.iterations in counts
 
     @property
     def iterates(self) -> bool:

@@ -55,6 +55,8 @@ DEFINITIONS = {
     "psnr_frame_db": "10*log10(1/mean((s*I - T)^2)) over the whole frame, black borders included, with the same s.",
     "psnr_before_quantisation_db": "The same over the window, of the hologram before it was quantised, by the model of "
     "the optimisation and with its own s.",
+    "gain_over_rounding_db": "With --optimizer levels: the decibels by which the loss of the levels that were found is "
+    "below that of the phases from which the search starts, rounded to levels.",
     "ssim": "Mean structural similarity of s*I and T over the picture's window (Wang et al. 2004: Gaussian window 11 x "
     "11, sigma 1.5, K1 0.01, K2 0.03, peak 1); overall, the mean over channels.",
     "efficiency": "Energy of I over the whole frame, divided by the number of pixels: what a flat pattern (unit "

@@ -107,7 +107,11 @@ class EyeboxSettings(DeviceSettings):
     Attributes
     ----------
     images : tuple of str
-        Picture file, or name of a picture that comes with odak; one for all places of the pupil, or one for each.
+        Picture file, or name of a picture that comes with odak; one for all places of the pupil, or one for each. The
+        target is the light of its luminance.
+    linear : bool
+        Take the stored values of the pictures as the light; by default they are decoded by the colour profile or as
+        sRGB.
     wavelength : float
         Wavelength, in metres or with a unit.
     pixel_pitch : float or tuple of float
@@ -128,7 +132,7 @@ class EyeboxSettings(DeviceSettings):
     iterations : int
         Number of iterations.
     learning_rate : float, optional
-        Step size in radians of Adam, in place of L-BFGS.
+        Step size in radians of Adam, in place of L-BFGS or, for at most 4 bits, a search over levels.
     seed : int
         Seed of the random initial phases.
     bits : int
@@ -137,6 +141,7 @@ class EyeboxSettings(DeviceSettings):
 
     images: tuple[str, ...] = argument(("photo",), "[IMAGE]...", shown="photo", listed=SHIPPED_IMAGES)
     output: Path = option(Path("eyebox"), "-o")
+    linear: bool = option(False)
     wavelength: float = length(GREY_WAVELENGTH, "-w")
     pixel_pitch: float | tuple[float, float] = length(8e-6, parse=parse_pitch, metavar=PITCH)
     distance: float = length(0.1, "-d")

@@ -73,7 +73,7 @@ def load_target(job: Job) -> Target:
     wavelengths = job.wavelengths
     if not wavelengths:
         wavelengths = (GREY_WAVELENGTH,) if job.grey or len(read_picture(path)) == 1 else COLOUR_WAVELENGTHS
-    picture, source, outside = light_of(path, job, wavelengths)
+    picture, source, outside = light_of(path, wavelengths, job.grey, job.linear)
     size = fitting_size(picture.shape[-2:], job.resolution, image_pitches(job))
     intensity, window = fit(picture, job.resolution, size)
     if min(part.stop - part.start for part in window) < WINDOW:
@@ -87,17 +87,17 @@ def load_target(job: Job) -> Target:
     return Target(path, intensity, window, wavelengths, source, outside)
 
 
-def light_of(picture: Any, job: Job, wavelengths: Sequence[float]) -> tuple[torch.Tensor, str, float]:
+def light_of(picture: Any, wavelengths: Sequence[float], grey: bool, linear: bool) -> tuple[torch.Tensor, str, float]:
     """Return the light ``[wavelengths, rows, columns]`` of a picture, how it was found, and the share beyond the gamut.
 
     Parameters
     ----------
     picture : Path or torch.Tensor
         File, or values of 0 … 1 ``[channels, rows, columns]``.
-    job : Job
-        Settings of the run.
     wavelengths : sequence of float
         Of the sources. Light that is not seen, and colours that mix to no white, show the channels of the picture.
+    grey, linear : bool
+        Whether the luminance alone counts, and whether stored values are the light.
 
     Raises
     ------
@@ -105,12 +105,13 @@ def light_of(picture: Any, job: Job, wavelengths: Sequence[float]) -> tuple[torc
         If a file cannot be read.
     """
     stored = read_picture(picture) if isinstance(picture, Path) else picture
-    if job.linear:
-        stored = to_grey(stored) if job.grey or len(wavelengths) == 1 else stored
+    grey = grey or len(wavelengths) == 1
+    if linear:
+        stored = to_grey(stored) if grey else stored
         return stored.expand(len(wavelengths), -1, -1), "stored values", 0.0
     given = str(picture) if isinstance(picture, Path) else picture
     sources = mixed_sources(wavelengths) or COLOUR_WAVELENGTHS
-    found = wave.light_of(given, sources, grey=job.grey or len(wavelengths) == 1)
+    found = wave.light_of(given, sources, grey=grey)
     return found.targets[: len(wavelengths)].float(), found.source, found.outside
 
 
@@ -125,9 +126,9 @@ def mixed_sources(wavelengths: Sequence[float]) -> tuple[float, ...]:
     return tuple(wavelengths)
 
 
-def on_screen(images: torch.Tensor, job: Job, wavelengths: Sequence[float]) -> torch.Tensor:
+def on_screen(images: torch.Tensor, wavelengths: Sequence[float], linear: bool) -> torch.Tensor:
     """Return the picture of light ``[wavelengths, rows, columns]``, in stored values of 0 … 1 as those of the input."""
-    if job.linear or not mixed_sources(wavelengths):
+    if linear or not mixed_sources(wavelengths):
         return images.clamp(0, 1)
     return wave.picture_of(images.float(), mixed_sources(wavelengths))[: len(wavelengths)]
 

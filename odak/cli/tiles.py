@@ -257,7 +257,7 @@ def _write_pictures(job: Job, target: Target, folder: Path, stems: list[str], ch
     whole = Target(target.path, torch.from_numpy(target.intensity.compute()), target.window, target.wavelengths)
     window = (slice(None), *target.window)
     ssim = report.ssim(images[window], whole.intensity[window])
-    files.write_png(folder / "reconstruction.png", report.to_image(on_screen(images, job, target.wavelengths)))
+    files.write_png(folder / "reconstruction.png", report.to_image(on_screen(images, target.wavelengths, job.linear)))
     phases = [files.phase_of(grey.double(), job.bits) for grey in greys]
     names = [f"{stem}.png" for stem in stems]
     sheet = hologram.comparison(job, whole, images, phases, names, {**quality, "ssim": ssim})
@@ -521,6 +521,7 @@ class _Fitted:
         if not np.all((values >= 0) & (values <= 1)):
             raise InputError(f"IMAGE must have values from 0 to 1, but {self.path!r} has values outside this range")
         colours = 1 if values.shape[2] < 3 else 3
-        light = light_of(torch.from_numpy(values[..., :colours]).movedim(-1, 0), self.job, self.wavelengths)[0]
+        stored = torch.from_numpy(values[..., :colours]).movedim(-1, 0)
+        light = light_of(stored, self.wavelengths, self.job.grey, self.job.linear)[0]
         opaque = 1.0 if values.shape[2] in (1, 3) else values[..., -1:]
         return light.movedim(0, -1).numpy() * opaque

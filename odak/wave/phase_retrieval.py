@@ -9,7 +9,14 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array
-from odak.wave.fields import calculate_amplitude, calculate_phase, generate_complex_field, uniform, within_range
+from odak.wave.fields import (
+    calculate_amplitude,
+    calculate_intensity,
+    calculate_phase,
+    generate_complex_field,
+    uniform,
+    within_range,
+)
 from odak.wave.linear_kernels import checked_pixel_fill, pixel_aperture
 from odak.wave.methods import check_has_kernel
 from odak.wave.propagation import propagate_beam, propagate_within_window
@@ -117,8 +124,9 @@ def retrieve(
 ):
     """Return hologram and reconstruction after one iteration for each item of `turns`, for NumPy and PyTorch.
 
-    `options` are `callback`, `accelerated` and `illumination`: `callback(turn, phase)` is called after each iteration,
-    and ends them by returning True; the illumination is the amplitude of the light on the hologram, one by default.
+    `options` are `callback`, `watch`, `accelerated` and `illumination`: `callback(turn, phase)` is called after each
+    iteration, and ends them by returning True, as does `watch(turn, phase, error)`, whose error is the mean squared one
+    of the amplitudes before it; the illumination is the amplitude of the light on the hologram, one by default.
     `cutoff` is the radius of a round stop in cycles per metre, which `fill` goes with. A field that is `checked` is not
     looked at again.
     """
@@ -146,6 +154,7 @@ def _alternate(
     cutoff=None,
     accelerated=False,
     illumination=1.0,
+    watch=None,
 ):
     """Return the hologram of pairs of a field and its distance.
 
@@ -176,13 +185,17 @@ def _alternate(
             hologram = generate_complex_field(
                 illumination, calculate_phase(found + (found - before) * (count / (count + 3)))
             )
-        corrected = hologram
+        corrected, error = hologram, 0.0
         for target, distance in planes:
             change = _correction(light(hologram, distance=distance), target, update)
+            # What is added to a field along its own phase is the error of its amplitude.
+            error = error if watch is None else error + calculate_intensity(change).mean() / len(planes)
             corrected = corrected + back(change, distance=-distance) / len(planes)
         phase = within_range(calculate_phase(corrected), limit)
         before, found = found, generate_complex_field(illumination, phase)
         if callback is not None and callback(turn, phase) is True:
+            break
+        if watch is not None and watch(turn, phase, error) is True:
             break
     return found
 

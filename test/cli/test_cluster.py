@@ -71,6 +71,15 @@ def test_on_a_cluster_the_patterns_are_the_same(folder, tmp_path):
 
 
 @pytest.mark.slow
+def test_workers_are_sent_every_setting(folder):
+    from odak.cli.job import Job
+
+    image = str(next(folder.iterdir()))
+    for given in ({"fill_factor": 0.0}, {"bits": 2}, {"method": "gs"}, {"propagation_type": "Angular Spectrum"}):
+        job = Job(image=image, **given)
+        assert Job(image=image, **many.parameters(job)).values() == job.values()
+
+
 def test_over_tls(folder, tmp_path):
     pytest.importorskip("cryptography")
     assert main(["certificates", str(tmp_path / "tls")]) == 0

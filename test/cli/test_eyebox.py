@@ -86,3 +86,21 @@ def test_a_picture_for_all_places_and_what_was_meant(tmp_path, capsys, views):
         assert main(["eyebox", *SMALL, *arguments, "-o", str(tmp_path / "b")]) == 2
         assert named in capsys.readouterr().err
         assert not (tmp_path / "b").exists()
+
+
+def test_stored_values_are_decoded_to_light(tmp_path):
+    """The middle of the stored values is 0.2140 of the light of white, by IEC 61966-2-1."""
+    from odak.cli.eyebox_views import _target
+    from odak.cli.settings import EyeboxSettings
+
+    path = tmp_path / "grey.png"
+    Image.fromarray(np.full((N, N), 128, np.uint8)).save(path)
+    decoded, stored = (
+        _target(path, EyeboxSettings(images=(str(path),), resolution=(N, N), linear=linear)) for linear in (False, True)
+    )
+    light = ((128 / 255 + 0.055) / 1.055) ** 2.4
+    assert np.allclose(decoded.numpy(), light, atol=1e-4) and np.allclose(stored.numpy(), 128 / 255, atol=1e-6)
+    run(path, "--output", tmp_path / "out", "--places", 1, 1, "--frames", 1, "--iterations", 1, "--quiet")
+    # The picture, enlarged, as it is on a screen.
+    sheet = np.asarray(Image.open(tmp_path / "out" / "views.png").convert("L"))
+    assert (sheet == 128).sum() > 9 * N * N

@@ -408,6 +408,36 @@ def test_a_pattern_uses_the_levels_of_its_bits(bits, grey_file, tmp_path):
     assert report["psnr_db"] == pytest.approx(psnr_of(intensity, target), abs=1e-3)
 
 
+def test_few_levels_are_searched_for(picture, grey_file, tmp_path):
+    """The saved patterns of one and two bits are better than rounded ones, by about what the report says."""
+    for bits, least in ((1, 1.5), (2, 2.0)):
+        size = ["--resolution", ROWS, COLUMNS, "--distance", "3mm", "--device", "cpu", "--linear", "--quiet"]
+        options = [*size, "--bits", bits, "--iterations", 60, *POINTS]
+        seen, gain = {}, None
+        for name, more in (("levels", ()), ("lbfgs", ("--optimizer", "lbfgs"))):
+            run(grey_file, "-o", tmp_path / f"{name}{bits}", *options, *more)
+            made = read_report(tmp_path / f"{name}{bits}")
+            assert made["parameters"]["optimizer"] == name
+            gain = made["channels"][0].get("gain_over_rounding_db", gain)
+            phase = pixels(tmp_path / f"{name}{bits}" / "hologram_532nm.png") * (2 * np.pi / 256)
+            assert len(np.unique(phase)) == 2**bits
+            seen[name] = psnr_of(angular_spectrum_intensity(phase, 532e-9, 8e-6, 3e-3), picture / 255)
+        assert seen["levels"] - seen["lbfgs"] > least and gain == pytest.approx(seen["levels"] - seen["lbfgs"], abs=1.5)
+
+
+@pytest.mark.parametrize("method", ["sgd", "gs"])
+def test_other_propagation_types_are_judged_by_the_exact_one(method, picture, grey_file, tmp_path):
+    """At 3 mm the paraxial approximation is good: its pattern shows the picture by the angular spectrum too."""
+    for kind in ("Transfer Function Fresnel", "Impulse Response Fresnel", "Rayleigh-Sommerfeld"):
+        options = ["--propagation-type", kind, "--initial-phase", "flat", "--quiet"]
+        run(grey_file, "-o", tmp_path / kind, "--method", method, *SMALL, *options)
+        made = read_report(tmp_path / kind)
+        phase = pixels(tmp_path / kind / "hologram_532nm.png") * (2 * np.pi / 256)
+        shown = psnr_of(angular_spectrum_intensity(phase, 532e-9, 8e-6, 3e-3), picture / 255)
+        assert made["psnr_db"] == pytest.approx(shown, abs=1e-3) and shown > (14 if method == "sgd" else 12)
+        assert made["verification"]["pixel"]["fill_factor"] == 0
+
+
 def test_the_grating_is_in_the_file_and_out_of_the_report(grey_file, tmp_path):
     run(grey_file, "--output", tmp_path / "without", *SMALL, "--quiet")
     run(grey_file, "--output", tmp_path / "with", *SMALL, "--grating", "--quiet")
@@ -640,6 +670,11 @@ BAD = {
         "has no effect with --optimizer",
     ),
     "solver": (["--optimizer", "sgd"], "--optimizer must be"),
+    "levels of many bits": (["--optimizer", "levels"], "--optimizer levels needs --bits of at most 6"),
+    "step size of levels": (
+        ["--bits", "2", "--optimizer", "levels", "--learning-rate", "0.1"],
+        "--optimizer levels, which changes levels",
+    ),
     "solver of gs": (["--method", "gs", "--optimizer", "adam"], "--optimizer needs --method sgd"),
     **{
         f"{name} of the network": (["--method", "network", *arguments], text)

@@ -933,6 +933,36 @@ def test_a_hologram_that_bears_misplacement(disc, tmp_path):
     assert both[0] == pytest.approx(both[1], rel=1e-5)
     with pytest.raises(ValueError, match="devices must be None for one picture with jitter"):
         optimise(bearing, disc, solver="adam", run=run, devices=["cpu", "cpu"])
+    # A line search needs a loss that stays as it is: the solver that is chosen by itself is Adam.
+    assert torch.equal(optimise(bearing, disc, run=few).phases, optimise(bearing, disc, solver="adam", run=few).phases)
+    with pytest.raises(ValueError, match="method must be 'adam' for distances with jitter"):
+        optimise(bearing, disc, solver="lbfgs", run=few)
+
+
+def test_projections_tell_their_progress_and_can_be_ended(disc):
+    """The first loss is the error of the image's amplitude at points, which fields state too; a stop ends all frames.
+
+    The two propagate by other transfer functions, whose edges of the band differ.
+    """
+    display, told = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 6e-3, frames=2), []
+    start = torch.zeros(2, *disc.shape)
+    run = Run(4, progress=False, callback=lambda *given: told.append(given))
+    found = optimise(display, disc, solver="gs", start=start, run=run)
+    assert [number for number, _ in told] == list(range(8)) and len(found.losses) == 8
+    wanted = (display.fields(start)[0, 0, 0].abs() - disc.sqrt()).square().mean()
+    assert told[0][1] == pytest.approx(float(wanted), rel=0.02) and told[3][1] < 0.7 * told[0][1]
+    ended = optimise(display, disc, solver="gs", start=start, run=replace(run, callback=lambda i, _: i == 1))
+    assert len(ended.losses) == 3
+    alone = optimise(display, disc, solver="gs", start=start, run=Run(2, progress=False))
+    assert torch.equal(ended.phases[0], alone.phases[0]) and not torch.equal(ended.phases[1], alone.phases[1])
+
+    def interrupted(iteration, _):
+        if iteration == 1:
+            raise KeyboardInterrupt
+
+    assert torch.equal(
+        optimise(display, disc, solver="gs", start=start, run=replace(run, callback=interrupted)).phases, ended.phases
+    )
 
 
 def test_what_does_not_fit_free_space():

@@ -107,7 +107,8 @@ def optimise(
     solver : str or object
         "lbfgs", "adam", "levels", "gs" (or "gerchberg-saxton"), "double phase" or "network", or an object with a
         method ``solve(problem) -> phases``, or phases and powers, such as :class:`Descent` or :class:`LevelSearch`.
-        "auto" is "levels" for a single panel of at most four bits, and "lbfgs" for others.
+        "auto" is "adam" for distances with jitter, "levels" for a single panel of at most four bits, and "lbfgs" for
+        others.
     start : str or torch.Tensor
         "gs", "double phase" or "network", a hologram by these methods, or "quadratic", "flat" or "random", see
         :func:`odak.learn.wave.stochastic_gradient_descent`; or phases ``[F, rows, columns]`` in radians.
@@ -231,6 +232,8 @@ def _in_parts(display, where, run: Run, devices) -> Display:
 def _chosen(display: Display) -> str:
     """Return the solver that "auto" stands for."""
     panel = display.modulator
+    if display.path.jitter:
+        return "adam"
     return "levels" if panel.lit_through is None and panel.bits is not None and panel.bits <= FEW_BITS else "lbfgs"
 
 

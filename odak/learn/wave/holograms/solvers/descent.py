@@ -50,6 +50,10 @@ class Descent:
 
         Powers are None where they are not to be found, and amplitudes are left out without a panel in front.
         """
+        if self.method == "lbfgs" and problem.display.path.jitter:
+            raise ValueError(
+                "method must be 'adam' for distances with jitter, whose loss changes from step to step; got 'lbfgs'"
+            )
         phases, run = problem.start.clone().requires_grad_(), problem.run
         learned, powers = {"phase": phases}, problem.display.powers
         # The slope along a phase falls with the number of pixels, that along the amplitude of a source does not; these

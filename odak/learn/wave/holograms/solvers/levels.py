@@ -80,10 +80,27 @@ class LevelSearch:
             raise ValueError(
                 f"a search over levels needs one panel of 1 to {MOST_BITS} bits, got {got}: use the solver 'lbfgs'"
             )
-        first = math.ceil(_DESCENT * run.iterations)
-        found: Any = Descent().solve(replace(problem, run=_first_part(run, first)))
+        found: Any = Descent().solve(replace(problem, run=_first_part(run, self.first(run.iterations))))
+        return self.search(problem, found)
+
+    def first(self, iterations: int) -> int:
+        """Return how many of some `iterations` find phases without levels."""
+        return math.ceil(_DESCENT * iterations)
+
+    def search(self, problem: Problem, phases: torch.Tensor) -> torch.Tensor:
+        """Return the phases of the levels that the rest of the iterations finds.
+
+        Parameters
+        ----------
+        problem : Problem
+            The problem.
+        phases : torch.Tensor
+            Phases ``[F, rows, columns]`` to begin with, such as those of a descent along the gradient. They are rounded
+            to levels.
+        """
+        run, first = problem.run, self.first(problem.run.iterations)
         loss, drawn_from = seeded_loss(problem.loss, run.seed, problem.start.device)
-        search = _Search(replace(problem, loss=loss), found, self.temperature, max(run.iterations - first, 1))
+        search = _Search(replace(problem, loss=loss), phases, self.temperature, max(run.iterations - first, 1))
         about: dict[str, Any] = {}
         if run.checkpoint is not None:
             target = fingerprint(problem.target, problem.start)
