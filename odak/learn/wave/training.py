@@ -11,6 +11,7 @@ import torch
 from odak import _validate
 from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import floating, kind_of, trainable
+from odak.learn.wave.holograms.bounds import least_error_of_light
 
 # Where the loss of a model with a camera in it rises.
 REGISTER = (
@@ -120,6 +121,8 @@ def seeded_loss(
 def check_brightness(name: str, targets: torch.Tensor, reachable: float | torch.Tensor, remedy: str = "") -> None:
     """Issue a warning if a mean intensity exceeds what phase-only holograms, which conserve energy, can reach.
 
+    It states the least mean squared error that follows from the light that is missing.
+
     Parameters
     ----------
     name : str
@@ -137,9 +140,11 @@ def check_brightness(name: str, targets: torch.Tensor, reachable: float | torch.
     if bool((means > limits * (1 + 1e-5)).any()):
         place = (means - limits).argmax()
         most, mean = (values.flatten()[place].item() for values in (limits, means))
+        bound = least_error_of_light(targets.reshape(-1, *targets.shape[-2:])[place], 0.0, most)
         warn(
             f"{name} must have a mean intensity of at most {most:.4g}, the mean of the light on the modulator, "
-            f"got {mean:.4g}: give intensities of 0 … 1 (8-bit values divided by 255)"
+            f"got {mean:.4g}, so that no hologram has a mean squared error below {bound:.3g}: give intensities of "
+            "0 … 1 (8-bit values divided by 255)"
             + (f", or {remedy}" if remedy else ""),
             ArgumentWarning,
         )

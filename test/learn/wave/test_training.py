@@ -102,6 +102,16 @@ class TestBrightness:
         with self.expected(brightness == 200, "target reaches 200 where 1 is white"):
             descend(scale=True)
 
+    def test_no_hologram_has_a_lower_error_than_is_stated(self):
+        target = 2.4 * torch.rand(16, 16, generator=torch.Generator().manual_seed(0))
+        with pytest.warns(ArgumentWarning, match="no hologram has a mean squared error below") as told:
+            _, image = wave.stochastic_gradient_descent(
+                target, 532e-9, 1e-4, 8e-6, n_iteration=60, optimizer="lbfgs", seed=0, progress=False
+            )
+        stated = float(str(told[0].message).partition(" error below ")[2].partition(":")[0])
+        assert stated == pytest.approx((float(target.mean()) - 1) ** 2, rel=1e-2)
+        assert stated < float((image.abs().square() - target).square().mean())
+
     @pytest.mark.parametrize("method", ["conventional", "multi-color"])
     @pytest.mark.parametrize("excess", [0.99, 1.01])
     def test_of_colours(self, method, excess):
