@@ -1,6 +1,7 @@
 """Optimizer of phase patterns shown in sequence, each lit by several colours, for images on several planes."""
 
 import functools
+import inspect
 import math
 import os
 from collections.abc import Callable, Sequence
@@ -40,6 +41,9 @@ from odak.learn.wave.older.terms import (
 from odak.learn.wave.slm import TURN, even_levels
 from odak.learn.wave.training import REGISTER, check_brightness, cosine, fingerprint, generator_from, linear, started
 from odak.wave.torch_convolution import Workspace, release_memory
+
+# Learning rate at the end by default in Odak 0.2.4.
+_LOWEST_MIXED = 5e-3
 
 
 def _without_eyebox(place: int) -> Callable:
@@ -153,6 +157,9 @@ class multi_color_hologram_optimizer(Prepared):
     _title = "multi-colour hologram"
     # An offset for each frame, of phases that keep their mean; scales of the roughness.
     _offset_of_frames, _levels = True, 6
+    # Learning rate at the end, 1 % of that at the start where it is None, and how it falls.
+    _lowest_rate: float | None = None
+    _falling = staticmethod(cosine)
     _workspace: Workspace | None = None
     _fixed = (
         *("propagator", "wavelengths", "resolution", "number_of_frames", "number_of_depth_layers", "scale_factor"),
@@ -219,8 +226,9 @@ class multi_color_hologram_optimizer(Prepared):
         self.targets = checked_targets(targets, shape).to(self.device)
         self.double_phase = _validate.flag("double_phase", double_phase)
         self.learning_rate = _validate.real("learning_rate", learning_rate, positive=True)
-        lowest = learning_rate / 100 if min_learning_rate is None else min_learning_rate
-        self.min_learning_rate = _validate.real("min_learning_rate", lowest)
+        if min_learning_rate is None:
+            min_learning_rate = learning_rate / 100 if self._lowest_rate is None else self._lowest_rate
+        self.min_learning_rate = _validate.real("min_learning_rate", min_learning_rate)
         self.channel_power_filename = channel_power_filename
         self._peak = peak_amplitude
         self.optimize_peak_amplitude = _validate.flag("optimize_peak_amplitude", optimize_peak_amplitude)
@@ -317,7 +325,7 @@ class multi_color_hologram_optimizer(Prepared):
         # Not learned, but part of the state that a checkpoint holds.
         self.parameters["peak_amplitude"] = self.peak_amplitude
         self.propagator.set_laser_powers(self.channel_power)
-        self.learning_rates = cosine(self.learning_rate, self.min_learning_rate, number_of_iterations)
+        self.learning_rates = self._falling(self.learning_rate, self.min_learning_rate, number_of_iterations)
 
     @differentiates
     @_without_eyebox(4)
@@ -650,6 +658,14 @@ def _overlap(images, targets):
     return torch.stack([torch.dot(images, images), torch.dot(images, targets)])
 
 
+def _older_signature() -> inspect.Signature:
+    """Return the arguments of the constructor by the names and with the defaults of Odak 0.2.4."""
+    own = inspect.signature(multi_color_hologram_optimizer).parameters.values()
+    floor = {"name": "learning_rate_floor", "annotation": float, "default": _LOWEST_MIXED}
+    given = [p.replace(**floor) if p.name == "min_learning_rate" else p for p in own if p.kind is not p.KEYWORD_ONLY]
+    return inspect.Signature([*given, inspect.Parameter("others", inspect.Parameter.VAR_KEYWORD)])
+
+
 class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
     """Multi-colour hologram optimizer of earlier releases, with a phase offset per pixel and constrained patterns.
 
@@ -716,52 +732,14 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
 
     _title = "mixed-colour hologram"
     _offset_of_frames, _levels = False, 1
+    _lowest_rate, _falling = _LOWEST_MIXED, staticmethod(linear)
 
-    @_validate.takes_units("wavelengths")
-    def __init__(
-        self,
-        wavelengths: Sequence[float],
-        resolution: Sequence[int],
-        targets: torch.Tensor,
-        propagator: propagator_type,
-        number_of_frames: int = 3,
-        number_of_depth_layers: int = 1,
-        learning_rate: float = 2e-2,
-        learning_rate_floor: float = 5e-3,
-        double_phase: bool = True,
-        scale_factor: int = 1,
-        method: str = "multi-color",
-        channel_power_filename: str = "",
-        device: torch.device | None = None,
-        loss_function: Callable[..., Any] | None = None,
-        peak_amplitude: float = 1.0,
-        optimize_peak_amplitude: bool = False,
-        img_loss_thres: float = 2e-3,
-        reduction: str = "sum",
-        **others: Any,
-    ):
-        self.learning_rate_floor = _validate.real("learning_rate_floor", learning_rate_floor)
-        super().__init__(
-            wavelengths,
-            resolution,
-            targets,
-            propagator,
-            number_of_frames,
-            number_of_depth_layers,
-            learning_rate,
-            learning_rate_floor,
-            double_phase,
-            scale_factor,
-            method,
-            channel_power_filename,
-            device,
-            loss_function,
-            peak_amplitude,
-            optimize_peak_amplitude,
-            img_loss_thres,
-            reduction,
-            **others,
-        )
+    __signature__ = _older_signature()
+
+    @property
+    def learning_rate_floor(self) -> float:
+        """Same as ``min_learning_rate``."""
+        return self.min_learning_rate
 
     @property
     def offset(self) -> torch.Tensor:
@@ -773,17 +751,6 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
         shape = (self.number_of_frames, *self.resolution)
         self.phase = self._leaf(torch.zeros(shape, dtype=self.targets.dtype))
         self.phase_offset = self._leaf(self._drawn(torch.rand, shape))
-
-    def init_optimizer(self, number_of_iterations: int = 100) -> None:
-        """Collect the learned parameters, and compute the learning rate of each iteration.
-
-        Parameters
-        ----------
-        number_of_iterations : int
-            Number of iterations, default 100.
-        """
-        super().init_optimizer(number_of_iterations)
-        self.learning_rates = linear(self.learning_rate, self.learning_rate_floor, number_of_iterations)
 
     def _pattern(self):
         constrain = self.double_phase_constrain if self.double_phase else self.direct_phase_constrain
