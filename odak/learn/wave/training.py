@@ -144,8 +144,7 @@ def check_brightness(name: str, targets: torch.Tensor, reachable: float | torch.
         warn(
             f"{name} must have a mean intensity of at most {most:.4g}, the mean of the light on the modulator, "
             f"got {mean:.4g}, so that no hologram has a mean squared error below {bound:.3g}: give intensities of "
-            "0 … 1 (8-bit values divided by 255)"
-            + (f", or {remedy}" if remedy else ""),
+            "0 … 1 (8-bit values divided by 255)" + (f", or {remedy}" if remedy else ""),
             ArgumentWarning,
         )
     else:
