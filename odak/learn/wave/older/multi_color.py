@@ -661,9 +661,11 @@ def _overlap(images, targets):
 def _older_signature() -> inspect.Signature:
     """Return the arguments of the constructor by the names and with the defaults of Odak 0.2.4."""
     own = inspect.signature(multi_color_hologram_optimizer).parameters.values()
-    floor = {"name": "learning_rate_floor", "annotation": float, "default": _LOWEST_MIXED}
-    given = [p.replace(**floor) if p.name == "min_learning_rate" else p for p in own if p.kind is not p.KEYWORD_ONLY]
-    return inspect.Signature([*given, inspect.Parameter("others", inspect.Parameter.VAR_KEYWORD)])
+    given = {p.name: p for p in own if p.kind is not p.KEYWORD_ONLY}
+    given["min_learning_rate"] = given["min_learning_rate"].replace(
+        name="learning_rate_floor", annotation=float, default=_LOWEST_MIXED
+    )
+    return inspect.Signature([*given.values(), inspect.Parameter("others", inspect.Parameter.VAR_KEYWORD)])
 
 
 class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
