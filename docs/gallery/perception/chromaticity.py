@@ -1,6 +1,10 @@
 """Chromaticity diagram
 
-The spectral locus of the CIE 1931 observer, the gamuts of two displays, and the colours that sRGB can represent.
+Which colours can a display show? In the chromaticity diagram of 1931 the mixtures of two lights lie on the line between
+them, so that three primaries show the triangle between them and no more. Lasers stand on the spectral locus and have
+the largest triangle; whoever mixes pictures for one display and shows them on another changes all colours.
+
+[Colour](../../guides/colour.md) explains primaries, white and adaptation.
 """
 
 import matplotlib.pyplot as plt
@@ -13,9 +17,14 @@ from odak.learn.perception import (
     xyz_to_linear_rgb,
 )
 
+# %%
+# The locus of all spectral colours by the functions of the CIE 1931 observer.
 wavelengths = torch.arange(400, 701, dtype=torch.float64)
 locus = color_matching_functions(wavelengths)
 locus = locus / locus.sum(0)
+
+# %%
+# The colours that a screen can show at each place, as light as possible; outside sRGB they are clipped.
 size = 500
 x, y = torch.meshgrid(
     torch.linspace(0, 0.8, size), torch.linspace(1e-3, 0.9, size), indexing="xy"
@@ -30,6 +39,9 @@ outline = plt.Polygon(
 )
 axis.add_patch(outline)
 drawn.set_clip_path(outline)
+
+# %%
+# The triangles of sRGB and of three lasers.
 srgb = torch.tensor([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06], [0.64, 0.33]])
 lasers = color_matching_functions(torch.tensor([639.0, 515.0, 473.0]))
 lasers = (lasers / lasers.sum(0))[:2].T
@@ -57,4 +69,5 @@ for wavelength in (460, 480, 500, 520, 540, 560, 580, 600, 620):
 axis.set(xlabel="x", ylabel="y", xlim=(-0.05, 0.8), ylim=(0, 0.9))
 axis.legend()
 # Picture: The chromaticity diagram in colour, with the spectral locus and the gamuts of sRGB and of three lasers
+# Change: `[639.0, 515.0, 473.0]` to `[620.0, 550.0, 450.0]`: With green at 550 nm the greens and cyans of sRGB are lost, though all three are lasers.
 plt.show()

@@ -1,6 +1,10 @@
 """Colour-vision deficiencies
 
-Simulation of the appearance of a picture for observers who lack one of the three types of cones.
+One man in twelve lacks a type of cone or has a shifted one, and a figure that tells its curves apart by red and green
+says nothing to him. Each missing type takes away one of three dimensions of colour; Brettel, Viénot and Mollon (1997)
+found which colours remain.
+
+[Colour](../../guides/colour.md) has the function for severity and pictures.
 """
 
 from importlib.resources import files
@@ -11,6 +15,8 @@ import torch
 from odak.learn.perception import simulate_color_vision_deficiency
 from odak.learn.tools import load_image
 
+# %%
+# A picture with colours of all hues, as sRGB values.
 scene = load_image(files("odak") / "assets" / "scene.png", torch_style=True)[
     None, :3, :, 420:1500
 ].float()
@@ -18,6 +24,9 @@ scene = torch.nn.functional.interpolate(scene, (400, 400), mode="area")
 figure, axes = plt.subplots(1, 4, figsize=(13, 3.6))
 axes[0].imshow(scene[0].permute(1, 2, 0))
 axes[0].set_title("all cones")
+
+# %%
+# Each deficiency at its full severity.
 names = {
     "protan": "protanopia (no L cones)",
     "deutan": "deuteranopia (no M cones)",
@@ -31,4 +40,5 @@ for axis in axes:
     axis.axis("off")
 # Thumbnail: 0.37
 # Picture: A colourful scene as seen with all cones, and by three kinds of dichromats
+# Change: `kind, 1.0` to `kind, 0.4`: At a severity of 0.4, an anomalous trichromat's, most hues are still there, only paler.
 plt.show()

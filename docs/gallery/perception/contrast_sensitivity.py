@@ -1,7 +1,10 @@
 """Contrast sensitivity of the eye
 
-Sensitivity to gratings by spatial frequency and luminance after Barten, and a chart that shows the sensitivity of the
-viewer: the contrast at which the bars disappear follows the curve.
+What contrast can be seen, at which size and brightness? Displays, codecs and metrics of quality are built on this
+curve. Barten's model derives it from the optics of the eye, the noise of photons and neurons, and lateral inhibition,
+which cuts off low frequencies; the chart shows the reader's own.
+
+[The eye](../../guides/the_eye.md) goes on from here.
 """
 
 import matplotlib.pyplot as plt
@@ -9,6 +12,8 @@ import torch
 
 from odak.learn.perception import contrast_sensitivity
 
+# %%
+# Sensitivity for five luminances, for a target of 10°.
 frequency = torch.logspace(-0.7, 1.78, 200, dtype=torch.float64)
 figure, axes = plt.subplots(1, 2, figsize=(12, 4.2))
 for luminance in (0.1, 1.0, 10.0, 100.0, 1000.0):
@@ -19,6 +24,10 @@ for luminance in (0.1, 1.0, 10.0, 100.0, 1000.0):
     )
 axes[0].set(xlabel="cycles per degree", ylabel="sensitivity", ylim=(1, 1000))
 axes[0].legend()
+
+# %%
+# The chart of Campbell and Robson: frequency grows to the right, contrast downwards. The height at which bars disappear
+# follows the curve.
 # The frequency grows to the right, the contrast downwards (Campbell and Robson).
 x = torch.linspace(0, 1, 1200, dtype=torch.float64)
 phase = 2 * torch.pi * 4 * (torch.exp(4.2 * x) - 1) / 4.2
@@ -35,4 +44,5 @@ axes[1].set(
 )
 # Thumbnail: 0.22
 # Picture: Contrast sensitivity by frequency for five luminances, and a chart of Campbell and Robson
+# Change: `luminance, 10.0)` to `luminance, 1.0)`: A target of 1° instead of 10° holds few periods of a low frequency, and is seen less well on the left of the diagram.
 plt.show()

@@ -1,7 +1,11 @@
 """A fast lens between crossed polarisers
 
-Oblique light loses more of its s than of its p component at each bare surface. A field along x therefore leaves a fast
-lens with a component along y, which a crossed analyser lets pass: a Maltese cross in the pupil, four lobes in the image.
+In a polarising microscope, or an inspection of stress in a fast lens, light leaks through crossed polarisers although
+the sample is clear. The lens itself turns the polarisation: oblique light loses more of its s than of its p component
+at each bare surface, and a field along x leaves with a component along y. In the pupil this is a Maltese cross, in the
+image a spot with four lobes; coatings that reflect less also leak less.
+
+[Polarised rays](../../guides/polarised_rays.md) explains Jones matrices of rays.
 """
 
 import matplotlib.pyplot as plt
@@ -15,7 +19,8 @@ from odak.learn.raytracing.system import (
     surface,
 )
 
-
+# %%
+# A condenser of two fast elements, bare or with a quarter wave of magnesium fluoride on each face.
 def condenser(coated):
     lens = optical_system(
         [
@@ -34,7 +39,9 @@ def condenser(coated):
             item.coating = film if i % 2 == 0 else film.reversed()
     return lens
 
-
+# %%
+# Rays on a grid of the pupil carry Jones matrices; the analyser passes the element that turns x into y. The image of a
+# point is the transform of what it passes.
 size = 101
 figure, axes = plt.subplots(2, 3, figsize=(10.5, 6.4), layout="constrained")
 for row, coated in zip(axes, (False, True)):
@@ -65,4 +72,5 @@ for row, coated in zip(axes, (False, True)):
     row[2].set(title=f"image of a point, {name}", xticks=[], yticks=[])
 # Thumbnail: 0.5
 # Picture: Diattenuation and crossed light over the pupil of a fast lens, bare and coated, and the four-lobed images
+# Change: `aperture=32.0` to `aperture=20.0`: At two thirds of the aperture the rays are less oblique, and several times less light leaks through.
 plt.show()

@@ -1,7 +1,10 @@
 """Thin films: an antireflection coating and a mirror
 
-A quarter wave of magnesium fluoride reduces the reflection of glass; seventeen quarter waves of alternating high and low
-index reflect nearly everything within a band.
+Bare glass reflects 4 % at each surface, a lens of ten surfaces a third of the light, and a laser needs mirrors that
+lose less than a thousandth. Films of a quarter wave do both: their reflections cancel in the one case and add up in the
+other.
+
+[Polarised light, beams and media](../../guides/polarised_light_and_media.md) lists the functions for films.
 """
 
 import matplotlib.pyplot as plt
@@ -9,6 +12,9 @@ import numpy as np
 
 from odak.jones import thin_film_stack
 
+# %%
+# Thicknesses of a quarter of the wavelength in each film, for 550 nm; a film of magnesium fluoride, and a mirror of 17
+# films.
 design = 550e-9
 wavelength = np.linspace(380e-9, 780e-9, 401)
 low, high, glass = 1.46, 2.35, 1.52
@@ -20,6 +26,9 @@ coatings = {
         wavelength, [1.0, 1.38, glass], [design / 4 / 1.38]
     ),
 }
+
+# %%
+# The reflectance at the design wavelength, as textbooks have it.
 stack = thin_film_stack(wavelength, mirror_indices, mirror)
 print(
     "coated glass at 550 nm: R = "
@@ -31,6 +40,8 @@ print(
 )
 
 # %%
+# By wavelength, and for the mirror by angle and polarisation: its band moves to the blue, and laser light of 633 nm
+# falls out of it or into it.
 figure, axes = plt.subplots(1, 3, figsize=(13, 3.8))
 for name, response in coatings.items():
     axes[0].plot(1e9 * wavelength, 100 * response.reflectance, label=name)
@@ -43,7 +54,7 @@ axes[0].set(
 axes[0].legend()
 axes[1].plot(1e9 * wavelength, 100 * stack.reflectance)
 axes[1].set(
-    title="mirror of 17 films", ylabel="reflectance (%)", xlabel="wavelength (nm)"
+    title=f"mirror of {len(mirror)} films", ylabel="reflectance (%)", xlabel="wavelength (nm)"
 )
 angle = np.linspace(0, 89, 200)
 for polarization in "sp":
@@ -57,4 +68,5 @@ axes[2].set(
 axes[2].legend()
 # Thumbnail: 0.498 0.336
 # Picture: Reflectance of coated glass and of a mirror by wavelength, and of the mirror by angle for both polarisations
+# Change: `[high, low] * 8` to `[high, low] * 3`: With seven films instead of seventeen the mirror reflects 94 % in a wider, softer band.
 plt.show()

@@ -1,7 +1,10 @@
 """Polarisation behind a wave plate
 
-Light polarised along x passes a wave plate with its fast axis at 30°. The polarisation ellipse changes with the
-retardance; on the Poincaré sphere it moves on a circle about the axis of the plate.
+A wave plate turns one state of polarisation into another: a half-wave plate turns linear light, a quarter-wave plate
+makes it circular. On the Poincaré sphere each plate is a rotation about an axis in the equator, by its retardance;
+whoever sees that needs no matrices to choose a plate.
+
+[Polarisation](../../guides/polarisation.md) goes on from here.
 """
 
 import matplotlib.pyplot as plt
@@ -9,6 +12,8 @@ import numpy as np
 
 from odak.jones import apply_matrix, electricfield, retarder, stokes
 
+# %%
+# Eight retardances of a plate at 30°, each with the ellipse that the tip of the field describes.
 light = electricfield(1, 0)
 figure = plt.figure(figsize=(12, 4.6))
 left, right = figure.subfigures(1, 2, width_ratios=(1.5, 1))
@@ -26,6 +31,9 @@ for axis, retardance in zip(axes, np.arange(0, 360, 45)):
         xticks=[],
         yticks=[],
     )
+
+# %%
+# The Stokes vectors of all retardances form a circle about the axis of the plate, which stands at 60° on the equator.
 sphere = right.add_subplot(projection="3d")
 u, v = np.mgrid[0 : 2 * np.pi : 37j, 0 : np.pi : 19j]
 sphere.plot_wireframe(
@@ -45,4 +53,5 @@ sphere.set(xlabel="S₁", ylabel="S₂", zlabel="S₃", box_aspect=(1, 1, 1), **
 sphere.set_box_aspect((1, 1, 1), zoom=0.9)
 # Thumbnail: 0.8 0.4
 # Picture: Polarisation ellipses for eight retardances, and their path on the Poincaré sphere
+# Change: `light = electricfield(1, 0)` to `light = electricfield(0.5**0.5, 0.5**0.5)`: Light at 45° is only 15° from the axis of the plate, and the circle on the sphere is small: the polarisation changes little.
 plt.show()
