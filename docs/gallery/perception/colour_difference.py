@@ -36,7 +36,10 @@ for a in range(-80, 81, 20):
 # %%
 # In greys the ellipses are small, among saturated colours long and turned; blue stands out.
 axis.set(
-    xlabel="a*", ylabel="b*", aspect="equal", title=f"contours of ΔE₀₀ = 3 at L* = {lightness:g}"
+    xlabel="a*",
+    ylabel="b*",
+    aspect="equal",
+    title=f"contours of ΔE₀₀ = 3 at L* = {lightness:g}",
 )
 # Thumbnail: 0.5 1
 # Picture: Contours of equal CIEDE2000 difference in the plane of a* and b*, filled with their colours

@@ -32,7 +32,8 @@ for axis, accommodation in zip(axes, (0.0, 1.5, 3.5)):
     axis.set_title(f"in focus: red {red:.1f}, green {green:.1f}, blue {blue:.1f} D")
     axis.set_xlabel("visual angle (degrees)")
 axes[0].set_ylabel("visual angle (degrees)")
-figure.suptitle(f"a picture at {1 / vergence:g} m ({vergence:g} dioptres), pupil of 4 mm")
+distance = f"{1 / vergence:g} m ({vergence:g} dioptres)"
+figure.suptitle(f"a picture at {distance}, pupil of 4 mm")
 # Picture: A cup seen by an eye focused beyond it, at it, and in front of it
 # Change: `pitch, vergence = [638e-9, 532e-9, 450e-9], math.radians(6 / 192), 2.0` to `pitch, vergence = [638e-9, 532e-9, 450e-9], math.radians(6 / 192), 4.0`: A picture at 25 cm is out of focus in all three states, least in the last: the eye would have to accommodate by 4 dioptres.
 plt.show()

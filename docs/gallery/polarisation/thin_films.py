@@ -54,7 +54,9 @@ axes[0].set(
 axes[0].legend()
 axes[1].plot(1e9 * wavelength, 100 * stack.reflectance)
 axes[1].set(
-    title=f"mirror of {len(mirror)} films", ylabel="reflectance (%)", xlabel="wavelength (nm)"
+    title=f"mirror of {len(mirror)} films",
+    ylabel="reflectance (%)",
+    xlabel="wavelength (nm)",
 )
 angle = np.linspace(0, 89, 200)
 for polarization in "sp":
