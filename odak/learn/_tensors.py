@@ -297,6 +297,11 @@ def checked_pair(
     return in_float32(predictions.to(dtype)), in_float32(targets.to(dtype))
 
 
+def above_zero(value: torch.Tensor) -> torch.Tensor:
+    """Return values of which negative ones are 0; the gradient is that of the values."""
+    return value - value.detach().clamp_max(0)
+
+
 def as_pictures(name: str, image: torch.Tensor, channels: int | None = 3) -> torch.Tensor:
     """Return real pictures ``[..., C, H, W]`` with at least four axes after checking them."""
     floating_tensor(name, image)

@@ -904,6 +904,8 @@ def _pages_of(path, pages, count):
         # The command line gives the same warning, of which Python shows one.
         warn(f"{path!r} has {count} frames or pages; the first one is used", ArgumentWarning)
     wanted = range(count) if pages == "all" else (pages or 0,) if pages is None or isinstance(pages, int) else pages
+    if not count:
+        raise ValueError("it has no pages: it is damaged or incomplete")
     if not wanted or max(wanted) >= count:
         raise ValueError(f"pages must be from 0 to {count - 1}, got {pages!r}")
     return wanted

@@ -463,6 +463,13 @@ def test_pages_are_read_on_request_and_told_of_otherwise(tmp_path, kind):
             load_image(path, pages=pages)
 
 
+def test_a_tiff_without_pages_is_called_damaged(tmp_path):
+    # The header of a TIFF whose writer was interrupted: no directory follows.
+    (tmp_path / "none.tif").write_bytes(b"II*\0\0\0\0\0")
+    with pytest.raises(ValueError, match="no pages: it is damaged or incomplete"):
+        load_image(tmp_path / "none.tif")
+
+
 def test_deep_pages_and_pages_of_several_sizes(tmp_path, random):
     tifffile = pytest.importorskip("tifffile")
     deep = random.integers(0, 65536, (3, 5, 7, 3)).astype(np.uint16)

@@ -8,9 +8,10 @@ import numpy as np
 import torch
 
 from odak import _validate
-from odak.learn._tensors import as_pictures, in_float32, in_float64
+from odak.learn._tensors import above_zero, as_pictures, in_float32, in_float64
 from odak.learn.perception.color import (
     CONES,
+    DARKEST,
     IEC_WHITE,
     _hue,
     _white,
@@ -35,8 +36,6 @@ _SATURATION = np.array([1.0, 1.0, 21 / 20])
 # An average surround: factor of adaptation, impact of the surround, chromatic induction.
 _ADAPTING, _IMPACT, _INDUCTION = 1.0, 0.69, 1.0
 _COMPRESSION, _HALF = 0.42, 27.13
-# Relative responses below which a power keeps its slope: a 10 000th of the white.
-_DARKEST = 1e-4
 # Responses of the cones of CIE 170-1 by XYZ of CIE 1931; the first two add up to about the luminance.
 _LMS_2006 = np.array(
     [
@@ -67,8 +66,10 @@ def _viewing(white, luminance, background, model):
         "exponent": _IMPACT * (1.48 + math.sqrt(share)),
         "chroma": (1.64 - 0.29**share) ** 0.73,
     }
-    power = (level * (matrix @ np.array(white))) ** _COMPRESSION
-    return matrix, found | {"white": float(_TO_OPPONENT[0] @ (400 * power / (power + _HALF)))}
+    # Achromatic responses to the white and to the darkest grey.
+    powers = (level * np.array((1, DARKEST))[:, None] * (matrix @ np.array(white))) ** _COMPRESSION
+    bright, dark = map(float, 400 * powers / (powers + _HALF) @ _TO_OPPONENT[0])
+    return matrix, found | {"white": bright, "dark": dark / bright}
 
 
 def _checked_viewing(white, luminance, background, model):
@@ -107,8 +108,9 @@ def xyz_to_cam16_ucs(
     Returns
     -------
     torch.Tensor
-        ``[..., 3, H, W]``, four axes for three: J′ (0 … 100), a′ and b′. Distances are colour differences. Responses
-        below a 10 000th of the white have the gradient there; greys have a gradient of 0 in a′ and b′.
+        ``[..., 3, H, W]``, four axes for three: J′ (0 … 100), a′ and b′. Distances are colour differences. Below the
+        grey of 1/255 in sRGB gradients are those there, finite and not 0 at black; greys have a gradient of 0 in a′
+        and b′.
 
     Raises
     ------
@@ -156,17 +158,16 @@ def uniform_colours(
     """
     matrix, view = _checked_viewing(white, adapting_luminance, background, model)
     responses = mix(rows(matrix), tristimulus(image, white)[0])
-    power = signed_power(view["level"] * responses, _COMPRESSION, view["level"] * _DARKEST)
+    power = signed_power(view["level"] * responses, _COMPRESSION, view["level"] * DARKEST)
     compressed = 400 * power / (power.abs() + _HALF)
     achromatic, a, b = mix(rows(_TO_OPPONENT), compressed).unbind(-3)
     total = mix(rows(_SATURATION[None]), compressed)[..., 0, :, :] + 0.305
-    relative = (achromatic / view["white"]).clamp_min(0)
-    # The exponent exceeds one.
-    lightness = 100 * relative ** view["exponent"]
+    relative = above_zero(achromatic / view["white"])
+    lightness = 100 * signed_power(relative, view["exponent"], view["dark"])
     hue = _hue(a, b)
     eccentricity = (torch.cos(hue + 2) + 3.8) / 4
     t = 50000 / 13 * _INDUCTION * view["induction"] * eccentricity * root(a**2 + b**2) / total
-    chroma = signed_power(t, 0.9, 1e-6) * root(lightness / 100) * view["chroma"]
+    chroma = signed_power(t, 0.9, 1e-6) * signed_power(relative, view["exponent"] / 2, view["dark"]) * view["chroma"]
     colourfulness = torch.log1p(0.0228 * chroma * view["level"] ** 0.25) / 0.0228
     return torch.stack(
         [1.7 * lightness / (1 + 0.007 * lightness), colourfulness * torch.cos(hue), colourfulness * torch.sin(hue)], -3
@@ -237,13 +238,13 @@ def of_uniform_colours(
     """
     matrix, view = _checked_viewing(white, adapting_luminance, background, model)
     level, a, b = as_pictures("image", image).unbind(-3)
-    lightness = (level / (1.7 - 0.007 * level)).clamp_min(0)
-    none = lightness == 0
-    safe = torch.where(none, 1.0, lightness) / 100
+    share = above_zero(level / (170 - 0.7 * level))
+    none = share == 0
     hue = _hue(a, b)
     chroma = torch.expm1(0.0228 * root(a**2 + b**2)) / 0.0228 / view["level"] ** 0.25
-    t = signed_power(chroma / (safe.sqrt() * view["chroma"]), 1 / 0.9, 1e-12)
-    achromatic = view["white"] * safe ** (1 / view["exponent"])
+    chroma = torch.where(none, 0.0, chroma / torch.where(none, 1.0, share).sqrt())
+    t = signed_power(chroma / view["chroma"], 1 / 0.9, 1e-12)
+    achromatic = view["white"] * signed_power(share, 1 / view["exponent"], view["dark"] ** view["exponent"])
     cosine, sine = torch.cos(hue), torch.sin(hue)
     scale = 50000 / 13 * _INDUCTION * view["induction"] * (torch.cos(hue + 2) + 3.8) / 4
     # t·(R + G + 21 B/20 + 0.305) = scale·r, with R, G, B linear in the achromatic response and in r·cos h, r·sin h.
@@ -251,8 +252,8 @@ def of_uniform_colours(
     radius = t * (from_achromatic * achromatic + 0.305) / (scale - t * (from_a * cosine + from_b * sine))
     compressed = mix(rows(_FROM_OPPONENT), torch.stack([achromatic, radius * cosine, radius * sine], -3))
     power = _HALF * compressed / (400 - compressed.abs())
-    responses = signed_power(power, 1 / _COMPRESSION, 1e-12) / view["level"]
-    return torch.where(none.unsqueeze(-3), 0.0, mix(rows(np.linalg.inv(matrix)), responses))
+    responses = signed_power(power, 1 / _COMPRESSION, (view["level"] * DARKEST) ** _COMPRESSION) / view["level"]
+    return mix(rows(np.linalg.inv(matrix)), responses)
 
 
 @functools.lru_cache(maxsize=32)

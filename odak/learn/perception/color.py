@@ -690,7 +690,8 @@ def rgb_to_hsv(image: torch.Tensor, eps: float = 1e-8) -> torch.Tensor:
     sixths = torch.lerp(below_blue - below_green, others, below_red.sign()) / chroma
     # A tiny negative angle rounds to 2π first.
     hue = _modulo_six(_modulo_six(sixths)) * (math.pi / 3)
-    return torch.stack([hue, span / _nonzero(value + eps), value], -3)
+    # A grey has no saturation, and no gradient of it beside which that of a dark value would be lost.
+    return torch.stack([hue, span / torch.where(span == 0, 1.0, _nonzero(value + eps)), value], -3)
 
 
 def hsv_to_rgb(image: torch.Tensor) -> torch.Tensor:
@@ -1246,7 +1247,7 @@ _ICTCP_CONES = np.array([(1688, 2146, 262), (683, 2951, 462), (99, 309, 3688)]) 
 _ICTCP = np.array([(2048, 2048, 0), (6610, -13613, 7003), (17933, -17390, -543)]) / 4096
 _SRGB = _rgb_to_xyz_rows(BT709_PRIMARIES, IEC_WHITE)
 # Cone response of a grey of 1/255 in sRGB: roots of darker ones have the slope at this one.
-_DARKEST = 1 / (255 * 12.92)
+DARKEST = 1 / (255 * 12.92)
 _BISECTIONS = 40
 
 
@@ -1406,12 +1407,13 @@ def luv_to_xyz(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
     white = _white(white)
     level, u, v = as_pictures("image", image).unbind(-3)
     roots = (level + 16) / 116
-    y = torch.where(roots > _LAB_JOINT, roots**3, (roots - _LAB_OFFSET) / _LAB_FACTOR) * white[1]
+    # Of L* rather than of the roots, so that y is 0 at black.
+    y = torch.where(roots > _LAB_JOINT, roots**3, level / (116 * _LAB_FACTOR)) * white[1]
     none, sum_white = level == 0, white[0] + 15 * white[1] + 3 * white[2]
     scale = 13 * torch.where(none, 1.0, level)
-    u, v = u / scale + 4 * white[0] / sum_white, v / scale + 9 * white[1] / sum_white
-    x, z = y * 9 * u / (4 * v), y * (12 - 3 * u - 20 * v) / (4 * v)
-    return torch.stack([torch.where(none, 0.0, value) for value in (x, y, z)], -3)
+    u, v = (torch.where(none, 0.0, value) / scale for value in (u, v))
+    u, v = u + 4 * white[0] / sum_white, v + 9 * white[1] / sum_white
+    return torch.stack([y * 9 * u / (4 * v), y, y * (12 - 3 * u - 20 * v) / (4 * v)], -3)
 
 
 def xyz_to_lms(image: torch.Tensor, cones: str = "Hunt-Pointer-Estevez") -> torch.Tensor:
@@ -1569,7 +1571,7 @@ def xyz_to_oklab(image: torch.Tensor) -> torch.Tensor:
     >>> [abs(round(value, 2)) for value in result.flatten().tolist()]
     [1.0, 0.0, 0.0]
     """
-    return mix(rows(_OKLAB), signed_power(mix(rows(_OKLAB_CONES), tristimulus(image)[0]), 1 / 3, _DARKEST))
+    return mix(rows(_OKLAB), signed_power(mix(rows(_OKLAB_CONES), tristimulus(image)[0]), 1 / 3, DARKEST))
 
 
 @decoded_in_float32
@@ -1599,7 +1601,8 @@ def oklab_to_xyz(image: torch.Tensor) -> torch.Tensor:
     >>> [round(value, 2) for value in result.flatten().tolist()]
     [0.95, 1.0, 1.09]
     """
-    return mix(_inverse(rows(_OKLAB_CONES)), mix(_inverse(rows(_OKLAB)), as_pictures("image", image)) ** 3)
+    signals = mix(_inverse(rows(_OKLAB)), as_pictures("image", image))
+    return mix(_inverse(rows(_OKLAB_CONES)), signed_power(signals, 3.0, DARKEST ** (1 / 3)))
 
 
 @decoded_in_float32

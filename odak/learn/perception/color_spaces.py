@@ -32,7 +32,10 @@ def _of_jzazbz(image, white, luminance):
     lightness = lightness + _BLACK
     intensity = lightness / (1 + _BEND - _BEND * lightness)
     signals = mix(rows(np.linalg.inv(_OPPONENTS)), torch.stack([intensity, a, b], -3))
-    return mix(rows(np.linalg.inv(_CONES @ _MIXED)), pq_decode(signals.clamp_min(0) ** (1 / _STEEPER))) / luminance
+    return (
+        mix(rows(np.linalg.inv(_CONES @ _MIXED)), pq_decode(color.signed_power(signals, 1 / _STEEPER, _BLACK)))
+        / luminance
+    )
 
 
 def _linear(image, white):

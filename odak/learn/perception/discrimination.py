@@ -10,7 +10,7 @@ from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator
 from odak import _torch_private, _validate
 from odak._warnings import ConvergenceWarning, warn
 from odak.learn._tensors import check_values, floating_tensor, in_float32, takes_constants
-from odak.learn.perception.joint_statistics import descended
+from odak.learn.perception.joint_statistics import CONVERGED, descended
 
 Model = Callable[[torch.Tensor], Any]
 # Relative error of the largest eigenvalue where the least ones are asked for.
@@ -61,6 +61,11 @@ def metamer(
     ValueError, TypeError
         If the picture, the start or the bounds are none, or the response of the model is no tensor.
 
+    Warns
+    -----
+    ConvergenceWarning
+        If the responses differ by more than a tenth of what those to the start differ by.
+
     Notes
     -----
     Of a linear model and without bounds it is the start, projected onto the pictures with the given response. Freeman
@@ -98,7 +103,8 @@ def metamer(
         def held(one):
             return one if bounds is None else one.clamp(low, high)
 
-        return descended(start.to(picture), held, distance, iterations, progress, steepness=0.0).to(kind)
+        made = descended(start.to(picture), held, distance, iterations, progress, steepness=0.0, told=CONVERGED)
+        return made.to(kind)
 
 
 def eigendistortions(

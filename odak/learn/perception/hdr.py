@@ -12,7 +12,7 @@ from typing import overload
 import torch
 
 from odak import _validate
-from odak.learn._tensors import as_pictures, floating_tensor, in_float32, in_float64, tell_scale
+from odak.learn._tensors import above_zero, as_pictures, floating_tensor, in_float32, in_float64, tell_scale
 
 PQ_PEAK = 10000.0
 _M1, _M2 = 2610 / 16384, 2523 / 4096 * 128
@@ -85,7 +85,8 @@ def pq_decode(signal: torch.Tensor) -> torch.Tensor:
     Returns
     -------
     torch.Tensor
-        0 … 10 000 cd/m² in the input's shape and precision, with finite gradients.
+        0 … 10 000 cd/m² in the input's shape and precision. The gradient below 1e-5 cd/m² is that at 1e-5, so that it
+        is not 0 at black; outside 0 … 1 it is 0.
 
     Raises
     ------
@@ -99,10 +100,8 @@ def pq_decode(signal: torch.Tensor) -> torch.Tensor:
     >>> [round(value) for value in pq_decode(torch.tensor([0.0, 0.508078, 1.0])).tolist()]
     [0, 100, 10000]
     """
-    # With e = signal^(1/m₂) − 1 and c₂ − c₃ = 1 − c₁ neither difference loses digits at bright signals.
-    e = torch.expm1(in_float32(_signal(signal)).clamp(_C1**_M2, 1).log() / _M2)
-    ratio = ((1 - _C1) + e).clamp_min(0) / ((1 - _C1) - _C3 * e)
-    return (PQ_PEAK * ratio ** (1 / _M1)).to(signal)
+    clipped = in_float32(_signal(signal)).clamp(0, 1)
+    return _with_bounded_gradient(_pq_luminance, clipped, _PQ_RATIO**_M2, PQ_PEAK / _PQ_DERIVATIVE).to(signal)
 
 
 def hlg_encode(light: torch.Tensor) -> torch.Tensor:
@@ -145,7 +144,8 @@ def hlg_decode(signal: torch.Tensor) -> torch.Tensor:
     Returns
     -------
     torch.Tensor
-        Linear scene light in the input's shape and precision.
+        Linear scene light in the input's shape and precision. The gradient for light below 1e-6 is that at 1e-6, so
+        that it is not 0 at black; below 0 it is 0.
 
     Raises
     ------
@@ -160,8 +160,7 @@ def hlg_decode(signal: torch.Tensor) -> torch.Tensor:
     [0.0, 0.0833, 1.0]
     """
     signal = _signal(signal).clamp_min(0)
-    bright = (torch.exp((signal.clamp_min(0.5) - _HLG_C) / _HLG_A) + _HLG_B) / 12
-    return torch.where(signal > 0.5, bright, signal**2 / 3)
+    return _with_bounded_gradient(_hlg_light, signal, math.sqrt(3 * _HLG_FLOOR), 1 / _HLG_DERIVATIVE)
 
 
 @overload
@@ -295,7 +294,7 @@ def pu21_encode(luminance: torch.Tensor, variant: str = "banding_glare") -> torc
     -------
     torch.Tensor
         From 0 at 0.005 cd/m² through about 256 at 100 to 595.4 ("banding_glare") at 10 000, in the input's shape and
-        precision. The gradient is finite, and 0 outside the range.
+        precision. The gradient below the range is that at its end, so that it is not 0 at black; above it is 0.
 
     Raises
     ------
@@ -315,9 +314,10 @@ def pu21_encode(luminance: torch.Tensor, variant: str = "banding_glare") -> torc
     (256, 595.4)
     """
     p = PU21_PARAMETERS[_validate.one_of("variant", variant, PU21_PARAMETERS)]
-    power = in_float64(floating_tensor("luminance", luminance)).clamp(*PU21_LIMITS) ** p[3]
+    clipped = in_float64(floating_tensor("luminance", luminance)).clamp_max(PU21_LIMITS[1])
+    power = (PU21_LIMITS[0] + above_zero(clipped - PU21_LIMITS[0])) ** p[3]
     values = p[6] * (((p[0] + p[1] * power) / (1 + p[2] * power)) ** p[4] - p[5])
-    return values.clamp_min(0).to(luminance)
+    return above_zero(values).to(luminance)
 
 
 def pu21_decode(values: torch.Tensor, variant: str = "banding_glare") -> torch.Tensor:
@@ -358,10 +358,22 @@ def pu21_decode(values: torch.Tensor, variant: str = "banding_glare") -> torch.T
     return (power.clamp(*power_limits) ** (1 / p[3])).to(values)
 
 
+def _pq_luminance(signal):
+    # With e = signal^(1/m₂) − 1 and c₂ − c₃ = 1 − c₁ neither difference loses digits at bright signals.
+    e = torch.expm1(signal.clamp_min(_C1**_M2).log() / _M2)
+    ratio = ((1 - _C1) + e).clamp_min(0) / ((1 - _C1) - _C3 * e)
+    return PQ_PEAK * ratio ** (1 / _M1)
+
+
 def _pq_signal(y):
     power = y**_M1
     # As c₂ − c₃ = 1 − c₁, the ratio is 1 − (1 − c₁)·(1 − t)/(1 + c₃·t), which keeps its digits near the peak.
     return torch.exp(_M2 * torch.log1p(-(1 - _C1) * (1 - power) / (1 + _C3 * power)))
+
+
+def _hlg_light(signal):
+    bright = (torch.exp((signal.clamp_min(0.5) - _HLG_C) / _HLG_A) + _HLG_B) / 12
+    return torch.where(signal > 0.5, bright, signal**2 / 3)
 
 
 def _hlg_signal(light):

@@ -11,6 +11,7 @@ from torch.nn import functional
 
 from odak import _torch_private, _validate
 from odak._torch_private import in_own_precision
+from odak._warnings import ConvergenceWarning, warn
 from odak.learn._tensors import as_pictures, check_values
 from odak.learn.perception.pyramids import SpatialSteerablePyramid, pad_image_for_pyramid
 
@@ -27,6 +28,8 @@ PIXEL_WEIGHT = 10.0
 # Power of the frequency by which the descent weights changes of a picture, and the frequency in cycles per pixel below
 # which it weights them alike.
 STEEPNESS, SLOWEST = 0.4, 0.02
+# Share of the start's distance, as a root mean square, within which a picture counts as one of the target's statistics.
+CONVERGED = 0.1
 # Weight of the squared distance from the bounds, relative to the statistics.
 OUTSIDE_WEIGHT = 0.1
 
@@ -293,6 +296,11 @@ def synthesize_texture(
     ValueError, TypeError
         If the sample or the size does not fit the pyramid.
 
+    Warns
+    -----
+    ConvergenceWarning
+        If the statistics differ by more than a tenth of what those of the noise differ by.
+
     Notes
     -----
     Statistics: :func:`texture_statistics`. Portilla and Simoncelli (2000) project onto each in turn; here all descend
@@ -302,8 +310,8 @@ def synthesize_texture(
     --------
     >>> import torch
     >>> from odak.learn.perception import synthesize_texture
-    >>> stripes = torch.linspace(0, 50, 64).sin().expand(1, 1, 64, 64) / 2 + 0.5
-    >>> synthesize_texture(stripes, (32, 96), n_pyramid_levels=3, iterations=5).shape
+    >>> sand = torch.rand(1, 1, 64, 64, generator=torch.Generator().manual_seed(1))
+    >>> synthesize_texture(sand, (32, 96), n_pyramid_levels=3, iterations=40).shape
     torch.Size([1, 1, 32, 96])
     """
     sample = _checked("sample", sample).detach()
@@ -333,7 +341,10 @@ def synthesize_texture(
             ]
             return torch.stack(parts).sum()
 
-        return descended(start, lambda picture: picture.maximum(low).minimum(high), distance, iterations, progress)
+        def held(picture):
+            return picture.maximum(low).minimum(high)
+
+        return descended(start, held, distance, iterations, progress, told=CONVERGED)
 
 
 @in_own_precision
@@ -356,6 +367,7 @@ def descended(
     progress: Callable[[], object] | None,
     steepness: float = STEEPNESS,
     outside_weight: float = OUTSIDE_WEIGHT,
+    told: float = math.inf,
 ) -> torch.Tensor:
     """Return a picture of the form `held(free)` that lowers a distance, by L-BFGS.
 
@@ -375,11 +387,18 @@ def descended(
         Power of the frequency by which changes of the picture are weighted; 0 for none.
     outside_weight : float
         Weight of the squared distance from the bounds, relative to the statistics.
+    told : float
+        Share of the root mean square distance of the start above which the result is told not to have converged.
 
     Returns
     -------
     torch.Tensor
         In the shape of the start.
+
+    Warns
+    -----
+    ConvergenceWarning
+        If the result is farther from the target than told.
 
     Notes
     -----
@@ -430,4 +449,11 @@ def descended(
         # The line search does not count evaluations.
         with contextlib.suppress(_Spent):
             optimizer.step(evaluate)
-    return held(start + weighted(best))
+    made = held(start + weighted(best))
+    if told < 1 and (apart := math.sqrt(float(distance(made) / unit))) > told:
+        warn(
+            f"not converged after {iterations} evaluations: the statistics differ by {100 * apart:.2g} % of what the "
+            "start's differ by; give more iterations, or a start that is nearer",
+            ConvergenceWarning,
+        )
+    return made

@@ -299,6 +299,46 @@ def test_black_and_grey_have_finite_gradients(space):
     assert slope.isfinite().all()
 
 
+# Black, white, grey and the saturated corners of sRGB.
+CORNERS = [(0.5, 0.5, 0.5), *itertools.product((0.0, 1.0), repeat=3)]
+
+
+@pytest.mark.parametrize("corner", CORNERS)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_no_colour_is_where_a_descent_cannot_leave(corner, dtype):
+    colour = torch.tensor(corner, dtype=dtype).reshape(1, 3, 1, 1)
+    weights = torch.tensor((1.0, 0.37, -0.61), dtype=dtype).reshape(1, 3, 1, 1)
+    conversions = [(p.convert_color(colour, "sRGB", space), space, "XYZ") for space in SPACES]
+    conversions += [(p.convert_color(colour, "sRGB", "XYZ"), "XYZ", space) for space in SPACES]
+    functions = [
+        (lambda v, one=one, other=other: p.convert_color(v, one, other), value) for value, one, other in conversions
+    ]
+    functions += [(convert, colour) for convert in (p.rgb_to_hsv, p.pq_decode, p.hlg_decode, p.hlg_to_luminance)]
+    functions += [(lambda v: p.pu21_encode(100 * v), colour), (lambda v: p.pq_encode(100 * v), colour)]
+    for function, value in functions:
+        value = value.detach().requires_grad_()
+        (slope,) = torch.autograd.grad((function(value) * weights).sum(), value)
+        assert slope.isfinite().all() and slope.any()
+
+
+@pytest.mark.parametrize("model", ["CAM02-UCS", "CAM16-UCS"])
+def test_dark_greys_of_models_of_appearance_share_a_slope(model):
+    # Of J' along the greys: that of a grey of 1/255, of its neighbours by differences, down to black.
+    def lightness(grey):
+        return p.convert_color(grey.reshape(1, 1, 1, -1).expand(1, 3, 1, -1), "RGB", model)[0, 0, 0]
+
+    edge = 1 / (255 * 12.92)
+    greys = torch.tensor([0.0, edge / 100, edge / 2, edge, 1.5 * edge], dtype=torch.float64).requires_grad_()
+    (slope,) = torch.autograd.grad(lightness(greys).sum(), greys)
+    near = greys.detach()[3:, None] + torch.tensor([-1e-8, 1e-8], dtype=torch.float64)
+    true = (lightness(near.flatten()).reshape(2, 2).diff() / near.diff()).flatten()
+    assert slope[-1].item() == pytest.approx(true[1].item(), rel=1e-5)
+    assert slope[:4].tolist() == pytest.approx([true[0].item()] * 4, rel=0.03)
+    below = torch.full((1, 3, 1, 1), -0.01, dtype=torch.float64, requires_grad=True)
+    value = p.convert_color(below, "RGB", model)
+    assert value.abs().max() < 1e-9 and torch.autograd.grad(value[0, 0].sum(), below)[0].sum() > 0
+
+
 def test_jzazbz_depends_on_the_luminance_of_white():
     # Of colour-science 0.4.7.
     for level, expected in ((100, 0.167173427699), (9000, 0.947629077583)):

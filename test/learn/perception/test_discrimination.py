@@ -47,6 +47,8 @@ def test_a_metamer_keeps_to_its_bounds():
     assert 0.05 <= float(found.min()) < float(found.max()) <= 0.4
     torch.testing.assert_close(model(found), model(picture), rtol=0, atol=1e-4)
     assert torch.equal(found, metamer(model, picture, bounds=(0.05, 0.4), seed=3))
+    with pytest.warns(ConvergenceWarning, match="not converged after 2 evaluations"):
+        metamer(model, picture, iterations=2)
     assert not torch.equal(found, metamer(model, picture, bounds=(0.05, 0.4), seed=4))
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from odak._warnings import ConvergenceWarning
 from odak.learn.perception import (
     FrequencySteerablePyramid,
     MetamericLoss,
@@ -294,6 +295,8 @@ def test_grey_single_orientation_has_no_pairs_at_the_last_level():
 def test_wrong_arguments():
     with pytest.raises(ValueError, match="multiples of 32"):
         synthesize_texture(noise(1, 1, 64, 64), (40, 64))
+    with pytest.warns(ConvergenceWarning, match="not converged after 3 evaluations: the statistics differ by .* %"):
+        synthesize_texture(noise(1, 1, 64, 64), (32, 64), n_pyramid_levels=2, iterations=3)
     with pytest.raises(ValueError, match=r"size must have sides above 64 for 5 levels, got \(64, 96\)"):
         synthesize_texture(noise(1, 1, 96, 96), (64, 96))
     with pytest.raises(ValueError, match="sample must have sides above 64"):
