@@ -1,6 +1,10 @@
 """Caustic of a glass ball
 
-A parallel bundle is refracted twice by a ball of glass. The rays do not meet in a point: they touch a caustic.
+A glass ball is the simplest lens, couples light into fibres, and gathers the sun behind a drop. It has no focus: rays
+far from the axis cross it earlier than those near it. They touch a caustic instead, the bright curve that one sees in a
+cup, whose cusp is the paraxial focus.
+
+[Trace rays](../../guides/trace_rays.md) explains rays and surfaces one by one.
 """
 
 import matplotlib.pyplot as plt
@@ -9,6 +13,8 @@ import numpy as np
 from odak.catalog import refractive_index
 from odak.raytracing import define_sphere, intersect_w_sphere, refract
 
+# %%
+# A bundle of parallel rays, as points and directions, meets the ball.
 index = refractive_index("N-BK7", 532e-9)
 sphere = define_sphere([0.0, 0.0, 0.0], 5.0)
 heights = np.linspace(-4.6, 4.6, 93)
@@ -16,6 +22,10 @@ starts = np.column_stack(
     (np.zeros_like(heights), heights, np.full_like(heights, -12.0))
 )
 rays = np.stack((starts, np.broadcast_to([0.0, 0.0, 1.0], starts.shape)), axis=1)
+
+# %%
+# Refraction into the glass and out of it. The step between them keeps a ray from meeting the surface that it has just
+# left.
 normals, _ = intersect_w_sphere(rays, sphere)
 inside = refract(rays, normals, 1.0, index)
 first = inside[:, 0].copy()
@@ -32,6 +42,7 @@ print(
 )
 
 # %%
+# The cross marks the paraxial focus.
 figure, axis = plt.subplots(figsize=(10, 5))
 for path in zip(starts, first, last, end):
     points = np.array(path)
@@ -42,5 +53,6 @@ axis.set(
     xlabel="z (mm)", ylabel="y (mm)", aspect="equal", xlim=(-9, 9), ylim=(-5.4, 5.4)
 )
 # Picture: Parallel rays through a ball of glass, which touch a caustic behind it
+# Change: `refractive_index("N-BK7", 532e-9)` to `2.0`: A ball of index 2 has its paraxial focus on its rear face: what comes from there goes back, and road signs use such beads.
 # Thumbnail: 0.3 0.1 0.88 0.85
 plt.show()

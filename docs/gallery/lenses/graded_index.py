@@ -1,7 +1,10 @@
 """Curved rays in graded-index media
 
-Rays are curved where the index of the medium varies. A rod whose index decreases with the square of the radius forms a
-sequence of images; Maxwell's fish-eye images every point of its rim onto the opposite one.
+Where the index varies, rays are curved, as over a hot road. A rod whose index falls with the square of the radius needs
+no curved faces: it forms a sequence of images, and copiers and endoscopes consist of such rods. Maxwell's fish-eye
+images every point of its rim onto the opposite one without any aberration.
+
+[Design a lens](../../guides/design_a_lens.md) shows gradients in systems.
 """
 
 import math
@@ -19,14 +22,16 @@ from odak.learn.raytracing.system import (
 )
 from odak.raytracing.gradients import Gradient, RadialGradient
 
-
+# %%
+# A gradient of one's own is a class with one method; derivatives are taken by the library.
 class FishEye(Gradient):
     """Refractive index of Maxwell's fish-eye lens of radius one, centred at z = 1."""
 
     def index(self, x, y, z, base):
         return 2 / (1 + x**2 + y**2 + (z - 1) ** 2)
 
-
+# %%
+# Two functions of rays within a medium.
 def curves(system, rays):
     """Return the points of the rays within the first medium."""
     ends = ray_paths(system, rays)[..., 2, :]
@@ -39,7 +44,8 @@ def fan(heights, slopes):
     parts = (zero, heights, zero, zero, slopes, (1 - slopes**2).sqrt())
     return Rays(*(part[None, None] for part in parts))
 
-
+# %%
+# The rod is 3¼ periods long; the fish-eye lies in a box of index 1.
 g = 0.3
 medium = RadialGradient([-(g**2)])
 rod = optical_system(
@@ -55,6 +61,7 @@ found = trace(box, fan(0 * inside, inside), until=1)
 print(f"all rays meet within {found.y.abs().max().item():.0e} radii")
 
 # %%
+# Rays of two points in the rod, and of one point of the fish-eye's rim.
 figure, axes = plt.subplots(2, 1, figsize=(9, 6.4), height_ratios=(1, 2))
 for height, color in ((0.0, "tab:blue"), (0.5, "tab:red")):
     slopes = torch.linspace(-0.28, 0.28, 9, dtype=torch.float64)
@@ -66,5 +73,6 @@ for line in curves(box, fan(0 * inside, inside)).numpy():
 axes[1].add_patch(plt.Circle((0, 0), 1.0, fill=False, color="gray"))
 axes[1].set(xlabel="z", ylabel="y", aspect="equal", title="Maxwell's fish-eye")
 # Picture: Rays of two points in a rod of graded index, and of one point in Maxwell's fish-eye
+# Change: `g = 0.3` to `g = 0.15`: With half the gradient constant the rod is twice as long for the same number of images, and its numerical aperture is half as large: the rays swing farther out.
 # Thumbnail: 0.365 0.45 0.72 0.87
 plt.show()

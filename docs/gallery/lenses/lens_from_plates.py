@@ -1,7 +1,10 @@
 """A lens from flat plates
 
-Automatic design: three plates and a stop are bent at random, and the aperture and the field grow in six steps while least
-squares keep the spots small. The same seed gives the same lens.
+Optimisation of a lens needs a start that is nearly right, and finding it is most of the art. Here there is none: three
+plates and a stop are bent at random, and the aperture and the field grow in six steps while least squares keep the
+spots small. The same seed gives the same lens.
+
+[Automatic design](../../guides/automatic_design.md) explains requirements, dimensions and searches.
 """
 
 import matplotlib.pyplot as plt
@@ -16,6 +19,8 @@ from odak.learn.raytracing.system import (
     rms_spot,
 )
 
+# %%
+# Glasses and stop in order, what the lens shall do, and what it may look like. The search keeps the best of six starts.
 found = automatic_design(
     ["N-LAK33B", "stop", "SF5", "N-LAK33B"],
     LensRequirements(focal_length=50.0, f_number=4.0, half_field=14.0),
@@ -24,6 +29,9 @@ found = automatic_design(
 )
 lens = found.system
 full = (lens.aperture, ((0.0, 0.0), (0.0, 10.0), (0.0, 14.0)))
+
+# %%
+# The plates, an early stage and the lens, all at the full aperture but the stage.
 steps = {
     "the plates": found.start,
     "a quarter of the aperture": found.stages[0].system,
@@ -32,6 +40,7 @@ steps = {
 print("RMS spots below 15 µm:", bool((rms_spot(lens) < 0.015).all()))
 
 # %%
+# Drawings of the three, and the spots as the aperture grows.
 figure, axes = plt.subplots(4, 1, figsize=(8, 11), layout="constrained")
 for axis, (name, system) in zip(axes, steps.items()):
     if system is not found.stages[0].system:

@@ -1,7 +1,10 @@
 """Pupil expander of a display
 
-A grating couples light into a plate, total reflection guides it, and a second grating lets a part of it out at each
-hop. Each direction of the picture leaves in the direction in which it came, many times, so that the eye may move.
+Glasses for augmented reality must send one small picture into an eye that moves. A grating couples light into a plate,
+total reflection guides it, and a second grating lets a part of it out at each hop. Each direction of the picture leaves
+in the direction in which it came, many times, so that the eye may move.
+
+[Stray light](../../guides/stray_light.md) explains scenes and what they lose.
 """
 
 import matplotlib.pyplot as plt
@@ -12,6 +15,8 @@ from odak.learn.raytracing import Element, Interface, Plane, Scene, light_source
 from odak.raytracing.apertures import RectangularAperture
 from odak.raytracing.interfaces import LinearGrating
 
+# %%
+# Gratings of 400 nm period on the front face; a rear face without one; an absorber at the end.
 index, thickness, wavelength = 1.8, 1.5, 532e-6
 lines = LinearGrating(0.0, 1 / 400e-6)
 
@@ -42,6 +47,9 @@ plate = [
     ),
     Element(Plane(), interface=Interface(0, 0), center=(0, 0, -14), name="eye"),
 ]
+
+# %%
+# Beams in three directions are split at each hop. What reaches the eye's plane is stated.
 figure, axis = plt.subplots(figsize=(10, 5))
 for angle, colour in ((-4.0, "tab:blue"), (0.0, "tab:green"), (4.0, "tab:red")):
     light = light_source(
@@ -63,4 +71,5 @@ axis.set(
     xlabel="y (mm)", ylabel="z (mm)", aspect="equal", xlim=(-3, 27), ylim=(-14.5, 3)
 )
 # Picture: Three beams that enter a plate through a grating and leave a second grating as many parallel beams
+# Change: `Interface({0: 0.85}, {-1: 0.15}, phase=lines)` to `Interface({0: 0.5}, {-1: 0.5}, phase=lines)`: If half of the light leaves at each hop, more of it comes out, but nearly all of it on the left: the eye may no longer move.
 plt.show()
