@@ -15,6 +15,14 @@ COARSEST, FINEST = 5e6, 1e-3
 _COARSE, _FINE = 1e5, 1e-2
 # A pixel of so many Fresnel zones casts its own shadow: the distance was meant to be the pitch.
 _FRESNEL_ZONES = 1e5
+# Light of lenses, in metres: from that of lithography, 13.5 nm, to far infrared, 118 um, with a margin.
+_LIGHT = (5e-9, 2e-4)
+# Focal lengths of lenses in wavelengths: a half millimetre, and half a kilometre, in visible light.
+_SHORTEST_FOCUS, _LONGEST_FOCUS = 1e3, 1e9
+# Films: a wavelength over the thinnest, of about an atom, and the thickest one over a wavelength.
+_THINNEST_FILM, _THICKEST_FILM = 3e3, 100.0
+# Per kelvin; that of rubber is 3e-4.
+_LARGEST_EXPANSION = 1e-3
 # Lengths in an array that are compared, one for each field of a batch.
 _MOST_LENGTHS = 64
 
@@ -32,6 +40,66 @@ def in_metres(name: str, value):
         made = [in_metres(name, entry) for entry in value]
         return type(value)(made) if any(a is not b for a, b in zip(made, value, strict=True)) else value
     return _of_quantity(name, value, "m", "a length") if hasattr(value, "to") else value
+
+
+def in_unit(name: str, value, unit: str):
+    """Return a length, or a list of lengths, in one of :data:`UNITS`: numbers as they are, texts and quantities too."""
+    made = in_metres(name, value)
+    if made is value:
+        return value
+    scale = 1.0 / UNITS[unit]
+    return type(made)(scale * one for one in made) if isinstance(made, (list, tuple)) else scale * made
+
+
+def light_in(name: str, value, unit: str):
+    """Return wavelengths of a lens in its unit, with a warning of numbers that are no light in this unit."""
+    ends = _range_of(value)
+    if ends is not None:
+        for bare in dict.fromkeys(ends):
+            if not _LIGHT[0] <= bare * UNITS[unit] <= _LIGHT[1]:
+                _doubt_unit(name, bare, unit, likely_length(bare * UNITS[unit], 1e-7, 2e-5, "nm"))
+                break
+    return in_unit(name, value, unit)
+
+
+def focal_length_in(name: str, value, wavelengths, unit: str):
+    """Return a focal length in the unit of its lens, with a warning of a number that no lens for this light has."""
+    ends, waves = _range_of(value), _range_of(wavelengths)
+    if ends is not None and waves is not None:
+        short, long = ends[0] < _SHORTEST_FOCUS * waves[1], ends[1] > _LONGEST_FOCUS * waves[0]
+        if short or long:
+            _doubt_unit(name, ends[0], unit, likely_length(ends[0] * UNITS[unit], 2e-3, 2.0, "mm"))
+    return in_unit(name, value, unit)
+
+
+def film_in(name: str, value, wavelength, unit: str) -> None:
+    """Warn of the thicknesses of films, numbers in a unit, that are no films beside the wavelength."""
+    ends, waves = _range_of(value), _range_of(wavelength)
+    if ends is None or waves is None:
+        return
+    least, most = (share * wave * UNITS[unit] for share, wave in ((1e-2, waves[0]), (3, waves[1])))
+    for bare in ends:
+        if not waves[0] / _THINNEST_FILM <= bare <= _THICKEST_FILM * waves[1]:
+            _doubt_unit(name, bare, unit, likely_length(bare * UNITS[unit], least, most, "nm"))
+            return
+
+
+def expansion_in(name: str, value):
+    """Return a coefficient of expansion per kelvin, with a warning of one that no solid has."""
+    ends = _range_of(abs(value) if isinstance(value, (float, int)) else value)
+    if ends is not None and ends[1] > _LARGEST_EXPANSION:
+        meant = f"; did you mean {ends[1]:g}e-6, {ends[1]:g} parts per million?" if ends[1] < 1e3 else ""
+        warn(f"{name} is an expansion per kelvin: {ends[1]:g} is that of no solid{meant}", ArgumentWarning)
+    return value
+
+
+def _doubt_unit(name: str, value: float, unit: str, meant: str) -> None:
+    """Warn of a bare number whose unit was probably not that of the system."""
+    warn(
+        f"{name}: {value:g} is taken as {value:g} {unit}, the unit of the system; did you mean {meant!r}? A text with "
+        "a unit of its own is taken as it stands",
+        ArgumentWarning,
+    )
 
 
 def in_degrees(name: str, value):

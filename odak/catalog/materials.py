@@ -20,7 +20,7 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array
-from odak._lengths import in_metres, likely_length
+from odak._lengths import expansion_in, in_unit, likely_length
 from odak._warnings import AccuracyWarning, ArgumentWarning, warn
 from odak.tools.paths import naming, regular_file, validate_path
 
@@ -83,6 +83,10 @@ class Material:
     expansion: float | None = None
     measured_at: float = 20.0
     environment: tuple[Any, Any] | None = None
+
+    def __post_init__(self) -> None:
+        if self.expansion is not None:
+            expansion_in(f"expansion of {self.name}", self.expansion)
 
     def at(self, temperature: Any, pressure: Any = 101325.0) -> "Material":
         """Return the material at a temperature in degrees Celsius, in air of a pressure in pascal.
@@ -640,7 +644,7 @@ def air_index(
     26824.4
     """
     scale = MICROMETRES[_validate.one_of("unit", unit, MICROMETRES)]
-    wavelength = _length("wavelength", wavelength, scale)
+    wavelength = in_unit("wavelength", wavelength, unit)
     carbon_dioxide = _validate.constant("carbon_dioxide", carbon_dioxide, least=0)
     check_weather(temperature, pressure, humidity)
     if isinstance(wavelength, (list, tuple)):
@@ -680,15 +684,6 @@ def check_weather(temperature=None, pressure=None, humidity=None, where: str = "
             units = [(unit, size * most) for unit, size in (("hPa", 100), ("kPa", 1000), ("bar", 1e5))]
             remedy = "".join(f"; were {unit} meant ({p:g} Pa)?" for unit, p in units if 5e4 < p < 1.1e5)
             warn(f"pressure{where} is in pascal, 101325 at sea level, got {most:g}{remedy}", ArgumentWarning)
-
-
-def _length(name: str, value, scale: float):
-    """Return a length in the unit of which one is `scale` micrometres; texts and quantities have units of their own."""
-    found = in_metres(name, value)
-    if found is value:
-        return value
-    scale = MICROMETRES["m"] / scale
-    return [scale * one for one in found] if isinstance(found, (list, tuple)) else scale * found
 
 
 def _ends(value) -> tuple[float, float]:
@@ -782,7 +777,7 @@ def refractive_index(
     """
     found = name if isinstance(name, Material) else material(name)
     scale = MICROMETRES[_validate.one_of("unit", unit, MICROMETRES)]
-    wavelength = _length("wavelength", wavelength, scale)
+    wavelength = in_unit("wavelength", wavelength, unit)
     medium = None if medium is None else _validate.one_of("medium", medium, MEDIA)
     extrapolate = _validate.flag("extrapolate", extrapolate)
     if isinstance(wavelength, (list, tuple)):
@@ -890,8 +885,8 @@ def internal_transmittance(
     found = name if isinstance(name, Material) else material(name)
     if extinction_of(found) is None:
         raise ValueError(f"name {found.name!r} is a material whose absorption is not known")
-    scale = MICROMETRES[_validate.one_of("unit", unit, MICROMETRES)]
-    wavelength, thickness = _length("wavelength", wavelength, scale), _length("thickness", thickness, scale)
+    _validate.one_of("unit", unit, MICROMETRES)
+    wavelength, thickness = in_unit("wavelength", wavelength, unit), in_unit("thickness", thickness, unit)
     if isinstance(wavelength, (list, tuple)):
         wavelength = _validate.array("wavelength", wavelength)
     _validate.real("thickness", thickness)

@@ -9,8 +9,10 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _show, _validate
+from odak._lengths import focal_length_in, in_unit, light_in
 from odak._warnings import ConvergenceWarning, warn
 from odak.catalog import Material, glass_makers
+from odak.catalog.materials import MICROMETRES
 from odak.learn.raytracing.system.analysis import distortion as relative_distortion
 from odak.learn.raytracing.system.analysis import rms_spot
 from odak.learn.raytracing.system.design import Solve, Variable, lens_design
@@ -147,8 +149,8 @@ class LensRequirements:
 
     Parameters
     ----------
-    focal_length : float
-        Focal length of the lens.
+    focal_length : float or str
+        Focal length of the lens. Texts have units of their own, as "50mm", here and in the wavelengths.
     f_number : float
         Focal length divided by the diameter of the entrance pupil; the object is at infinity.
     half_field : float
@@ -176,22 +178,27 @@ class LensRequirements:
     0.02
     """
 
-    focal_length: float
+    focal_length: Any
     f_number: float
     half_field: float
-    wavelengths: Sequence[float] = (486.1327e-6, 587.5618e-6, 656.2725e-6)
+    wavelengths: Sequence[Any] = (486.1327e-6, 587.5618e-6, 656.2725e-6)
     distortion: float = 0.02
     axial_color: float | None = None
     chief_ray_angle: float | None = None
     unit: str = "mm"
 
     def __post_init__(self) -> None:
+        unit = _validate.one_of("unit", self.unit, MICROMETRES)
+        waves = light_in("wavelengths", self.wavelengths, unit)
+        object.__setattr__(self, "wavelengths", _validate.several("wavelengths", waves, positive=True))
+        object.__setattr__(self, "axial_color", in_unit("axial_color", self.axial_color, unit))
+        focus = focal_length_in("focal_length", self.focal_length, self.wavelengths, unit)
+        object.__setattr__(self, "focal_length", focus)
         for name in ("focal_length", "f_number", "distortion", "axial_color", "chief_ray_angle"):
             _set_number(self, name, positive=True)
         _set_number(self, "half_field", least=0)
         if self.half_field >= 80:
             raise ValueError(f"half_field must be below 80 degrees, got {self.half_field}")
-        object.__setattr__(self, "wavelengths", _validate.several("wavelengths", self.wavelengths, positive=True))
 
     @property
     def _distortion_weight(self) -> float:
@@ -439,7 +446,7 @@ def automatic_design(
 
 def standard_design(
     system: optical_system,
-    focal_length: float | None = None,
+    focal_length: float | str | None = None,
     *,
     limits: Mapping[str, float] | None = None,
     makers: Sequence[str] | None = None,
@@ -452,8 +459,9 @@ def standard_design(
     ----------
     system : optical_system
         The lens, centred, with the aperture and the fields that it is designed for.
-    focal_length : float, optional
-        Focal length that is held, negative for lenses that diverge; by default the focal length of the system.
+    focal_length : float or str, optional
+        Focal length that is held, negative for lenses that diverge, or a text with a unit of its own, "50mm"; by
+        default the focal length of the system.
     limits : mapping, optional
         "track", largest distance from the first vertex to the image; "back", least one from the last vertex, by default
         a tenth of the focal length or what it is; "distortion", by default 0.02 or what it is; "axial_color", largest
@@ -497,7 +505,9 @@ def standard_design(
         _validate.number(f"{name} of limits", value, least=0)
     if focal_length is None:
         focal_length = float(first_order(system).focal_length.detach())
-    size = abs(_validate.constant("focal_length", focal_length))
+    waves, unit = system.wavelengths, system.unit
+    focal_length = _validate.constant("focal_length", focal_length_in("focal_length", focal_length, waves, unit))
+    size = abs(focal_length)
     items: list[Any] = list(system.surfaces)
     last = len(items) - 1
     glass, curved, free = _what_varies(system)

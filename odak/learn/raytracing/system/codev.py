@@ -32,6 +32,7 @@ from odak.learn.raytracing.system.system_files import (
     own_surfaces,
     pairs,
     plain,
+    told_impossible,
     within,
 )
 from odak.raytracing.apertures import Aperture, CircularAperture, EllipticAperture, RectangularAperture
@@ -157,7 +158,11 @@ class _Reader:
             self.waves = [_number(number, "PWL", word) / 1e3 for word in words[1:]]
         else:
             name = key.lstrip("'")
-            values = [_number(number, name, word) for word in words[1:]]
+            laurent = len(words) > 1 and words[1].upper().startswith("LAU")
+            values = [_number(number, name, word) for word in words[2 if laurent else 1 :]]
+            if laurent:
+                self.glasses[name] = _laurent(number, name, values, self.waves)
+                return
             if not self.waves or len(values) != len(self.waves):
                 raise ValueError(
                     f"line {number}: the private glass {name} must have an index at each of {len(self.waves)} "
@@ -175,7 +180,8 @@ class _Reader:
         item = self.surfaces[place]
         bend = _number(number, key, words[0])
         item.bend = _reciprocal(bend) if self.by_radius else bend
-        item.thickness = _number(number, key, words[1]) if len(words) > 1 else 0.0
+        far = key == "SO" and words[1:] and words[1].casefold() in ("inf", "infinity")
+        item.thickness = math.inf if far else _number(number, key, words[1]) if len(words) > 1 else 0.0
         for word in words[2:]:
             if word.upper().startswith("REFL"):
                 item.mirror = True
@@ -287,6 +293,18 @@ _ENTRIES: dict[str, Callable[[_Surface, _Command], None]] = {
 }
 
 
+def _laurent(number: int, name: str, values: list[float], waves: list[float]) -> Material:
+    """Return a private glass by its coefficients of n² = A₀ + A₁λ² + A₂λ⁻² + A₃λ⁻⁴ + …, λ in micrometres."""
+    powers = (0, 2, *range(-2, -2 * len(values), -2))[: len(values)]
+    reach = (min(waves), max(waves)) if len(waves) > 1 else (0.35, 2.5)
+    source = "private catalogue of a CODE V file"
+    glass = Material(name, "polynomial", {"A": tuple(values), "P": powers}, reach, "air", source)
+    index = glass.index(sum(reach) / 2) if values else math.nan
+    if isinstance(index, complex) or not 1 <= index < 6:
+        raise ValueError(f"line {number}: the private glass {name} must have an index, got {index:.4g} from {values}")
+    return glass
+
+
 def _reciprocal(value: float) -> float:
     return 1 / value if value else 0.0
 
@@ -360,6 +378,8 @@ def read_seq(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optic
                 f"{len(reader.surfaces)} surfaces{'' if reader.ended else ' without SI'}"
             )
         found = _built(reader, dict(glasses or {}), path)
+    remedy = "" if reader.by_radius else ": without a command RDM the file states curvatures; are they radii?"
+    told_impossible(found, remedy, reader.notes)
     return found, ZmxReport(tuple(reader.ignored), tuple(reader.notes))
 
 
@@ -669,12 +689,20 @@ def _glass(number: int, name: str, context: Context):
     if name in context.glasses or name.upper() in context.glasses:
         return context.glasses.get(name, context.glasses.get(name.upper()))
     code = re.fullmatch(r"(\d{3,})\.(\d{3,})", name) or re.fullmatch(r"(\d{3})(\d{3})", name)
-    if code:
-        index, abbe = (int(part) / 10 ** len(part) for part in code.groups())
-        glass = model_glass(1 + index, 100 * abbe)
+    stated = re.fullmatch(r"(\d\.\d+):(\d+\.?\d*)", name)
+    numbers = (
+        (1 + _share(code[1]), 100 * _share(code[2])) if code else tuple(map(float, stated.groups() if stated else ()))
+    )
+    if numbers:
+        glass = model_glass(*numbers)
         context.notes.append(f"surface {number}: {name} is a model glass of nd = {glass.nd:g}, Vd = {glass.vd:g}")
         return within(number, glass, context)
     return within(number, glass_by_name(number, name, context, "read_seq"), context)
+
+
+def _share(digits: str) -> float:
+    """Return digits as those behind the point."""
+    return int(digits) / 10 ** len(digits)
 
 
 def glass_by_name(number: int, name: str, context: Context, reader: str) -> Material:

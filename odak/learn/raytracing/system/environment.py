@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _validate
+from odak._lengths import expansion_in
 from odak._warnings import AccuracyWarning, warn
 from odak.catalog.materials import Material, check_weather, refractive_index, thermal_of
 from odak.learn.raytracing.system.prescriptions import Prescription
@@ -78,6 +79,7 @@ def in_environment(
     checked_system(system)
     for name, value in (("mount", mount), ("mirror", mirror), ("nominal", nominal)):
         _validate.constant(name, value)
+    expansion_in("mount", mount), expansion_in("mirror", mirror)
     temperature = _validate.number("temperature", temperature)
     pressure = _validate.number("pressure", pressure)
     check_weather(temperature, pressure)

@@ -24,6 +24,7 @@ from odak.learn.raytracing.system.system_files import (
     lens_text,
     named_errors,
     own_surfaces,
+    told_impossible,
     within,
 )
 from odak.raytracing.interfaces import IdealLens
@@ -90,6 +91,7 @@ def read_len(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optic
             raise ValueError(f"a lens must have an object, a surface and an image, got {len(surfaces)} surfaces")
         notes: list[str] = []
         found = _built(head, surfaces, dict(glasses or {}), path, ignored, notes)
+    told_impossible(found, notes=notes)
     return found, ZmxReport(tuple(ignored), tuple(notes))
 
 

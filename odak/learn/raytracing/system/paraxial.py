@@ -722,7 +722,7 @@ def ghost_system(system: optical_system, first: int, second: int) -> optical_sys
             return None if behind is None else Coating(substrate=behind)
         held = held.reversed() if backwards else held
         values = [float(value) for value in held.thicknesses]
-        return Coating(held.media, values, behind)
+        return Coating(held.media, values, behind, held.unit)
 
     def passed(i: int, thickness, material, backwards: bool = False, behind=None) -> surface:
         item = items[i]

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 
 from odak import _validate
+from odak._lengths import expansion_in, in_metres, light_in
 from odak.catalog.materials import Material, check_weather
 from odak.catalog.materials import material as find_material
 
@@ -101,8 +102,9 @@ class Wavelengths:
 
     Parameters
     ----------
-    wavelengths : float or sequence of float, optional
-        Vacuum wavelengths in the unit of the system; the d line, 587.5618 nm, by default.
+    wavelengths : float, str or sequence of them, optional
+        Vacuum wavelengths in the unit of the system, or texts with units of their own such as "550nm"; the d line,
+        587.5618 nm, by default.
     reference : int, optional
         Index of the wavelength at which first-order properties, pupils and reference spheres are computed; the middle
         one by default.
@@ -122,7 +124,7 @@ class Wavelengths:
     (1.0, 2.0, 1.0)
     """
 
-    wavelengths: float | Iterable[float] | None = None
+    wavelengths: float | str | Iterable[float | str] | None = None
     reference: int | None = None
     wavelength_weights: Iterable[Any] | None = None
 
@@ -244,8 +246,14 @@ def checked_medium(value):
     return value
 
 
-def checked_wavelengths(values) -> tuple[float, ...]:
-    """Return vacuum wavelengths, at least one, as a tuple."""
+def checked_wavelengths(values, unit: str | None = None) -> tuple[float, ...]:
+    """Return vacuum wavelengths, at least one, as a tuple; texts remain until the unit of their system is known."""
+    if isinstance(values, (str, list, tuple)):
+        values = [values] if isinstance(values, str) else values
+        if unit is None and any(isinstance(value, str) for value in values):
+            in_metres("wavelengths", values)
+            return tuple(values)
+    values = values if unit is None else light_in("wavelengths", values, unit)
     (values,) = _validate.constants(wavelengths=values)
     found = tuple(
         _validate.numbers(
@@ -288,7 +296,7 @@ SETTINGS = {
 }
 
 
-def checked_settings(settings, count: int) -> tuple[tuple[str, int | None, tuple[Any, ...]], ...]:
+def checked_settings(settings, count: int, unit: str) -> tuple[tuple[str, int | None, tuple[Any, ...]], ...]:
     """Return settings (name, place, values) of configurations after checking that they are.
 
     Parameters
@@ -297,6 +305,8 @@ def checked_settings(settings, count: int) -> tuple[tuple[str, int | None, tuple
         The settings.
     count : int
         Number of surfaces of the system.
+    unit : str
+        Its unit.
     """
     if isinstance(settings, (str, Mapping)) or not isinstance(settings, Iterable):
         raise TypeError(f"settings must be a sequence of (name, place, values), got {type(settings).__name__}")
@@ -314,27 +324,27 @@ def checked_settings(settings, count: int) -> tuple[tuple[str, int | None, tuple
         values = entry[2].tolist() if hasattr(entry[2], "tolist") else entry[2]
         if isinstance(values, str) or not isinstance(values, Iterable):
             raise TypeError(f"values in settings must be a sequence, got {type(values).__name__}")
-        found.append((name, place, tuple(_setting(name, value) for value in values)))
+        found.append((name, place, tuple(_setting(name, value, unit) for value in values)))
     if len({len(values) for _, _, values in found}) > 1 or any(not values for _, _, values in found):
         counts = ", ".join(f"{len(values)} of {name}" for name, _, values in found)
         raise ValueError(f"settings must have one value for each configuration, got {counts}")
     return tuple(found)
 
 
-def _setting(name: str, value):
+def _setting(name: str, value, unit: str):
     """Return the value of a setting after checking it."""
     if name == "material":
         return checked_medium(value)
     if name in ("fields", "image_heights", "real_image_heights"):
         return checked_fields(value)
     if name == "wavelengths":
-        return checked_wavelengths(value)
+        return checked_wavelengths(value, unit)
     if name == "object_distance":
         return float(number_or_infinity(f"{name} in settings", value))
     found = _validate.constant(f"{name} in settings", value, positive=name in ("aperture", "semi_diameter", "index"))
     if name in ("temperature", "pressure"):
         check_weather(**{name: found}, where=" in settings")
-    return found
+    return expansion_in(f"{name} in settings", found) if name in ("mount", "mirror") else found
 
 
 def checked_weights(name: str, values, count: int) -> tuple[float, ...] | None:

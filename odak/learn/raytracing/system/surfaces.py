@@ -13,6 +13,8 @@ import torch
 
 from odak import _show, _validate
 from odak._array import Array, complex_dtype, is_array, is_readable, namespace
+from odak._lengths import film_in, in_unit, light_in
+from odak._warnings import ArgumentWarning, warn
 from odak.catalog.materials import MICROMETRES, Material, refractive_index
 from odak.catalog.materials import material as find_material
 from odak.jones.thin_films import stack_response
@@ -64,10 +66,12 @@ class Coating:
         Films in the order in which light passes them: names of the catalogue, Materials, or indices valid for all
         wavelengths, complex for absorbing films (n + iκ, κ ≥ 0).
     thicknesses : sequence or array
-        Thickness of each film, in the unit of the system.
+        Thickness of each film; texts have units of their own, such as "100nm".
     substrate : str, Material or number, optional
         What is behind the films of a mirror: a metal's complex index, or the medium on the other side where light is
         reflected totally or in part. Of refracting surfaces it is the medium behind, and this must be left out.
+    unit : str, optional
+        Unit of the thicknesses, that of the system by default, of texts "mm".
 
     Examples
     --------
@@ -79,9 +83,14 @@ class Coating:
     media: Sequence[Any] = ()
     thicknesses: Any = ()
     substrate: Any = None
+    unit: str | None = None
 
     def __post_init__(self) -> None:
-        media = self.media
+        media, thicknesses = self.media, self.thicknesses
+        if self.unit is not None or (isinstance(thicknesses, (list, tuple)) and str in map(type, thicknesses)):
+            unit = _validate.one_of("unit", self.unit or "mm", MICROMETRES)
+            object.__setattr__(self, "unit", unit)
+            object.__setattr__(self, "thicknesses", in_unit("thicknesses", thicknesses, unit))
         if isinstance(media, (str, bytes)) or not isinstance(media, Sequence):
             raise TypeError(f"media must be a sequence of names, materials or indices, got {type(media).__name__}")
         substrate = None if self.substrate is None else _coating_medium("substrate", self.substrate)
@@ -92,24 +101,25 @@ class Coating:
             raise ValueError(f"thicknesses must have one entry for each of {len(self.media)} media, got {count}")
 
     @classmethod
-    def quarter_waves(cls, media: Sequence[Any], wavelength: float, unit: str = "mm") -> "Coating":
+    def quarter_waves(cls, media: Sequence[Any], wavelength: float | str, unit: str = "mm") -> "Coating":
         """Return a stack of films a quarter of a wave thick at normal incidence.
 
         Parameters
         ----------
         media : sequence
             Films in the order in which light passes them: names of the catalogue, Materials or indices.
-        wavelength : float
-            Design wavelength.
+        wavelength : float or str
+            Design wavelength; a text has a unit of its own, "550nm".
         unit : str
-            Unit of it and of the thicknesses.
+            Unit of the system, in which the thicknesses are; of a bare number too.
 
         Returns
         -------
         Coating
             λ/(4n) thick each, n the real part of the index.
         """
-        wavelength = _validate.number("wavelength", wavelength, positive=True)
+        _validate.one_of("unit", unit, MICROMETRES)
+        wavelength = _validate.number("wavelength", light_in("wavelength", wavelength, unit), positive=True)
         found = cls(media, [0.0] * len(media))
         indices = [_index(value, wavelength, unit) for value in found.media]
         return replace(found, thicknesses=[float(wavelength / 4 / complex(index).real) for index in indices])
@@ -118,7 +128,7 @@ class Coating:
         """Return the stack for light from the other side."""
         if self.substrate is not None:
             raise ValueError("substrate is the end of the stack, from which no light is incident")
-        return Coating(self.media[::-1], list(terms(self.thicknesses))[::-1])
+        return replace(self, media=self.media[::-1], thicknesses=list(terms(self.thicknesses))[::-1])
 
     def amplitudes(
         self, n1: Any, n2: Any, cosine: Any, cosine_behind: Any, wavelength: Any, unit: str = "mm"
@@ -154,7 +164,12 @@ class Coating:
         films = [_index(value, wavelength, unit) for value in self.media]
         indices = [n1, *(value + 0 * cosine for value in (*films, behind))]
         transverse = n1 * xp.where(cosine < 1, 1 - cosine * cosine, 0.0) ** 0.5
-        thicknesses = [value + 0 * cosine for value in terms(self.thicknesses)]
+        scale = 1.0
+        if self.unit is None:
+            film_in("thicknesses of a coating", list(terms(self.thicknesses)), wavelength, unit)
+        else:
+            scale = MICROMETRES[self.unit] / MICROMETRES[unit]
+        thicknesses = [scale * value + 0 * cosine for value in terms(self.thicknesses)]
         found = [stack_response(xp, wavelength, indices, thicknesses, transverse, cosine, p) for p in ("s", "p")]
         dtype = complex_dtype(cosine)
         scale = xp.astype((n2 * cosine_behind / (n1 * cosine)) ** 0.5, dtype)
@@ -186,6 +201,8 @@ def _index(medium, wavelength: Array | float, unit: str):
 
 
 D_LINE = 0.5875618  # micrometres
+# Radius of a beam over the radius of a surface above which no ray of it is left; of immersion lenses it may be some.
+STEEPEST = 20.0
 ORDERS = ("shift", "tilt")
 VARIABLES = ("curvature", "radius", "conic", "coefficients", "thickness", "index", "shift", "tilt")
 
@@ -214,14 +231,14 @@ class _Films(torch.nn.Module):
     def __init__(self, given: Coating):
         super().__init__()
         self.media: Sequence[Any] = given.media
-        self.substrate: Any = given.substrate
+        self.substrate, self.unit = given.substrate, given.unit
         values = given.thicknesses
         values = values if isinstance(values, torch.Tensor) else list(values)
         _hold(self, "thicknesses", _validate.real("coating.thicknesses", values) if len(values) else values)
 
     def build(self) -> Coating:
         """Return the coating with the current thicknesses."""
-        return Coating(self.media, self.thicknesses, self.substrate)
+        return Coating(self.media, self.thicknesses, self.substrate, self.unit)
 
 
 class surface(torch.nn.Module):
@@ -748,8 +765,9 @@ class optical_system(torch.nn.Module):
     fields : sequence or Fields
         Field points, numbers y or pairs (x, y); the object has their weights and vignetting factors too. The axis by
         default.
-    wavelengths : float, sequence of float or Wavelengths
-        Vacuum wavelengths in `unit`; the object has their weights and the reference too. The d line by default.
+    wavelengths : float, str, sequence of them or Wavelengths
+        Vacuum wavelengths in `unit`, or texts with units of their own such as "550nm"; the object has their weights and
+        the reference too. The d line by default.
     conjugates : Conjugates
         Distance and medium of the object, and whether the image is at infinity. By default the object is infinitely
         far away, in air.
@@ -825,7 +843,7 @@ class optical_system(torch.nn.Module):
         aperture: float | SystemAperture,
         *,
         fields: Iterable[Any] | Fields | None = None,
-        wavelengths: float | Sequence[float] | Wavelengths | None = None,
+        wavelengths: float | str | Sequence[float | str] | Wavelengths | None = None,
         conjugates: Conjugates | None = None,
         image: surface | None = None,
         unit: str = "mm",
@@ -836,7 +854,8 @@ class optical_system(torch.nn.Module):
         for part in (aperture, fields, wavelengths, conjugates, name):
             vars(self).update(vars(part))
         self.unit, image = _validate.one_of("unit", unit, MICROMETRES), _image(image)
-        self.wavelengths = self.wavelengths or (D_LINE / MICROMETRES[self.unit],)
+        given = self.wavelengths or (D_LINE / MICROMETRES[self.unit],)
+        self.wavelengths = checked_wavelengths(given, self.unit)
         self.reference = len(self.wavelengths) // 2 if self.reference is None else self.reference
         self._check_object(image)
         if self.afocal:
@@ -848,12 +867,15 @@ class optical_system(torch.nn.Module):
                 "place"
             )
         self.surfaces, self.image = Row(surfaces, self.object_material), image
-        self.settings = checked_settings(self.settings, len(surfaces))
+        if self.aperture_type in ("EPD", "stop"):
+            _tell_curvatures(surfaces, self.aperture / 2, self.unit)
+        self.settings = checked_settings(self.settings, len(surfaces), self.unit)
 
     def extra_repr(self) -> str:
         """Return the conditions of use in lines."""
         fields = ", ".join(f"({x:g}, {y:g})" if x else f"{y:g}" for x, y in self.fields)
         lines = [
+            f"lengths in {self.unit}",
             f"aperture={self.aperture:g} ({self.aperture_type})",
             f"fields=[{fields}] {'degrees' if self.at_infinity else self.unit}",
             f"wavelengths=[{', '.join(f'{value:.6g}' for value in self.wavelengths)}] {self.unit}",
@@ -1075,6 +1097,20 @@ def _checked_surfaces(surfaces) -> tuple[list[surface], int]:
     if len(stops) > 1:
         raise ValueError(f"only one surface may be the stop, got surfaces {stops}")
     return surfaces, stops[0] if stops else first
+
+
+def _tell_curvatures(surfaces, beam: float, unit: str) -> None:
+    """Warn of a surface whose radius is so small beside the radius of the beam that a radius was meant."""
+    for i, item in enumerate(surfaces):
+        curvature = item.curvature.detach()
+        if is_readable(curvature) and abs(float(curvature)) * beam > STEEPEST:
+            bent = float(curvature)
+            warn(
+                f"surfaces[{i}] has a curvature of {bent:.4g} per {unit}, a radius of {1 / bent:.4g} {unit}, for a "
+                f"beam of {2 * beam:g} {unit}: was {bent:.4g} {unit} its radius?",
+                ArgumentWarning,
+            )
+            return
 
 
 def _angular_lens(surfaces, micrometres: float) -> surface:

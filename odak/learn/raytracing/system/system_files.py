@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from odak import _validate
+from odak._warnings import AccuracyWarning, warn
 from odak.catalog.materials import (  # noqa: F401
     MICROMETRES,
     Material,
@@ -93,9 +94,10 @@ def load_system(path: Any) -> optical_system:
         raise ValueError(f"path must be a JSON file of save_system; {reader} reads {str(path)!r}")
     text = lens_text(path)
     try:
-        return system_from_dict(json.loads(text))
+        found = system_from_dict(json.loads(text))
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         raise ValueError(f"{path}: {error}") from error
+    return told_impossible(found)
 
 
 def save_system(system: optical_system, path: Any) -> None:
@@ -224,6 +226,7 @@ def _shape(item: Any) -> dict:
         entry["coating"] = {"media": [_film(value) for value in coating.media]}
         entry["coating"] |= {"thicknesses": plain(coating.thicknesses)}
         entry["coating"] |= {} if coating.substrate is None else {"substrate": _film(coating.substrate)}
+        entry["coating"] |= {} if coating.unit is None else {"unit": coating.unit}
     entry["aperture"] = [_by_fields(part) for part in item.apertures]
     return {key: value for key, value in entry.items() if value not in (None, [], [0.0, 0.0])}
 
@@ -380,7 +383,7 @@ def _built(where: str, entry, keys) -> surface:
         parts = entry["aperture"] if isinstance(entry["aperture"], list) else [entry["aperture"]]
         entry["aperture"] = [_from_fields(f"aperture of {where}", Aperture, part) for part in parts]
     if "coating" in entry:
-        _known(f"coating of {where}", entry["coating"], {"media", "thicknesses", "substrate"})
+        _known(f"coating of {where}", entry["coating"], {"media", "thicknesses", "substrate", "unit"})
         with named_errors(f"coating of {where}"):
             entry["coating"] = Coating(**entry["coating"])
     radius = entry.pop("radius")
@@ -452,6 +455,37 @@ class ZmxReport(NamedTuple):
 
     ignored: tuple[str, ...]
     notes: tuple[str, ...]
+
+
+def told_impossible(system: optical_system, remedy: str = "", notes: list[str] | None = None) -> optical_system:
+    """Return a system that was read, with a warning if it cannot be meant: without a focal length or without a ray.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    remedy : str
+        What the file may have wrong.
+    notes : list of str, optional
+        Notes of the reader, which get the text too.
+    """
+    with torch.no_grad():
+        try:
+            focus = abs(float(first_order(system).focal_length))
+            # The ray along the axis passes whatever is bent.
+            half = torch.tensor([[0.0, 0.5], [0.0, -0.5]], dtype=torch.float64)
+            lost = not bool(trace_fields(system, half, vignetting=False).arrived.any())
+        except ValueError:
+            # A system without pupils or an axis: what needs them says so.
+            return system
+    problems = [f"a focal length of {focus:.3g} {system.unit}"] if focus < max(system.wavelengths) else []
+    problems += ["no ray that arrives"] if lost else []
+    if problems:
+        text = f"{system.name or 'the system'} has {' and '.join(problems)}, which cannot be meant{remedy}"
+        warn(text, AccuracyWarning)
+        if notes is not None:
+            notes.append(text)
+    return system
 
 
 class Context(NamedTuple):

@@ -35,6 +35,7 @@ from odak.learn.raytracing.system.system_files import (
     own_surfaces,
     pairs,
     plain,
+    told_impossible,
     within,
 )
 from odak.learn.raytracing.system.zooms import configurations
@@ -304,6 +305,7 @@ def read_zmx(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optic
         raise ValueError(f"{path.name}: {error}") from error
     except ArithmeticError as error:
         raise ValueError(f"{path.name}: a number is out of range: {error}") from error
+    told_impossible(found, notes=notes)
     return found, ZmxReport(tuple(ignored), tuple(notes))
 
 

@@ -201,3 +201,20 @@ def test_zoom_positions_are_read_and_written(tmp_path):
     assert sorted(again.settings, key=str) == sorted(system.settings, key=str)
     with pytest.raises(ValueError, match="line 19: ZOO THI must have 3 values, got 2"):
         read(tmp_path, LENS.replace("GO", "ZOO 3\nZOO THI S2 2 3\nGO"))
+
+
+def test_glasses_by_index_and_abbe_number_and_objects_at_inf(tmp_path):
+    system, _ = read(tmp_path, LENS.replace("SO 0 0.1e14", "SO 0 inf").replace("517.642", "1.5168:64.17"))
+    glass = system.surfaces[1].material
+    assert (glass.nd, glass.vd) == (1.5168, 64.17) and math.isinf(system.object_distance)
+
+
+def test_private_glasses_by_the_formula_of_laurent(tmp_path):
+    """BK7 by n² = A₀ + A₁λ² + A₂λ⁻² + …, of Schott's catalogue of 1992: 1.51680 at the d line, 1.52238 at F."""
+    terms = "2.2718929 -0.010108077 0.010592509 0.00020816965 -7.6472538e-6 4.9240991e-7"
+    block = f"PRV\n PWL 365.0 1014.0\n 'OWN' LAURENT {terms}\nEND\n"
+    system, _ = read(tmp_path, LENS.replace("RDM;", block + "RDM;").replace("NBK7_SCHOTT", "OWN"))
+    glass = system.surfaces[0].material
+    assert (glass.index(0.5875618), glass.index(0.4861327)) == pytest.approx((1.51680, 1.52238), abs=1e-5)
+    with pytest.raises(ValueError, match="private glass OWN must have an index"):
+        read(tmp_path, LENS.replace("RDM;", block.replace(terms, "-2.0") + "RDM;"))

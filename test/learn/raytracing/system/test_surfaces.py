@@ -434,6 +434,7 @@ def test_a_system_shows_its_surfaces_and_conditions():
     assert repr(lens).splitlines() == [
         "optical_system(",
         "  'bench'",
+        "  lengths in mm",
         "  aperture=0.1 (NA)",
         "  fields=[0, (1, 2)] mm",
         "  wavelengths=[0.000587562] mm",

@@ -128,6 +128,7 @@ SHAPES = {
 }
 
 
+@pytest.mark.filterwarnings("ignore:.*no ray that arrives:odak.AccuracyWarning")
 @pytest.mark.parametrize("kind", SHAPES)
 def test_heights_of_surfaces_are_those_of_their_definitions(tmp_path, kind):
     lines, expected = SHAPES[kind]
@@ -184,6 +185,7 @@ MEDIA = {
 }
 
 
+@pytest.mark.filterwarnings("ignore:.*no ray that arrives:odak.AccuracyWarning")
 @pytest.mark.parametrize("name", MEDIA)
 def test_graded_media_have_the_index_of_their_definitions(tmp_path, name):
     values, expected = MEDIA[name]
