@@ -32,6 +32,7 @@ from .mapping import Lens as Lens
 from .mapping import Registration as Registration
 from .phase_response import measure_phase_response as measure_phase_response
 from .phase_response import measure_regional_response as measure_regional_response
+from .phase_response import measure_unmodulated_light as measure_unmodulated_light
 from .protocols import Camera as Camera
 from .protocols import Laser as Laser
 from .protocols import Modulator as Modulator

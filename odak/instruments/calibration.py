@@ -18,6 +18,7 @@ from odak.instruments.mapping import Lens, Registration, ray_matrix
 from odak.instruments.phase_response import (
     SMALLEST_REGION,
     between_regions,
+    measure_unmodulated_light,
     nearest_levels,
     phases_of_levels,
     phases_with_uncertainty,
@@ -27,6 +28,7 @@ from odak.instruments.phase_response import (
 from odak.instruments.protocols import Camera, Modulator, check_square_pixels
 from odak.instruments.registration import SMALLEST_SHARE, beyond_view, check_view, registered
 from odak.instruments.spots import DEFOCUS, Part, aberration_modes, deflected, ideal_capture, pixel_axes, without
+from odak.instruments.steered import is_wide, steered
 from odak.instruments.tables import OpticalTable, parts_of
 from odak.instruments.wavefronts import UNSETTLED, wavefront_with_uncertainty
 
@@ -40,6 +42,7 @@ UNITS = {
     "wavefront": "rad",
     "homography": "pixel to m",
     "regional_phases": "rad",
+    "unmodulated": "amplitude of the modulated light",
     "residual": "pixel",
     "distortion": "1/(half diagonal)²",
     "uncertainty_phases": "rad",
@@ -53,6 +56,8 @@ UNITS = {
 SPREAD_OF_RESPONSE = 0.01
 # Residual of a first registration behind a lens in pixels, above which its spots were not found.
 LARGEST_RESIDUAL = 10.0
+# Factor that makes standard deviations of the errors of the distance of wide modulators.
+OF_STEERED = 4.0
 # Share of the last change of the wavefront that is taken as its error.
 REST = 0.2
 # Uncertainties above which calibrate_table warns: rad, pixel, rad.
@@ -93,6 +98,9 @@ class Calibration:
         Mapping of the camera.
     regional_phases : numpy.ndarray, optional
         Phase of each level in regions of the modulator, ``[region rows, region columns, levels]``.
+    unmodulated : complex
+        Amplitude of the light of gaps and the cover glass in units of that of the pixels, from
+        :func:`measure_unmodulated_light`.
     uncertainty : dict
         Uncertainties of what was measured, one sigma: about two of three errors are smaller. "phases" and
         "regional_phases" in radians (largest error over the levels), "registration" in pixels of the camera (largest
@@ -120,6 +128,7 @@ class Calibration:
     registration: Registration = field(repr=False)
     regional_phases: np.ndarray | None = field(default=None, repr=False)
     uncertainty: dict[str, float] = field(default_factory=dict, repr=False)
+    unmodulated: complex = 0.0
 
     __repr__ = _show.one_line
 
@@ -214,6 +223,14 @@ class Calibration:
         """Phase of each level in regions of the modulator, where it was measured, or else of the whole modulator."""
         return self.phases if self.regional_phases is None else self.regional_phases
 
+    def response_factors(self) -> np.ndarray:
+        """Return the factor ``[rows, columns]`` by which the phases of the levels of each pixel exceed `phases`."""
+        if self.regional_phases is None:
+            return np.ones(self.amplitude.shape)
+        factors = self.regional_phases @ self.phases / (self.phases @ self.phases)
+        down, across = (between_regions(n, k) for n, k in zip(self.amplitude.shape, factors.shape, strict=True))
+        return down @ factors @ across.T
+
     def levels(self, phase: np.ndarray) -> np.ndarray:
         """Return the levels that show a phase in radians ``[rows, columns]`` with the aberration corrected.
 
@@ -276,8 +293,9 @@ def calibrate_table(
         of it besides is measured anew.
     rounds : int
         Number of measurements of the registration and the wavefront; up to twice as many as long as the wavefront
-        changes by more than a twentieth of a wavelength. With two, a calibration without a lens takes about 100
-        captures, and 120 with cameras of fewer than 10 bits.
+        changes by more than a twentieth of a wavelength. With two, a calibration without a lens takes about 110
+        captures, and 130 with cameras of fewer than 10 bits; of modulators wider than what a pixel reaches,
+        λ·distance/pitch, up to 300.
     regions : sequence of int, optional
         Rows and columns of regions whose phase response is measured too, after the second registration, and used in
         the later steps; a response that varies over the modulator acts as an aberration and shifts the image. The
@@ -343,11 +361,13 @@ def calibrate_table(
     uncertainty = {"phases": doubt}
     table, registration = replace(table, phases=phases), None
     regional, change = None, math.inf
+    wide = not behind_lens and is_wide(table)
     for turn in range(2 * rounds):
-        if turn >= rounds and change < UNSETTLED:
+        if turn >= rounds + wide and change < UNSETTLED:
             break
-        grids = FIRST_GRIDS if turn == 0 else GRIDS
-        registration = registered(table, middle=turn == 0, captures=grids, start=registration)
+        if turn == 0 or not wide:
+            grids = FIRST_GRIDS if turn == 0 else GRIDS
+            registration = registered(table, middle=turn == 0, captures=grids, start=registration)
         table = replace(table, registration=registration)
         if turn == 0 and behind_lens:
             _check_orders(table)
@@ -364,34 +384,32 @@ def calibrate_table(
             phases = np.tensordot(shares, regional, axes=2)
             # The errors of the regions are partly independent.
             uncertainty = {"phases": 2 * float(np.linalg.norm(shares * doubts)), "regional_phases": float(doubts.max())}
-        if turn == 0:
-            found, doubt = wavefront_with_uncertainty(table, iterations=5, captures=1)
+        if wide:
+            table, doubt, of_distance = steered(table, turn == 0, 1 if turn == 0 else 2)
+            registration = table.registration
         else:
-            found, doubt = wavefront_with_uncertainty(table, iterations=2, start=wavefront, captures=2)
-        if behind_lens:
-            # An aberration does not change the scale and the shear of spots of which each has the light of all pixels.
-            table = replace(table, wavefront=without(found, aberration_modes(modulator, 1)))
-        else:
-            # The focus of all captures that follows tells the astigmatism, too.
-            table = _with_distance_and_wavefront(table, found, turn == 0, turn != 1)
+            table, doubt = _with_aberration(table, turn)
         change, wavefront = float((table.wavefront - wavefront).std()), np.asarray(table.wavefront)
     # An error of the response of a region acts as an aberration, of the mean phase of a pattern. The factors here and
     # below are those that make standard deviations of the errors on 50 independent tables.
     response_error = 0.4 * uncertainty.get("regional_phases", 0.0)
     uncertainty["wavefront"] = math.hypot(1.5 * doubt, REST * change, SMALLEST_ERROR, response_error)
-    by_distance = 0.0
-    if not behind_lens:
+    if wide:
+        uncertainty["distance"] = OF_STEERED * of_distance
+    elif not behind_lens:
         if rounds == 1:
             table = replace(table, distance=distance_with_uncertainty(table, NEAR, captures=1)[0])
         table, doubt = focused(table)
-        distance, wavefront = ray_matrix(table.distance)[1], np.asarray(table.wavefront)
         # A lens has the wavefront π/λ·(x² + y²)/f.
         y, x = pixel_axes(modulator)
-        defocus = 0.2 * uncertainty["wavefront"] / (x**2 + y**2).std() * wavelength * distance**2 / np.pi
+        defocus = 0.2 * uncertainty["wavefront"] / (x**2 + y**2).std() * wavelength / np.pi
+        defocus *= ray_matrix(table.distance)[1] ** 2
         uncertainty["distance"] = math.hypot(doubt, defocus)
-        far = 0.35 * math.hypot(*modulator.shape) * modulator.pitch
-        by_distance = far * uncertainty["distance"] / (distance * camera.pitch)
-    registration = registered(table, captures=LAST_GRIDS, start=registration)
+    if not wide:
+        registration = registered(table, captures=LAST_GRIDS, start=registration)
+    far = 0.35 * math.hypot(*modulator.shape) * modulator.pitch
+    by_distance = far * uncertainty.get("distance", 0.0) / (abs(ray_matrix(table.distance)[1]) * camera.pitch)
+    registration = _validate.instance("registration", registration, Registration, "a Registration")
     uncertainty["registration"] = math.hypot(registration.uncertainty, by_distance)
     registration = replace(registration, uncertainty=uncertainty["registration"])
     for text in _doubts(uncertainty):
@@ -399,8 +417,8 @@ def calibrate_table(
     table = replace(table, registration=registration)
     patterns = BEHIND_LENS if behind_lens else PATTERNS
     amplitude, uncertainty["amplitude"] = illumination_with_uncertainty(table, patterns=patterns)
-    found = (wavelength, modulator.pitch, table.distance, phases, amplitude, wavefront)
-    return Calibration(*found, registration, regional, uncertainty)
+    found = (wavelength, modulator.pitch, table.distance, phases, amplitude, np.asarray(table.wavefront))
+    return Calibration(*found, registration, regional, uncertainty, measure_unmodulated_light(table))
 
 
 def _regions_to_measure(regions, modulator: Modulator, spread: float, behind_lens: bool) -> tuple[int, int]:
@@ -448,6 +466,19 @@ def _seen_part(table: OpticalTable, partial: bool) -> "_Middle | None":
         return None
     rows, columns = (2 * int(n * part / 2) for n, part in zip(table.modulator.shape, share, strict=True))
     return _Middle(table.modulator, (rows, columns))
+
+
+def _with_aberration(table: OpticalTable, turn: int) -> tuple[OpticalTable, float]:
+    """Return a table with the wavefront and the distance that lenslets and a focus tell, and the wavefront's doubt."""
+    if turn == 0:
+        found, doubt = wavefront_with_uncertainty(table, iterations=5, captures=1)
+    else:
+        found, doubt = wavefront_with_uncertainty(table, iterations=2, start=np.asarray(table.wavefront), captures=2)
+    if isinstance(table.distance, Lens):
+        # An aberration does not change the scale and the shear of spots of which each has the light of all pixels.
+        return replace(table, wavefront=without(found, aberration_modes(table.modulator, 1))), doubt
+    # The focus of all captures that follows tells the astigmatism, too.
+    return _with_distance_and_wavefront(table, found, turn == 0, turn != 1), doubt
 
 
 def _with_distance_and_wavefront(table: OpticalTable, raw: np.ndarray, first: bool, astigmatic: bool) -> OpticalTable:
@@ -525,6 +556,7 @@ def predicted_capture(calibration: Calibration, levels: np.ndarray) -> np.ndarra
         ``[camera rows, camera columns]`` in arbitrary units, without noise and stray light.
     """
     panel = Part(calibration.amplitude.shape, calibration.pitch)
-    phase = phases_of_levels(np.asarray(levels, dtype=np.int64), calibration.response) + calibration.wavefront
+    shown = phases_of_levels(np.asarray(levels, dtype=np.int64), calibration.response)
+    light = (np.exp(1j * shown) + calibration.unmodulated) * np.exp(1j * calibration.wavefront)
     there = (calibration.wavelength, calibration.distance, calibration.registration)
-    return ideal_capture(panel, phase, calibration.amplitude, *there)
+    return ideal_capture(panel, np.angle(light), np.abs(light) * calibration.amplitude, *there)

@@ -25,9 +25,9 @@ def save_calibration(path: str | os.PathLike[str], calibration: Calibration) -> 
 
     The file holds the arrays phases, amplitude, wavefront and homography, and of the regions where they were measured,
     regional_phases; and the format ("odak calibration"), its version (1), the units of all quantities, and the numbers
-    wavelength, pitch, distance, distortion, camera_shape and residual, and uncertainty_phases and so on of what was
-    measured. In ``.npz`` these are a JSON object, UTF-8 text
-    in the array ``header``; in HDF5 they are attributes of the file.
+    wavelength, pitch, distance, distortion, camera_shape, residual and unmodulated (its real and imaginary part), and
+    uncertainty_phases and so on of what was measured. In ``.npz`` these are a JSON object, UTF-8 text in the array
+    ``header``; in HDF5 they are attributes of the file.
 
     Parameters
     ----------
@@ -139,6 +139,7 @@ def _values(calibration: Calibration) -> dict[str, Any]:
         "distortion": registration.distortion,
         "camera_shape": registration.shape,
         "residual": registration.residual,
+        "unmodulated": (calibration.unmodulated.real, calibration.unmodulated.imag),
         **({} if calibration.regional_phases is None else {"regional_phases": calibration.regional_phases}),
         **{f"{_UNCERTAIN}{name}": value for name, value in calibration.uncertainty.items()},
     }
@@ -176,7 +177,14 @@ def _checked(values: Mapping[str, Any]) -> Calibration:
         _checked_registration(values, doubts.get("registration", 0.0)),
         regional,
         doubts,
+        _checked_unmodulated(values.get("unmodulated", (0.0, 0.0))),
     )
+
+
+def _checked_unmodulated(parts: Any) -> complex:
+    """Return the unmodulated light, of which files of earlier versions know nothing."""
+    real, imaginary = checked_array("unmodulated", parts, (2,), -1, 1)
+    return complex(real, imaginary)
 
 
 def _checked_path(values: Mapping[str, Any]) -> float | Lens:

@@ -106,7 +106,7 @@ def astigmatism_by_focus(table: OpticalTable) -> np.ndarray:
     wavefront = start
     low = modes[[0, 1, DEFOCUS]]
     read_around(camera, np.rint(registration.camera_pixels(np.zeros(2))).astype(int), 14)
-    lens = lens_phase(modulator, wavelength, distance)
+    lens, share = lens_phase(modulator, wavelength, distance), _share_on_axis(modulator, wavelength, distance, np.inf)
 
     def show(surface: np.ndarray) -> None:
         modulator.show(nearest_levels(lens - surface, phases))
@@ -116,7 +116,7 @@ def astigmatism_by_focus(table: OpticalTable) -> np.ndarray:
     middle = math.log(_sharpness(exposed(camera, "focus", 0.25, FOCUSED)))
     for mode in modes[[DEFOCUS - 1, DEFOCUS + 1]]:
         mode = without(mode, low)
-        mode = mode * (ASTIGMATISM / mode.std())
+        mode = mode * (ASTIGMATISM / math.sqrt((share * mode**2).sum()))
         values = []
         for step in (-1, 1):
             show(start + step * mode)
@@ -143,7 +143,9 @@ def focused(table: OpticalTable) -> tuple[OpticalTable, float]:
     low = modes[[0, 1, DEFOCUS]]
     wavefront = without(np.asarray(table.wavefront, float), low)
     astigmatism = np.stack([without(mode, low) for mode in modes[[DEFOCUS - 1, DEFOCUS + 1]]])
-    astigmatism *= STEP / astigmatism.std(axis=(1, 2), keepdims=True)
+    # What pixels send to the axis tells the sharpness.
+    share = _share_on_axis(modulator, wavelength, distance, np.inf)
+    astigmatism *= STEP / np.sqrt((share * astigmatism**2).sum((1, 2), keepdims=True))
     depth = _depth_of_focus(modulator, wavelength, distance, np.inf)
     step, power = STEP / DEEP * depth, 1 / distance
     reach = 3 * wavelength * distance / (min(modulator.shape) * modulator.pitch * camera.pitch)
@@ -192,13 +194,19 @@ def _summit(values: np.ndarray) -> tuple[np.ndarray, float]:
     return np.clip(-back @ found[1:4], -2, 2), deviation * float(np.linalg.norm(back[0]))
 
 
-def _depth_of_focus(modulator: Modulator, wavelength: float, distance: float, width: float) -> float:
-    """Return the depth of focus as a power, wavelength/width² of a square, of the light that reaches the axis."""
+def _share_on_axis(modulator: Modulator, wavelength: float, distance: float, width: float) -> np.ndarray:
+    """Return the share of each pixel ``[rows, columns]`` of the field on the axis, of those within a square."""
     y, x = pixel_axes(modulator)
     across, down = (
         np.clip(np.sinc(a * modulator.pitch / (wavelength * distance)), 0, None) * (abs(a) <= width / 2) for a in (x, y)
     )
-    share = down * across / (down.sum() * across.sum())
+    return down * across / (down.sum() * across.sum())
+
+
+def _depth_of_focus(modulator: Modulator, wavelength: float, distance: float, width: float) -> float:
+    """Return the depth of focus as a power, wavelength/width² of a square, of the light that reaches the axis."""
+    y, x = pixel_axes(modulator)
+    share = _share_on_axis(modulator, wavelength, distance, width)
     squares = x**2 + y**2
     return wavelength / (EVEN_SQUARE * math.sqrt((share * (squares - (share * squares).sum()) ** 2).sum()))
 

@@ -29,6 +29,9 @@ FEW_BITS, LONGER, WELL = 10, 8, 20_000.0
 LARGER = 1.15
 # Half the width of the places that are evaluated, as a share of the width of a cell's light, and pixels of it at most.
 VIEW, WIDEST = 0.7, 24
+# Distance of the outermost points of a wide modulator from its edges, and of its points from one another, in units of
+# what a pixel reaches; patterns of each point at least.
+EDGE, APART, FEWEST_PATTERNS = 0.7, 1.2, 4
 QUARTERS = np.arange(4) * (np.pi / 2)
 
 
@@ -71,11 +74,11 @@ def measure_illumination(
     Warns
     -----
     AccuracyWarning
-        If pixels at the edges are farther from all points than a pixel reaches, λ·distance/(2·pitch); if parts of the
-        modulator that send light to all points are darker than the polynomial, for example because of dust; or if the
-        deviations of the captures from the model give an uncertainty of more than 0.013. The message contains it: the
-        root mean square over the pixels, which the error of a panel without dust exceeds in about one of three cases.
-        Small specks of dust are not detected (one of five simulated tables with three specks, with an error of 2 %).
+        If parts of the modulator that send light to all points are darker than the polynomial, for example because of
+        dust; or if the deviations of the captures from the model give an uncertainty of more than 0.013. The message
+        contains it: the root mean square over the pixels, which the error of a panel without dust exceeds in about one
+        of three cases. Small specks of dust are not detected (one of five simulated tables with three specks, with an
+        error of 2 %).
 
     Examples
     --------
@@ -98,31 +101,27 @@ def illumination_with_uncertainty(
 
     The parameters are as in :func:`measure_illumination`.
     """
-    modulator, camera, wavelength, distance, _, registration = parts_of(table, "phases", "registration")
+    modulator, camera, wavelength, distance, *_ = parts_of(table, "phases", "registration")
     rows, columns = modulator.shape
     cells, order = _validate.integer("cells", cells, minimum=3), _validate.integer("order", order, minimum=1)
-    number = [np.minimum(np.arange(n) * cells // n, cells - 1) for n in (rows, columns)]
-    cell = number[0][:, None] * cells + number[1]
     behind_lens, (_, b) = isinstance(distance, Lens), ray_matrix(distance)
     farthest = wavelength * abs(b) / (2 * modulator.pitch)
     half = max(rows, columns) * modulator.pitch / 2
-    aside = ASIDE * farthest if behind_lens else min(ASIDE * farthest, half / 2)
-    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=2)))
-    bounds = np.array(camera.shape[::-1]) - 1
-    for _ in range(8):
-        places = registration.camera_pixels(aside * corners)
-        if ((places >= 3) & (places <= bounds - 3)).all():
-            break
-        aside /= 2
+    if not behind_lens:
+        # Four of them at least lie within what a pixel reaches.
+        cells = max(cells, math.ceil(4 * half / farthest))
+    number = [np.minimum(np.arange(n) * cells // n, cells - 1) for n in (rows, columns)]
+    cell = number[0][:, None] * cells + number[1]
+    points = _points(table, farthest, half)
     draw = np.random.default_rng(0)
-    each = -(-_validate.integer("patterns", patterns, minimum=16) // len(corners))
-    _expose(replace(table, camera=camera), aside * corners[0])
-    parts = [
-        _speckles(
-            replace(table, camera=camera), aside * corner, cell, draw.integers(4, size=(each, cells * cells)), captures
-        )
-        for corner in corners
-    ]
+    each = max(-(-_validate.integer("patterns", patterns, minimum=16) // len(points)), FEWEST_PATTERNS)
+    there = replace(table, camera=camera)
+    parts: list[_Speckles] = []
+    for point in points:
+        # Pixels of a wide modulator do not reach all of them.
+        if not parts or len(points) > 4:
+            _expose(there, point)
+        parts.append(_speckles(there, point, cell, draw.integers(4, size=(each, cells * cells)), captures))
     powers = [(i, j) for i, j in itertools.product(range(order + 1), repeat=2) if 0 < i + j <= order]
 
     def logarithm(part: _Speckles, parameters: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -177,7 +176,7 @@ def illumination_with_uncertainty(
     system, left = np.concatenate(slopes), -misfit(fitted)
     inverse = np.linalg.pinv(system.T @ system, rcond=1e-6)
     deviation = (inverse @ (system.T @ left))[: cells * cells]
-    sigma = np.sqrt(np.diag(inverse)[: cells * cells] * left.var())
+    sigma = np.sqrt(np.clip(np.diag(inverse)[: cells * cells], 0, None) * left.var())
     whole = np.min([part.sizes for part in parts], axis=0) == np.bincount(cell.ravel())
     # Where captures deviate from the model by more than noise, parts scatter by more than that.
     sigma = np.maximum(sigma, 1.48 * np.median(abs(deviation[whole]))) if whole.any() else sigma
@@ -200,12 +199,7 @@ def illumination_with_uncertainty(
     variance = (((terms - terms[largest]) @ changes.T) ** 2).sum(-1) * (1 - 1 / len(changes))
     uncertainty = LARGER * math.sqrt((amplitude**2 * variance).mean())
     reason = ""
-    if half > farthest + aside and not behind_lens:
-        reason = (
-            f"pixels at the edges, farther than {farthest + aside:.3g} m from the axis along rows or columns, send "
-            "little light to it; use a larger distance"
-        )
-    elif dark.mean() > DUSTY:
+    if dark.mean() > DUSTY:
         reason = (
             f"parts of the modulator are darker than the polynomial by up to {dark.max():.0%}, for example because of "
             "dust, which the result does not contain"
@@ -216,6 +210,27 @@ def illumination_with_uncertainty(
         uncertainty = math.hypot(uncertainty, math.sqrt(DEPTH * dark.mean()))
         warn(f"the illumination is uncertain by {uncertainty:.2g} (root mean square): {reason}", AccuracyWarning)
     return amplitude, uncertainty
+
+
+def _points(table: OpticalTable, farthest: float, half: float) -> np.ndarray:
+    """Return the points x, y ``[n, 2]`` at which the illumination is measured, such that each pixel reaches some."""
+    modulator, camera, _, distance, registration = parts_of(table, "registration")
+    behind_lens = isinstance(distance, Lens)
+    aside = ASIDE * farthest if behind_lens else min(ASIDE * farthest, half / 2)
+    bounds = np.array(camera.shape[::-1]) - 1
+    for _ in range(8):
+        lines = []
+        for count in modulator.shape[::-1]:
+            last = count * modulator.pitch / 2 - EDGE * farthest
+            number = 2 if behind_lens or last <= aside else math.ceil(2 * last / (APART * farthest)) + 1
+            lines.append(np.linspace(-1, 1, number) * (aside if number == 2 else last))
+        points = np.array(list(itertools.product(*lines)))
+        places = registration.camera_pixels(points)
+        there = ((places >= 3) & (places <= bounds - 3)).all(-1)
+        if there.all() or len(points) > 4:
+            break
+        aside /= 2
+    return points[there] if there.any() else points
 
 
 class _Speckles(NamedTuple):
@@ -281,11 +296,12 @@ def _speckles(table: OpticalTable, point: np.ndarray, cell: np.ndarray, steps: n
     def show(step: np.ndarray) -> None:
         modulator.show(np.take_along_axis(shown, step[cell][None], axis=0)[0])
 
-    # Random phases spread the light over a region as many times larger as there are cells; speckles are up to five
-    # times as bright as their mean.
+    # Random phases spread the light over a region as many times larger as there are cells that send it; speckles are
+    # up to five times as bright as their mean.
     cells = steps.shape[1]
     before = camera.exposure
-    top, base = (1 << camera.bits) - 1, cells / 5 * before
+    count = np.bincount(cell[reaches], minlength=cells)
+    top, base = (1 << camera.bits) - 1, count.sum() / count.max() / 5 * before
     frames, times = [], []
     for factor in (1.0, LONGER) if camera.bits < FEW_BITS else (1.0,):
         times.append(camera.expose(factor * base))
@@ -305,7 +321,6 @@ def _speckles(table: OpticalTable, point: np.ndarray, cell: np.ndarray, steps: n
     # A pixel averages over its area: Gauss's formula of two points along each axis.
     offsets = np.array(list(itertools.product((-1, 1), repeat=2))) / math.sqrt(12)
     points = registration.plane_points(np.stack([u, v], axis=-1).reshape(-1, 1, 2) + offsets)
-    count = np.bincount(cell[reaches], minlength=cells)
     places, squares = (
         np.stack([np.bincount(cell[reaches], np.broadcast_to(a, cell.shape)[reaches], cells) for a in axes], axis=-1)
         / np.maximum(count, 1)[:, None]

@@ -258,6 +258,66 @@ def phases_with_uncertainty(
     return phases, math.hypot(0.4 * float(np.abs(one - other).max()), 0.005 * interpolation, 0.4 * spread), spread
 
 
+@_validate.takes_fields("modulator camera wavelength distance phases", table=OpticalTable)
+@_validate.takes_units()
+def measure_unmodulated_light(table: OpticalTable, *, samples: int = 6, captures: int = 1) -> complex:
+    """Measure the light of gaps and of the cover glass, which does not follow the levels.
+
+    All pixels show one phase φ, and send e^{iφ} + c, whose intensity 1 + |c|² + 2·|c|·cos(φ − arg c) tells the
+    unmodulated part c from captures of several phases. The last is the first one again, and a linear drift of the
+    light is fitted too.
+
+    Parameters
+    ----------
+    table : OpticalTable
+        The table, with phases. Without a lens, part of the camera's image must lie beside the light of the modulator.
+    samples : int
+        Number of phases, at least 4.
+    captures : int
+        Number of captures that are averaged for each.
+
+    Returns
+    -------
+    complex
+        Amplitude of the unmodulated light in units of that of the pixels, at level 0 of phase 0: (1 − F)/F for gaps
+        that reflect as pixels of a share F of the area do. Light of another wavefront, as from a cover glass before an
+        aberration, counts as far as its wavefront is that of the pixels.
+
+    Examples
+    --------
+    >>> from odak.instruments import OpticalTable, SimulatedTable, measure_unmodulated_light
+    >>> hidden = SimulatedTable(seed=1, shape=(32, 32), distance=4e-3, camera_shape=(96, 96), aberration=0.0)
+    >>> table = OpticalTable(hidden.modulator, hidden.camera, 532e-9, 4e-3, hidden.truth.phases)
+    >>> found = measure_unmodulated_light(table)
+    >>> bool(abs(found - hidden.truth.reflection) < 0.01)
+    True
+    """
+    modulator, camera, _, distance, phases = parts_of(table, "phases")
+    samples = _validate.integer("samples", samples, minimum=4)
+    captures = _validate.integer("captures", captures, minimum=1)
+    camera.region = None
+    shown, seen = [], []
+    for number in range(samples + 1):
+        levels = nearest_levels(np.full(modulator.shape, 2 * np.pi * (number % samples) / samples), phases)
+        modulator.show(levels)
+        # Levels show phases nearby.
+        shown.append(np.exp(1j * phases_of_levels(levels, phases)).mean())
+        if number == 0:
+            # Interference may be half as bright again.
+            set_exposure(camera, level=0.4)
+            if isinstance(distance, Lens):
+                read_around(camera, brightest(averaged(camera, 1)), min(20, (min(camera.shape) - 1) // 2))
+        frame = averaged(camera, captures)
+        seen.append((frame - np.quantile(frame, 0.02)).sum())
+    camera.region = None
+    along, time = np.array(shown), np.linspace(-0.5, 0.5, samples + 1)
+    system = np.stack([np.ones(samples + 1), along.real, along.imag, time], axis=-1)
+    (mean, cosine, sine, _), *_ = np.linalg.lstsq(system, np.array(seen), rcond=None)
+    # 2c/(1 + |c|²) of a c below 1.
+    depth = complex(cosine, sine) / mean
+    return complex(depth / (1 + math.sqrt(max(1 - abs(depth) ** 2, 0))))
+
+
 def _onto_the_other_half(modulator: Modulator, wavelength: float, distance: float, top: int) -> np.ndarray:
     """Return the levels that deflect the light of each half of a modulator onto the light of the other."""
     # The lens narrows the light of a half to four fifths, away from the border, whose fringing fields disturb.

@@ -213,6 +213,9 @@ class _Spots:
                 if (there >= self.around).all() and (there <= last - self.around).all():
                     break
         wanted, three = three @ roughly, self.origin + three
+        # The last exposure was for blurred spots: where it saturates, a spot and its orders of diffraction are alike.
+        self.show(three[0][None])
+        set_exposure(self.camera)
         pixels = self.places_of(three)
         missed = np.linalg.norm(pixels - first - wanted, axis=-1)
         too_far = bool((missed > 2 * self.around + 0.3 * np.abs(wanted).max()).any())

@@ -19,17 +19,21 @@ FINE = 300
 class Laboratory:
     """Panel and camera behind it, without a lens or at its two focal planes, with the members of the protocols.
 
-    `offset` (x, y in metres) and `signs` place and mirror the camera; `wavefront` and `amplitude` are maps or numbers;
-    `phases` are those of the levels. An intensity of 1 is that of the illumination on the panel.
+    `gaps` is the amplitude of the light of gaps, of phase 0: 1 behind a lens and 0 without one by default. `factors`
+    are those of the phases of pixels. `offset` (x, y in metres) and `signs` place and mirror the camera; `wavefront`
+    and `amplitude` are maps or numbers; `phases` are those of the levels. An intensity of 1 is that of the illumination
+    on the panel.
     """
 
     def __init__(
         self, shape=(1080, 1920), pitch=8e-6, distance=0.1, wavelength=532e-9, camera_shape=(1200, 1920),
         camera_pitch=5e-6, bits=12, fill=1.0, phases=None, wavefront=0.0, amplitude=1.0, offset=(0.0, 0.0),
-        signs=(1, 1), seed=0, terms=2, focal_length=None,
+        signs=(1, 1), seed=0, terms=2, focal_length=None, gaps=None, factors=1.0,
     ):  # fmt: skip
         self.wavelength, self.distance, self.fill, self.terms = wavelength, distance, fill, terms
-        self.focal_length = focal_length
+        self.focal_length, self.factors = focal_length, factors
+        # Amplitude of the light of gaps.
+        self.gaps = float(focal_length is not None) if gaps is None else gaps
         self.phases = 2 * np.pi * np.arange(256) / 256 if phases is None else phases
         self.wavefront = wavefront
         self.illumination = np.broadcast_to(amplitude * np.exp(1j * np.asarray(wavefront)), shape)
@@ -98,8 +102,8 @@ class Laboratory:
             # The narrow side first.
             product = left @ self.field @ right.T if rows <= columns else left @ (self.field @ right.T)
             seen = seen + np.complex64(factor) * product
-        if self.focal_length is not None and self.fill < 1:
-            for sign, whole in ((1, True), (-1, False)):
+        if self.gaps and self.fill < 1:
+            for sign, whole in ((self.gaps, True), (-self.gaps, False)):
                 down, across = (self.spherical(*line, whole)[0] for line in ((row, rows, 0), (column, columns, 1)))
                 seen = seen + sign * (down @ self.illumination.astype(np.complex64) @ across.T)
         finely = (rows, len(seen) // rows, columns, seen.shape[1] // columns)
@@ -129,6 +133,18 @@ def full_panel(bits, focal_length=None):
         camera_pitch=6.5e-6, bits=bits, focal_length=focal_length,
         wavefront=without_defocus(np.pi * (x**3 - 0.5 * x * y**2 + 0.8 * x * y + 0.5 * (x**2 - y**2))),
         amplitude=beam / beam.max(), offset=(8e-5, -5e-5), signs=(-1, 1), terms=1,
+    )  # fmt: skip
+
+
+def table_of(shape, pitch, distance, bits, camera_pitch=5e-6):
+    """Return a table without a lens of a size and a distance, whose camera sees a quarter more than the panel."""
+    y, x = ((np.arange(n) - n // 2) / (max(shape) / 2) for n in shape)
+    y = y[:, None]
+    beam = np.exp(-((x - 0.1) ** 2 + (y + 0.05) ** 2) / 1.5)
+    return Laboratory(
+        shape, pitch, distance, camera_shape=tuple(int(1.25 * n * pitch / camera_pitch) for n in shape),
+        camera_pitch=camera_pitch, bits=bits, amplitude=beam / beam.max(), offset=(8e-5, -5e-5), signs=(-1, 1),
+        wavefront=without_defocus(np.pi * (x**3 - 0.5 * x * y**2 + 0.8 * x * y + 0.5 * (x**2 - y**2))),
     )  # fmt: skip
 
 
@@ -165,7 +181,8 @@ class Panel:
 
     def show(self, levels):
         table, self.shown = self.table, self.shown + 1
-        table.field = (table.illumination * np.exp(1j * np.asarray(table.phases))[levels]).astype(np.complex64)
+        phases = np.asarray(table.phases)[levels] * table.factors
+        table.field = (table.illumination * np.exp(1j * phases)).astype(np.complex64)
 
 
 class Camera:

@@ -3,6 +3,7 @@
 import cmath
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 
@@ -270,7 +271,17 @@ class spatial_light_modulator(Prepared, torch.nn.Module):
         _validate.real("phase", phase)
         if self._even:
             return even_levels(phase, 2 ** (self.bits or 0)).to(torch.int32)
-        return nearest_levels(phase, _like(self.lut, phase, self.lut.dtype)).to(torch.int32)
+        return self._nearest(phase, _like(self.lut, phase, self.lut.dtype)).to(torch.int32)
+
+    def phases_of(self, levels: torch.Tensor, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+        """Return the phases in radians, of a `dtype`, of levels: integers ``[..., m, n]`` below 2^bits."""
+        if self.lut is None:
+            raise ValueError("bits must be given for a modulator to have levels, got None")
+        lut: Any = self.lut
+        return lut.to(levels.device, dtype)[levels.long()]
+
+    def _nearest(self, phase: torch.Tensor, lut: torch.Tensor) -> torch.Tensor:
+        return nearest_levels(phase, lut)
 
     def _quantised(self, phase):
         if self.lut is None:
@@ -278,11 +289,10 @@ class spatial_light_modulator(Prepared, torch.nn.Module):
                 return phase
             target = within_range(phase.detach(), self.phase_range)
         else:
-            lut = _like(self.lut, phase, self.lut.dtype)
             if self._even:
                 target = even_levels(phase.detach(), 2**self.bits) * (TURN / 2**self.bits)
             else:
-                target = lut.to(phase.dtype)[nearest_levels(phase, lut)]
+                target = self.phases_of(self.levels(phase), phase.dtype)
         # The difference is exactly zero: it contributes the gradient and no rounding error.
         return target + (phase - phase.detach())
 
@@ -354,6 +364,42 @@ class spatial_light_modulator(Prepared, torch.nn.Module):
             raise ValueError(f"crosstalk must be at least 0, got {crosstalk!r}")
         kernel = None if crosstalk == 0 else gaussian_kernel(crosstalk * self.samples_per_pixel)
         self._hold("crosstalk", kernel, False)
+
+
+class VaryingModulator(spatial_light_modulator):
+    """A modulator whose phases are those of its levels times a factor of each pixel.
+
+    Parameters
+    ----------
+    factors : torch.Tensor
+        Factors ``[m, n]``, positive.
+    **options
+        Parameters of :class:`spatial_light_modulator`, with `lut`.
+    """
+
+    factors: torch.Tensor
+
+    def __init__(self, factors: torch.Tensor, **options: Any):
+        super().__init__(**options)
+        self.register_buffer("factors", factors)
+
+    def phases_of(self, levels: torch.Tensor, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+        """Return the phases in radians, of a `dtype`, of levels: integers ``[..., m, n]`` below 2^bits."""
+        return super().phases_of(levels, dtype) * self.factors.to(levels.device, dtype)
+
+    def _nearest(self, phase: torch.Tensor, lut: torch.Tensor) -> torch.Tensor:
+        factors, phase = self.factors.to(phase), phase.detach()
+        best, least = torch.zeros_like(phase, dtype=torch.int64), torch.full_like(phase, torch.inf)
+        rising, order = torch.sort(lut.to(phase.dtype))
+        between = (rising[1:] + rising[:-1]) / 2
+        first = torch.floor((phase - factors * rising[0]) / TURN)
+        # Whole turns below, within and above the span of the levels.
+        for turns in range(-1, 2 + math.ceil(float(rising[-1] - rising[0]) / TURN)):
+            wanted = phase + (turns - first) * TURN
+            levels = order[torch.bucketize(wanted / factors, between)]
+            apart = (lut.to(phase.dtype)[levels] * factors - wanted).abs()
+            best, least = torch.where(apart < least, levels, best), torch.minimum(apart, least)
+        return best
 
 
 class temporal_modulator(torch.nn.Module):

@@ -25,7 +25,7 @@ from odak.learn.wave.displays.paths.free import Free
 from odak.learn.wave.displays.sections import view_of
 from odak.learn.wave.eyes import Eyes
 from odak.learn.wave.fields import exposed, intensity
-from odak.learn.wave.slm import spatial_light_modulator
+from odak.learn.wave.slm import VaryingModulator, spatial_light_modulator
 from odak.learn.wave.training import fingerprint, generator_from
 
 
@@ -150,8 +150,9 @@ class Display(Prepared, torch.nn.Module):
         """Return the display of a calibrated table: its panel, response, aberration, illumination and distance.
 
         Use it for holograms on your own table: patterns for it correct the aberration, and
-        :meth:`DisplayedHologram.levels` returns the levels whose measured phases are nearest. Of responses in regions
-        the mean over the panel is taken.
+        :meth:`DisplayedHologram.levels` returns the levels whose measured phases are nearest. Of responses in regions,
+        the factor between those of a pixel and the mean over the panel is taken. The light of gaps and the cover glass
+        is that of the calibration.
 
         Parameters
         ----------
@@ -190,7 +191,11 @@ class Display(Prepared, torch.nn.Module):
         if len(calibration.phases) != 2**bits:
             raise ValueError(f"calibration must have 2^bits levels, got {len(calibration.phases)}")
         phases, wavefront = (torch.as_tensor(part) for part in (calibration.phases, calibration.wavefront))
-        response = spatial_light_modulator(bits=bits, lut=phases, aberration=wavefront)
+        found: dict[str, Any] = {"bits": bits, "lut": phases, "aberration": wavefront}
+        found["zero_order"] = calibration.unmodulated
+        factors = calibration.response_factors()
+        one = bool((factors == 1).all())
+        response = spatial_light_modulator(**found) if one else VaryingModulator(torch.as_tensor(factors), **found)
         modulator = Modulator(calibration.amplitude.shape, calibration.pitch, bits, fill, response)
         known: dict[str, Any] = {"distances": calibration.distance, "profile": torch.as_tensor(calibration.amplitude)}
         return cls(modulator, calibration.wavelength, **(known | options))

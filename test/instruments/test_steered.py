@@ -1,0 +1,41 @@
+"""Panels of any width at any distance are calibrated, also where no point gets light from all pixels."""
+
+import warnings
+
+import numpy as np
+import pytest
+from laboratory import table_of
+from tables import instruments_of
+
+from odak import AccuracyWarning, instruments
+
+# Pitch in µm, distance in mm of a panel of 1080 x 1920 pixels: pixels reach 0.2 to 2 times half of its width.
+GEOMETRIES = [(pitch, distance) for pitch in (3.74, 6.4, 8.0) for distance in (50, 100, 200)]
+
+
+@pytest.mark.parametrize(
+    ("parts", "pitch", "distance", "bits"),
+    [
+        (12, 8.0, 100, 10),
+        pytest.param(8, 8.0, 100, 10, marks=pytest.mark.slow),
+        *(
+            pytest.param(4, *sizes, bits, marks=pytest.mark.slow)
+            for sizes, bits in zip(GEOMETRIES, (8, 10, 12) * 3, strict=True)
+        ),
+        pytest.param(1, 8.0, 100, 10, marks=[pytest.mark.slow, pytest.mark.timeout(3600)]),
+    ],
+)
+def test_panels_of_any_width_at_any_distance(parts, pitch, distance, bits):
+    """A panel of so many parts of 1080 x 1920 pixels, at that part of the distance: the same share is reached.
+
+    The camera sees several orders of diffraction where the panel is wider than what its pixels reach.
+    """
+    table = table_of((1080 // parts, 1920 // parts), 1e-6 * pitch, 1e-3 * distance / parts, bits)
+    there = instruments_of(table), table.wavelength, 1.015 * table.distance
+    with warnings.catch_warnings():
+        # Fewer pixels form larger spots, whose places and light are less certain.
+        warnings.simplefilter("ignore", AccuracyWarning)
+        found = instruments.calibrate_table(*there[0], *there[1:])
+    errors = table.errors(found)
+    bounds = {"phases": 5e-3, "registration": 0.3, "wavefront": 2 * np.pi / 30, "distance": 3e-3, "amplitude": 0.04}
+    assert all(abs(errors[name]) < bound for name, bound in bounds.items()), errors
