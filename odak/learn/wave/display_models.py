@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.fft import next_fast_len
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 
@@ -1374,15 +1375,7 @@ def _averaged(light: torch.Tensor, sizes: Sequence[int], width: int) -> torch.Te
 
 def _fast(count: int) -> int:
     """Return the next number whose transform is fast: even, of factors 2, 3 and 5."""
-    count += count % 2
-    while True:
-        rest = count
-        for factor in (2, 3, 5):
-            while rest % factor == 0:
-                rest //= factor
-        if rest == 1:
-            return count
-        count += 2
+    return 2 * int(next_fast_len(-(-count // 2), real=True))
 
 
 def _zero_padded(spectrum: torch.Tensor, wanted: int, axis: int) -> torch.Tensor:

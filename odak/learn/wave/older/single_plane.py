@@ -13,7 +13,6 @@ import torch
 from odak import _validate
 from odak._array import phasor
 from odak._bars import tqdm
-from odak._torch_private import in_own_precision
 from odak._warnings import AccuracyWarning, ArgumentWarning, warn
 from odak.learn._tensors import (
     checked_device,
@@ -23,6 +22,7 @@ from odak.learn._tensors import (
     tensor,
 )
 from odak.learn.tools.iterations import SOLVERS, Run, minimise
+from odak.learn.tools.matrix import blur_gaussian
 from odak.learn.wave.camera import captured_by, with_model_gradient
 from odak.learn.wave.fields import generate_complex_field, mean_intensity, unit_phasor
 from odak.learn.wave.holograms.solvers.double_phase import encode_double_phase
@@ -587,7 +587,12 @@ def shift_w_double_phase(
     carrier = torch.tensor(-2 * math.pi * (depth_shift / wavelength % 1), dtype=torch.float64, device=phase.device)
     field = field * phasor(carrier, field.dtype)
     if kernel_length > 0 and sigma > 0:
-        field = _blur(field, kernel_length, sigma)
+        side = 2 * (kernel_length // 2) + 1
+        # Samples of that Gaussian are side / (side - 1) apart.
+        widths = (sigma * side / max(side - 1, 1),) * 2
+        parts = torch.view_as_real(field).movedim(-1, 0).contiguous()
+        smooth = blur_gaussian(parts, (side, side), widths, keep_sum=True).reshape(parts.shape)
+        field = torch.view_as_complex(smooth.movedim(0, -1).contiguous())
     return encode_double_phase(field)
 
 
@@ -708,14 +713,3 @@ def double_phase_hologram(
     hologram = unit_phasor(encode_double_phase(there))
     shown: Any = propagate_within_window(hologram, distance=distance, pixel_fill=fill, **lengths)
     return hologram, shown
-
-
-@in_own_precision
-def _blur(field, length, sigma):
-    """Return the field smoothed by a Gaussian of unit sum, real and imaginary parts alike."""
-    half = length // 2
-    line = torch.exp(-0.5 * (torch.arange(-half, half + 1, device=field.device) / sigma) ** 2)
-    kernel = (line[:, None] * line[None, :] / line.sum() ** 2).to(field.real.dtype)[None, None]
-    parts = torch.view_as_real(field).movedim(-1, 0)
-    smooth = torch.nn.functional.conv2d(parts.reshape(-1, 1, *field.shape[-2:]), kernel, padding="same")
-    return torch.view_as_complex(smooth.reshape(parts.shape).movedim(0, -1).contiguous())

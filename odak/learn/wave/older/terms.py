@@ -1,6 +1,6 @@
 """Terms of the losses of hologram optimizers: targets, weights, light sources, eyebox and phase constraints."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 
@@ -135,8 +135,7 @@ def eyebox_mask(shape: Sequence[int], offset: float | Sequence[float], diameter:
     ValueError
         If there is no sample in it.
     """
-    alone = not isinstance(offset, Iterable) or getattr(offset, "ndim", 1) == 0
-    shift = _validate.numbers(_validate.several("offset", (offset, offset) if alone else offset, 2))
+    shift = _validate.numbers(_validate.pair("offset", offset))
     mask = disc(shape, _validate.real("diameter", diameter, positive=True) / 2, shift)
     if not bool(mask.any()):
         raise ValueError(f"eyebox must contain a sample of the spectrum, got offset {offset} and diameter {diameter}")
