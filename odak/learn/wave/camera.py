@@ -9,7 +9,7 @@ from odak import _show, _validate
 from odak._attributes import Prepared
 from odak.learn._tensors import kind_of, tensor
 from odak.learn.wave.fields import intensity, unit_phasor
-from odak.learn.wave.slm import checked_fill, iris_cutoff, on_samples, panel_map
+from odak.learn.wave.slm import checked_bits, checked_fill, checked_phase, iris_cutoff, on_samples, panel_map
 from odak.wave.methods import check_has_kernel
 from odak.wave.propagation import propagate_within_window
 from odak.wave.transfer_functions import checked_pitch, divided_pitch
@@ -166,9 +166,7 @@ class simulated_camera(Prepared, torch.nn.Module):
         self.read_noise = _validate.constant("read_noise", read_noise)
         if self.read_noise < 0 or (self.read_noise > 0 and full_well is None):
             raise ValueError(f"read_noise must be at least 0, and 0 without full_well, got {read_noise!r}")
-        self.bits = None if bits is None else _validate.integer("bits", bits, minimum=1)
-        if bits is not None and bits > 16:
-            raise ValueError(f"bits must be at most 16, got {bits}")
+        self.bits = checked_bits(bits)
         self.cutoff = iris_cutoff(self.wavelength, iris_radius, iris_focal_length)
         self.pixel_fill = None
         if pixel_fill is not None or self.cutoff is not None:
@@ -221,10 +219,7 @@ class simulated_camera(Prepared, torch.nn.Module):
         torch.Tensor
             Real ``[..., m, n]``, 0 … 1/exposure, in the phase's precision, without a graph.
         """
-        if not isinstance(phase, torch.Tensor) or phase.dtype not in (torch.float32, torch.float64):
-            kind = phase.dtype if isinstance(phase, torch.Tensor) else type(phase).__name__
-            raise TypeError(f"phase must be a float32 or float64 tensor, got {kind}")
-        return self.captured(self.light(_validate.image("phase", phase)))
+        return self.captured(self.light(checked_phase(phase)))
 
     @torch.no_grad()
     def captured(self, light: torch.Tensor) -> torch.Tensor:

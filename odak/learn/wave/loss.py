@@ -14,6 +14,7 @@ from odak._warnings import AccuracyWarning, MissingPackageWarning, warn
 from odak.learn import perception
 from odak.learn._tensors import checked_device, checked_generator, get_device, kind_of, tensor
 from odak.learn.tools.matrix import blur_gaussian, plane_indices, plane_masks
+from odak.learn.wave.training import with_noise
 from odak.wave.transfer_functions import checked_pitch, pitches
 
 SCHEMES = ("defocus", "naive")
@@ -288,11 +289,8 @@ class FocalTargets(Prepared, nn.Module):
         generator = checked_generator("generator", generator)
         image, target = _without_leading_ones(image, target)
         mask = self._mask(image, plane_id)
-        noisy = target
-        if inject_noise:
-            spread = noise_ratio * (target.amax() - target.amin())
-            generator = self.generator if self.generator is not None else generator
-            noisy = target + spread * torch.empty_like(target).normal_(generator=generator)
+        generator = self.generator if self.generator is not None else generator
+        noisy = with_noise(target, noise_ratio, generator) if inject_noise else target
         return (image, target), (image * mask, noisy * mask), (image * noisy, noisy * noisy)
 
     def _mask(self, image, plane_id):

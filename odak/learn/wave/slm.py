@@ -188,9 +188,7 @@ class spatial_light_modulator(Prepared, torch.nn.Module):
     ):
         super().__init__()
         self.samples_per_pixel = _validate.integer("samples_per_pixel", samples_per_pixel, minimum=1)
-        self.bits = None if bits is None else _validate.integer("bits", bits, minimum=1)
-        if bits is not None and bits > 16:
-            raise ValueError(f"bits must be at most 16, got {bits}")
+        self.bits = checked_bits(bits)
         self.phase_range = None if phase_range is None else _validate.real("phase_range", phase_range, positive=True)
         self._hold_lut(lut)
         self._hold_crosstalk(crosstalk)
@@ -250,7 +248,7 @@ class spatial_light_modulator(Prepared, torch.nn.Module):
         torch.Tensor
             Phase in radians, ``[..., m·s, n·s]``; differentiable, the levels straight through.
         """
-        shown = self._quantised(_checked_phase(phase))
+        shown = self._quantised(checked_phase(phase))
         s = self.samples_per_pixel
         if s > 1:
             shown = shown.repeat_interleave(s, -2).repeat_interleave(s, -1)
@@ -266,7 +264,7 @@ class spatial_light_modulator(Prepared, torch.nn.Module):
         """
         if self.lut is None:
             raise ValueError("bits must be given for a modulator to have levels, got None")
-        phase = _checked_phase(phase).detach()
+        phase = checked_phase(phase).detach()
         # Integers cannot represent NaN.
         _validate.real("phase", phase)
         if self._even:
@@ -634,7 +632,15 @@ def _finite(name, value):
     return value
 
 
-def _checked_phase(phase):
+def checked_bits(bits: int | None) -> int | None:
+    """Return the bits of a pixel, 1 to 16 or None, after checking them."""
+    if bits is not None and not 1 <= _validate.integer("bits", bits) <= 16:
+        raise ValueError(f"bits must be 1 to 16 or None, got {bits}")
+    return None if bits is None else int(bits)
+
+
+def checked_phase(phase: torch.Tensor) -> torch.Tensor:
+    """Return a phase ``[..., rows, columns]`` of single or double precision after checking it."""
     if not isinstance(phase, torch.Tensor) or phase.dtype not in (torch.float32, torch.float64):
         kind = phase.dtype if isinstance(phase, torch.Tensor) else type(phase).__name__
         raise TypeError(f"phase must be a float32 or float64 tensor, got {kind}")

@@ -192,6 +192,12 @@ def started(name: str, given, shapes: Sequence[tuple], like: torch.Tensor, draw:
     return phase.to(like, copy=True)
 
 
+def with_noise(target: torch.Tensor, ratio: float, generator: torch.Generator | None) -> torch.Tensor:
+    """Return a target with normal noise, of a standard deviation that is a share of the target's range."""
+    spread = ratio * (target.amax() - target.amin())
+    return target + spread * torch.empty_like(target).normal_(generator=generator)
+
+
 def fingerprint(*tensors: torch.Tensor) -> str:
     """Return a short text that identifies tensors, by which a checkpoint is recognised."""
     digest = hashlib.sha256()

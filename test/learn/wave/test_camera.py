@@ -159,7 +159,7 @@ def test_camera_in_the_loop_beats_the_model_alone():
     [
         ({"read_noise": -1.0}, ValueError, "read_noise must be at least 0"),
         ({"read_noise": 1.0, "full_well": None}, ValueError, "read_noise must be at least 0, and 0 without full_well"),
-        ({"bits": 20}, ValueError, "bits must be at most 16"),
+        ({"bits": 20}, ValueError, "bits must be 1 to 16 or None, got 20"),
         ({"aberration": 0.3}, TypeError, "aberration must be a torch.Tensor"),
     ],
 )

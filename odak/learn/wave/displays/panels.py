@@ -9,7 +9,7 @@ import torch
 
 from odak import _validate
 from odak.learn.wave.fields import unit_phasor
-from odak.learn.wave.slm import TURN, even_levels
+from odak.learn.wave.slm import TURN, checked_bits, even_levels
 from odak.wave.linear_kernels import checked_pixel_fill
 from odak.wave.transfer_functions import checked_pitch, pitches
 
@@ -221,12 +221,6 @@ class Modulator:
         if self.bits is not None and getattr(self.response, "lut", None) is not None:
             return self.response.levels(phases)  # type: ignore[union-attr]
         return even_levels(phases, 256 if self.bits is None else 2**self.bits).to(torch.int32)
-
-
-def checked_bits(bits: int | None) -> None:
-    """Raise ValueError unless a panel may have these bits, 1 to 16 or None."""
-    if bits is not None and not 1 <= _validate.integer("bits", bits) <= 16:
-        raise ValueError(f"bits must be 1 to 16 or None, got {bits}")
 
 
 def checked_iris(iris: Any) -> None:

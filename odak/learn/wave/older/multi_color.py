@@ -39,7 +39,16 @@ from odak.learn.wave.older.terms import (
     zero_mean,
 )
 from odak.learn.wave.slm import TURN, even_levels
-from odak.learn.wave.training import REGISTER, check_brightness, cosine, fingerprint, generator_from, linear, started
+from odak.learn.wave.training import (
+    REGISTER,
+    check_brightness,
+    cosine,
+    fingerprint,
+    generator_from,
+    linear,
+    started,
+    with_noise,
+)
 from odak.wave.torch_convolution import Workspace, release_memory
 
 # Learning rate at the end by default in Odak 0.2.4.
@@ -512,9 +521,7 @@ class multi_color_hologram_optimizer(Prepared):
             pairs = zip(input_image, target_image, strict=True)
             return sum(self.loss_function(image, target, **keywords) for image, target in pairs)
         if inject_noise:
-            spread = target_image.amax() - target_image.amin()
-            noise = torch.empty_like(target_image).normal_(generator=generator)
-            target_image = target_image + noise_ratio * spread * noise
+            target_image = with_noise(target_image, noise_ratio, generator)
         error = squared_error(input_image, target_image, self._workspace)
         return error / input_image.numel() if self.reduction == "mean" else error
 
