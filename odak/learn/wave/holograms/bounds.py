@@ -82,8 +82,8 @@ def least_error_of_band(target: torch.Tensor, band: Sequence[float], light: floa
     shape = wanted.shape
     # g' is computed on a wider grid, on which its maximum is found between the pixels of its own grid too.
     wide = [4 * n for n in shape]
-    frequencies = [np.fft.fftfreq(n) for n in wide]
-    radius = np.hypot(frequencies[0][:, None] / band[0], frequencies[1] / band[1])
+    # Half of the frequencies along rows: what is filtered is real.
+    radius = np.hypot(np.fft.fftfreq(wide[0])[:, None] / band[0], np.fft.rfftfreq(wide[1]) / band[1])
     if radius.max() <= 1:
         return 0.0
     found = 0.0
@@ -93,15 +93,16 @@ def least_error_of_band(target: torch.Tensor, band: Sequence[float], light: floa
         # It widens the spectrum of what it multiplies by some periods over its rim.
         margin = 1 + max(2 / (share * n * b) for n, b in zip(shape, band, strict=True))
 
-        def filtered(values, passed):
-            return np.fft.ifft2(np.fft.fft2(values, wide) * passed).real
+        def filtered(values, passed, rows):
+            spectrum = np.fft.fft(np.fft.rfft(values, wide[1]), wide[0], axis=0) * passed
+            return np.fft.irfft(np.fft.ifft(spectrum, axis=0)[:rows], wide[1])
 
-        outside = filtered(window * (wanted - wanted.mean()), radius > margin)[: shape[0], : shape[1]]
+        outside = filtered(window * (wanted - wanted.mean()), radius > margin, shape[0])[:, : shape[1]]
         given = window * outside
         norm = float((given**2).sum())
         if norm > 0:
             # Between the points of a grid that describes a band four times over, a maximum is little higher.
-            peak = abs(filtered(given, radius <= 1)).max() / np.cos(np.pi / 8) ** 2
+            peak = abs(filtered(given, radius <= 1, wide[0])).max() / np.cos(np.pi / 8) ** 2
             gap = float((given * wanted).sum()) - light * float(peak)
             found = max(found, max(0.0, gap) ** 2 / norm / wanted.size)
     return found
