@@ -63,14 +63,13 @@ def run(job: MetamerSettings, notices: files.Notices = files.SILENT) -> dict:
     if (kept := files.kept_report(folder, mark, notices)) is not None:
         return kept
     files.announce(folder, [*NAMES, files.REPORT], notices)
-    from odak.learn.perception import MetamericLoss, MetamerMSELoss, make_pooling_size_map_pixels
+    from odak.learn.perception import MetamericLoss, MetamerMSELoss, Viewing, make_pooling_size_map_pixels
     from odak.learn.perception.metamers import metamer_stages
 
     view: dict[str, Any] = {
         "alpha": job.alpha,
         "mode": job.mode,
-        "real_image_width": job.width,
-        "real_viewing_distance": job.distance,
+        "viewing": Viewing(job.width, job.distance, gaze=job.gaze),
     }
     bands: dict[str, Any] = {
         "n_pyramid_levels": job.levels,
@@ -80,11 +79,11 @@ def run(job: MetamerSettings, notices: files.Notices = files.SILENT) -> dict:
     }
     evaluations = sum(count for _, count in metamer_stages(job.iterations, job.joint))
     with tqdm(total=STAGES + evaluations, desc="metamer", unit="step", disable=job.quiet) as bar:
-        pooling = make_pooling_size_map_pixels(job.gaze, picture.shape[-2:], **view)
+        pooling = make_pooling_size_map_pixels(None, picture.shape[-2:], **view)
         bar.update()
         try:
             maker = MetamerMSELoss(device, **view, **bands)
-            metamer = maker.gen_metamer(picture, job.gaze, job.seed, job.iterations, bar.update)
+            metamer = maker.gen_metamer(picture, None, job.seed, job.iterations, bar.update)
         except ValueError:
             rows, columns = picture.shape[-2:]
             raise InputError(
@@ -98,7 +97,7 @@ def run(job: MetamerSettings, notices: files.Notices = files.SILENT) -> dict:
         loss = MetamericLoss(device, **view, **bands, use_l2_foveal_loss=False)
         with torch.no_grad():
             spoilt = picture + math.sqrt(error) * noise
-            value, of_noise = (float(loss(shown, picture, job.gaze)) for shown in (metamer, spoilt))
+            value, of_noise = (float(loss(shown, picture)) for shown in (metamer, spoilt))
             textures = [_texture_distance(shown, picture, pooling) for shown in (metamer, spoilt)]
         _write(folder, picture, metamer, pooling, job.width)
         bar.update()

@@ -122,3 +122,4 @@ from .quality import multi_scale_structural_similarity as multi_scale_structural
 from .quality import ring_masks as ring_masks
 from .quality import structural_similarity as structural_similarity
 from .quality import weber_contrast as weber_contrast
+from .sight import Viewing as Viewing

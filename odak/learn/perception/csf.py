@@ -14,13 +14,25 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from torch import nn
 
 from odak import _array, _torch_private, _validate
 from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, in_float32, tensor
 from odak.learn.perception.color import srgb_decoded, srgb_to_lab
-from odak.learn.perception.foveation import checked_view, make_eccentricity_distance_maps
+from odak.learn.perception.foveation import make_eccentricity_distance_maps
 from odak.learn.perception.pyramids import FrequencySteerablePyramid
+from odak.learn.perception.sight import (
+    Gaze,
+    Kept,
+    Seen,
+    Viewing,
+    angle_of,
+    each_of,
+    gaze_at,
+    gaze_of,
+    geometry,
+    parts_of,
+    viewing_of,
+)
 
 SIGNAL_TO_NOISE = 3.0
 INTEGRATION_TIME = 0.1
@@ -166,7 +178,7 @@ def contrast_sensitivity(
     return sensitivity(frequency, luminance, size)
 
 
-class CSFLoss(nn.Module):
+class CSFLoss(Seen):
     """Differences of luminance weighted by the contrast sensitivity of the eye, in squared multiples of the threshold.
 
     The difference of two pictures over the target's mean luminance is a sum of gratings, each of which weighs as many
@@ -189,6 +201,8 @@ class CSFLoss(nn.Module):
         Of black, in cd/m².
     encoding : {"sRGB", "linear"}
         Encoding of the pictures.
+    viewing : Viewing, optional
+        Geometry and luminances, with the light that the display reflects, instead of the numbers.
 
     Raises
     ------
@@ -212,14 +226,12 @@ class CSFLoss(nn.Module):
         peak_luminance: float = 100.0,
         black_luminance: float = 0.1,
         encoding: str = "sRGB",
+        *,
+        viewing: Viewing | None = None,
     ):
         super().__init__()
-        view = _validate.constants(real_image_width=real_image_width, real_viewing_distance=real_viewing_distance)
-        self.real_image_width, self.real_viewing_distance = map(float, checked_view(*view))
-        self.peak_luminance = _validate.constant("peak_luminance", peak_luminance, positive=True)
-        self.black_luminance = _validate.constant("black_luminance", black_luminance, positive=True)
-        if self.black_luminance >= self.peak_luminance:
-            raise ValueError(f"black_luminance must be less than the peak {peak_luminance}, got {black_luminance}")
+        view = real_image_width, real_viewing_distance, peak_luminance, black_luminance
+        self.viewing = viewing_of(viewing, *view)
         self.encoding = _validate.one_of("encoding", encoding, ("sRGB", "linear"))
         self.register_buffer("frequencies", None, persistent=False)
         self._kept = None
@@ -252,7 +264,7 @@ class CSFLoss(nn.Module):
         if image.shape[-2:].numel() < 2:
             raise ValueError(f"image and target must have two pixels or more, got {tuple(image.shape)}")
         shown, wanted = self._luminance(image), self._luminance(target)
-        mean = wanted.detach().mean((-2, -1), keepdim=True).clamp_min(self.black_luminance)
+        mean = wanted.detach().mean((-2, -1), keepdim=True).clamp_min(self.viewing.darkest)
         spectrum = torch.fft.rfft2((shown - wanted) / mean, norm="forward")
         gain = sensitivity(self._frequencies(image), mean, self._size(image))
         # Half a spectrum: every column but the first, and the last of an even width, counts twice.
@@ -271,18 +283,16 @@ class CSFLoss(nn.Module):
             light = (_BT709_LUMINANCE[0] * red + _BT709_LUMINANCE[1] * green + _BT709_LUMINANCE[2] * blue)[
                 ..., None, :, :
             ]
-        return self.black_luminance + (self.peak_luminance - self.black_luminance) * light
+        return self.viewing.luminance(light)
 
     def _size(self, picture):
         """Return the side in degrees of a square of the picture's area."""
-        width = _angle(self.real_image_width, self.real_viewing_distance)
-        height = _angle(self.real_image_width * picture.shape[-2] / picture.shape[-1], self.real_viewing_distance)
-        return math.sqrt(width * height)
+        height = self.real_image_width * picture.shape[-2] / picture.shape[-1]
+        return math.sqrt(self.viewing.field_of_view * angle_of(height, self.real_viewing_distance))
 
     def _frequencies(self, picture):
         """Return frequencies in cycles per degree at the middle of the picture, kept by size and place."""
-        view = self.real_image_width, self.real_viewing_distance
-        key = (tuple(picture.shape[-2:]), picture.dtype, picture.device, view)
+        key = (tuple(picture.shape[-2:]), picture.dtype, picture.device, self.viewing)
         if self._kept != key:
             rows, columns = picture.shape[-2:]
             pitch = math.degrees(self.real_image_width / columns / self.real_viewing_distance)
@@ -317,10 +327,6 @@ def positive_numbers(**values: torch.Tensor | float) -> list[torch.Tensor]:
     made = {name: v if isinstance(v, torch.Tensor) else tensor(name, v, **kind) for name, v in values.items()}
     _validate.fitting(**made)
     return list(made.values())
-
-
-def _angle(length, distance):
-    return 2 * math.degrees(math.atan(length / 2 / distance))
 
 
 def _check_range(name, picture):
@@ -500,10 +506,12 @@ class BudgetRing(NamedTuple):
 
 def foveated_budget(
     image_pixel_size: Sequence[int],
-    gaze: Sequence[float] = (0.5, 0.5),
+    gaze: Gaze | None = None,
     real_image_width: float = 0.2,
     real_viewing_distance: float = 0.7,
     edges: Sequence[float] = (0.0, 2.0, 5.0, 10.0, 20.0, 40.0, 90.0),
+    *,
+    viewing: Viewing | None = None,
 ) -> list[BudgetRing]:
     """Return how many samples a renderer has to make in each ring around the gaze.
 
@@ -511,14 +519,17 @@ def foveated_budget(
     ----------
     image_pixel_size : sequence of int
         Rows and columns of the display, whose pixels are square.
-    gaze : sequence of float
-        (x, y), 0 to 1 from the top-left corner.
+    gaze : sequence of float, optional
+        (x, y), 0 to 1 from the top-left corner; or ``[B, 2]``, of which the mean number of samples is returned. By
+        default the middle, or that of the viewing.
     real_image_width : float
         Width of the display.
     real_viewing_distance : float
         Distance of the eye from its centre, in the same unit.
     edges : sequence of float
         Eccentricities between the rings, rising, in degrees.
+    viewing : Viewing, optional
+        Geometry and, without `gaze`, gaze, instead of the two lengths.
 
     Returns
     -------
@@ -542,30 +553,33 @@ def foveated_budget(
     >>> bool(sum(ring.samples for ring in rings) < 0.5 * 540 * 960)
     True
     """
-    gaze, real_image_width, real_viewing_distance = _validate.constants(
-        gaze=gaze, real_image_width=real_image_width, real_viewing_distance=real_viewing_distance
+    width, distance = _validate.constants(
+        real_image_width=real_image_width, real_viewing_distance=real_viewing_distance
     )
+    gaze, (width, distance) = gaze_at(viewing, gaze), geometry(viewing, width, distance)
     rows, columns = _validate.size("image_pixel_size", image_pixel_size)
     _validate.instance("edges", edges, (list, tuple), "a sequence of numbers")
     edges = [_validate.constant("edges", edge) for edge in edges]
     if len(edges) < 2 or any(b <= a for a, b in pairwise(edges)):
         raise ValueError(f"edges must be two or more rising eccentricities, got {edges}")
-    view = checked_view(real_image_width, real_viewing_distance)
-    angle, distance = make_eccentricity_distance_maps(gaze, (rows, columns), *view, dtype=torch.float64)
+    # Gradients of a gaze are lost in counts, and reported.
+    gaze = gaze_of("gaze", (0.5, 0.5) if gaze is None else gaze)
+    angle, far = make_eccentricity_distance_maps(gaze, (rows, columns), width, distance, dtype=torch.float64)
     degrees = torch.rad2deg(angle)
     # Solid angle of a pixel, pitch²·cos/d², in square degrees.
-    pitch = real_image_width / columns
-    solid = math.degrees(1) ** 2 * pitch**2 * real_viewing_distance / distance**3
+    pitch = width / columns
+    solid = math.degrees(1) ** 2 * pitch**2 * distance / far**3
     samples = ((2 * highest_frequency(degrees)) ** 2 * solid).clamp(max=1)
-    rings = []
+    rings, gazes = [], len(each_of(gaze))
     for inner, outer in pairwise(edges):
         inside = (degrees >= inner) & (degrees < outer)
         if inside.any():
-            rings.append(BudgetRing(inner, outer, int(inside.sum()), float(samples[inside].sum())))
+            pixels, found = inside.sum() / gazes, (samples * inside).sum() / gazes
+            rings.append(BudgetRing(inner, outer, round(float(pixels)), float(found)))
     return rings
 
 
-class VisibilityLoss(nn.Module):
+class VisibilityLoss(Seen):
     """Visible differences of brightness and colour for one gaze, in squared multiples of the threshold.
 
     Differences are split into octaves. Each is weighted by the contrast sensitivity at its frequency and eccentricity,
@@ -587,6 +601,8 @@ class VisibilityLoss(nn.Module):
         Weight of the two channels of colour; 0 leaves them out.
     masking : float
         Slope of the elevation of thresholds over the mask's contrast, 0 to 1; 0 for none.
+    viewing : Viewing, optional
+        Geometry, gaze and luminances, with the light that the display reflects, instead of the numbers.
 
     Raises
     ------
@@ -623,14 +639,12 @@ class VisibilityLoss(nn.Module):
         n_levels: int = 5,
         colour: float = 1.0,
         masking: float = MASKING,
+        *,
+        viewing: Viewing | None = None,
     ) -> None:
         super().__init__()
-        view = _validate.constants(real_image_width=real_image_width, real_viewing_distance=real_viewing_distance)
-        self.real_image_width, self.real_viewing_distance = map(float, checked_view(*view))
-        self.peak_luminance = _validate.constant("peak_luminance", peak_luminance, positive=True)
-        self.black_luminance = _validate.constant("black_luminance", black_luminance, positive=True)
-        if self.black_luminance >= self.peak_luminance:
-            raise ValueError(f"black_luminance must be less than the peak {peak_luminance}, got {black_luminance}")
+        view = real_image_width, real_viewing_distance, peak_luminance, black_luminance
+        self.viewing = viewing_of(viewing, *view)
         self.colour, self.masking = (
             _validate.constant("colour", colour),
             _validate.constant("masking", masking),
@@ -638,9 +652,9 @@ class VisibilityLoss(nn.Module):
         if self.colour < 0 or not 0 <= self.masking <= 1:
             raise ValueError(f"colour must not be negative and masking be 0 to 1, got {colour} and {masking}")
         self.pyramid = FrequencySteerablePyramid(_validate.integer("n_levels", n_levels, minimum=2), 1)
-        self._kept: Any = None
+        self._kept = Kept()
 
-    def forward(self, image: torch.Tensor, target: torch.Tensor, gaze: Sequence[float] = (0.5, 0.5)) -> torch.Tensor:
+    def forward(self, image: torch.Tensor, target: torch.Tensor, gaze: Gaze | None = None) -> torch.Tensor:
         """Return the loss.
 
         Parameters
@@ -648,8 +662,9 @@ class VisibilityLoss(nn.Module):
         image, target : torch.Tensor
             sRGB or grey pictures ``[B, C, H, W]`` of one shape, about 0 … 1. The target sets adaptation and masking,
             through which it gets no gradient.
-        gaze : sequence of float
-            (x, y), 0 to 1 from the top-left corner; it may lie outside the picture.
+        gaze : sequence of float, optional
+            (x, y), 0 to 1 from the top-left corner; it may lie outside the picture. Or ``[B, 2]``, one for each
+            picture. By default that of the viewing.
 
         Returns
         -------
@@ -661,13 +676,20 @@ class VisibilityLoss(nn.Module):
         ValueError, TypeError
             If the pictures cannot be compared or are too small for the octaves.
         """
-        (gaze,) = _validate.constants(gaze=gaze)
         check_loss_inputs("VisibilityLoss", image, target)
         as_pictures("image", image, None), as_pictures("target", target, None)
         pictures: dict[str, Any] = {"VisibilityLoss ERROR: image": image, "VisibilityLoss ERROR: target": target}
         check_values(**pictures)
         dtype = torch.promote_types(image.dtype, target.dtype)
         image, target = in_float32(image.to(dtype)), in_float32(target.to(dtype))
+        gazes = each_of(self._gaze(gaze, len(image)))
+        self._kept.room = len(gazes)
+        pairs = zip(parts_of(image, gazes), parts_of(target, gazes), strict=True)
+        total = sum(self._compared(one, two, place) for (one, place), (two, _) in pairs)
+        return 2 * total / (image.shape[0] * image.shape[-2:].numel())
+
+    def _compared(self, image, target, gaze):
+        """Return the sum over the pixels of pictures with one gaze."""
         shown, wanted = self._luminance(image), self._luminance(target)
         mean = wanted.detach().mean((-2, -1), keepdim=True)
         scales = self._sensitivities(image, gaze, mean)
@@ -676,13 +698,13 @@ class VisibilityLoss(nn.Module):
             # Only colours of the cube have a value in Lab.
             one, two = (srgb_to_lab(picture.clamp(0, 1))[:, 1:] for picture in (image, target))
             total = total + self.colour * self._visible(one - two, two.detach(), [colours for _, colours in scales])
-        return 2 * total / (image.shape[0] * image.shape[-2:].numel())
+        return total
 
     def _luminance(self, picture):
         light = srgb_decoded(picture.clamp(0, 1))
         if picture.shape[1] == 3:
             light = sum(weight * channel for weight, channel in zip(_LUMINANCE, light.split(1, 1), strict=True))
-        return self.black_luminance + (self.peak_luminance - self.black_luminance) * light
+        return self.viewing.luminance(light)
 
     def _visible(self, difference, mask, scales):
         """Return the sum of squared differences, each in multiples of its threshold."""
@@ -703,13 +725,14 @@ class VisibilityLoss(nn.Module):
 
     def _sensitivities(self, picture, gaze, mean):
         """Return for each band the sensitivity to brightness and to the two colours, over its pixels."""
-        gaze = tuple(float(value) for value in _validate.several("gaze", gaze, 2))
-        view = gaze, self.real_image_width, self.real_viewing_distance
-        key = (tuple(picture.shape[-2:]), picture.dtype, picture.device, view, tuple(mean.flatten().tolist()))
-        if self._kept is None or self._kept[0] != key:
+        levels = tuple(mean.flatten().tolist())
+        key = (tuple(picture.shape[-2:]), picture.dtype, picture.device, gaze, self.viewing, levels)
+
+        def made():
             with _torch_private.keeping(), torch.no_grad():
-                self._kept = (key, self._new_sensitivities(picture, gaze, mean.clone()))
-        return self._kept[1]
+                return self._new_sensitivities(picture, gaze, mean.clone())
+
+        return self._kept.get(key, made)
 
     def _new_sensitivities(self, picture, gaze, mean):
         rows, columns = picture.shape[-2:]

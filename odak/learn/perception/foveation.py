@@ -21,14 +21,24 @@ from torch.nn import functional
 
 from odak import _array, _torch_private, _validate
 from odak._torch_private import is_plain_on_cpu, operator
-from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, checked_device, checked_dtype
+from odak.learn.perception.sight import (
+    Gaze,
+    Kept,
+    Seen,
+    Viewing,
+    checked_view,
+    each_of,
+    gaze_at,
+    gaze_of,
+    geometry,
+    parts_of,
+    places_of,
+    point,
+    viewing_of,
+)
 
 MODES = ("quadratic", "linear")
-# A gaze farther from the picture, in its widths and heights or in radians, is one in pixels or degrees.
-_FARTHEST = 10.0
-# Pictures of other angles, in degrees, are seen by no eye: their width and distance have two units.
-_NARROWEST, _WIDEST = 0.5, 170.0
 # Largest angle of a cone, for cones that are tangent to the screen or point behind it.
 STEEPEST = math.pi / 2 - 1e-3
 # Columns of a block, values of one plane in a strip and of all planes for one thread: small enough for a cache, large
@@ -41,6 +51,7 @@ def make_3d_location_map(
     real_image_width: float = 0.3,
     real_viewing_distance: float = 0.6,
     *,
+    viewing: Viewing | None = None,
     dtype: torch.dtype = torch.float32,
     device: torch.device | str | None = None,
 ) -> torch.Tensor:
@@ -54,6 +65,8 @@ def make_3d_location_map(
         Width of the picture.
     real_viewing_distance : float
         Distance of the eye from the picture's centre, in the same unit.
+    viewing : Viewing, optional
+        Geometry, instead of the two lengths.
     dtype : torch.dtype
         Precision of the map.
     device : torch.device, optional
@@ -78,7 +91,7 @@ def make_3d_location_map(
     """
     dtype, device = _options(dtype, device)
     rows, columns = _validate.size("image_pixel_size", image_pixel_size)
-    width, distance = _geometry(real_image_width, real_viewing_distance)
+    width, distance = geometry(viewing, real_image_width, real_viewing_distance)
     height = width / columns * rows
     x = torch.linspace(-0.5, 0.5, columns, dtype=torch.float64, device=device) * width
     y = torch.linspace(-0.5, 0.5, rows, dtype=torch.float64, device=device) * height
@@ -87,11 +100,12 @@ def make_3d_location_map(
 
 
 def make_eccentricity_distance_maps(
-    gaze_location: Sequence[float],
+    gaze_location: Gaze | None,
     image_pixel_size: Sequence[int],
     real_image_width: float = 0.3,
     real_viewing_distance: float = 0.6,
     *,
+    viewing: Viewing | None = None,
     dtype: torch.dtype = torch.float32,
     device: torch.device | str | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor]:
@@ -100,13 +114,15 @@ def make_eccentricity_distance_maps(
     Parameters
     ----------
     gaze_location : sequence of float
-        (x, y), 0 to 1 from the top-left corner.
+        (x, y), 0 to 1 from the top-left corner; or ``[B, 2]``, for each of which there is a map.
     image_pixel_size : sequence of int
         Rows and columns of the picture, whose pixels are square.
     real_image_width : float
         Width of the picture.
     real_viewing_distance : float
         Distance of the eye from the picture's centre, in the same unit.
+    viewing : Viewing, optional
+        Geometry and, where `gaze_location` is None, gaze, instead of the two lengths.
     dtype : torch.dtype
         Precision of the map.
     device : torch.device, optional
@@ -129,22 +145,23 @@ def make_eccentricity_distance_maps(
     0.7854
     """
     dtype, device = _options(dtype, device)
-    width, distance = _geometry(real_image_width, real_viewing_distance)
+    width, distance = geometry(viewing, real_image_width, real_viewing_distance)
     place = make_3d_location_map(image_pixel_size, width, distance, dtype=torch.float64, device=device)
     rows, columns = place.shape[-2:]
-    x, y = _place("gaze_location", gaze_location)
+    x, y = places_of("gaze_location", gaze_at(viewing, gaze_location), device)
     gaze = ((2 * x - 1) * width / 2, (2 * y - 1) * width / columns * rows / 2, distance)
     return _angle(place, gaze).to(dtype), _length(place).to(dtype)
 
 
 def make_pooling_size_map_pixels(
-    gaze_location: Sequence[float],
+    gaze_location: Gaze | None,
     image_pixel_size: Sequence[int],
     alpha: float = 0.3,
     real_image_width: float = 0.3,
     real_viewing_distance: float = 0.6,
     mode: str = "quadratic",
     *,
+    viewing: Viewing | None = None,
     dtype: torch.dtype = torch.float32,
     device: torch.device | str | None = None,
 ) -> torch.Tensor:
@@ -153,7 +170,7 @@ def make_pooling_size_map_pixels(
     Parameters
     ----------
     gaze_location : sequence of float
-        (x, y), 0 to 1 from the top-left corner.
+        (x, y), 0 to 1 from the top-left corner; or ``[B, 2]``, for each of which there is a map.
     image_pixel_size : sequence of int
         Rows and columns.
     alpha : float
@@ -164,6 +181,8 @@ def make_pooling_size_map_pixels(
         Distance of the eye from the picture's centre, in the same unit.
     mode : str
         "quadratic" or "linear".
+    viewing : Viewing, optional
+        Geometry and, where `gaze_location` is None, gaze, instead of the two lengths.
     dtype : torch.dtype
         Precision of the map.
     device : torch.device, optional
@@ -196,10 +215,11 @@ def make_pooling_size_map_pixels(
     """
     dtype, device = _options(dtype, device)
     rows, columns = _validate.size("image_pixel_size", image_pixel_size)
-    width, distance = _geometry(real_image_width, real_viewing_distance)
+    width, distance = geometry(viewing, real_image_width, real_viewing_distance)
     options: dict[str, Any] = {"dtype": torch.float64, "device": device}
     size = (rows, columns)
-    angle, far = make_eccentricity_distance_maps(gaze_location, size, width, distance, **options)
+    gaze = gaze_at(viewing, gaze_location)
+    angle, far = make_eccentricity_distance_maps(gaze, size, width, distance, **options)
     from_axis, _ = make_eccentricity_distance_maps((0.5, 0.5), size, width, distance, **options)
     half = _pooling_angle(angle, alpha, mode) / 2
     outer, inner = (from_axis + half).clamp(max=STEEPEST), (from_axis - half).clamp(min=-STEEPEST)
@@ -210,13 +230,14 @@ def make_pooling_size_map_pixels(
 
 
 def make_pooling_size_map_lod(
-    gaze_location: Sequence[float],
+    gaze_location: Gaze | None,
     image_pixel_size: Sequence[int],
     alpha: float = 0.3,
     real_image_width: float = 0.3,
     real_viewing_distance: float = 0.6,
     mode: str = "quadratic",
     *,
+    viewing: Viewing | None = None,
     nominal_width: bool = False,
     dtype: torch.dtype = torch.float32,
     device: torch.device | str | None = None,
@@ -226,7 +247,7 @@ def make_pooling_size_map_lod(
     Parameters
     ----------
     gaze_location : sequence of float
-        (x, y), 0 to 1 from the top-left corner.
+        (x, y), 0 to 1 from the top-left corner; or ``[B, 2]``, for each of which there is a map.
     image_pixel_size : sequence of int
         Rows and columns of the picture, whose pixels are square.
     alpha : float
@@ -237,6 +258,8 @@ def make_pooling_size_map_lod(
         Distance of the eye from the picture's centre, in the same unit.
     mode : str
         "quadratic" or "linear".
+    viewing : Viewing, optional
+        Geometry and, where `gaze_location` is None, gaze, instead of the two lengths.
     nominal_width : bool
         Choose levels whose sampling kernel, a square enlarged bilinearly, is as wide as the pooling region: equal
         standard deviations. False takes squares as wide as the region, whose kernel is 1.7 to 1.9 times as wide.
@@ -265,6 +288,7 @@ def make_pooling_size_map_lod(
         real_image_width,
         real_viewing_distance,
         mode,
+        viewing=viewing,
         dtype=torch.float64,
         device=device,
     )
@@ -273,7 +297,7 @@ def make_pooling_size_map_lod(
 
 def make_radial_map(
     size: Sequence[int],
-    gaze: Sequence[float],
+    gaze: Gaze,
     *,
     dtype: torch.dtype = torch.float32,
     device: torch.device | str | None = None,
@@ -305,15 +329,15 @@ def make_radial_map(
     """
     dtype, device = _options(dtype, device)
     rows, columns = _validate.size("size", size)
-    x, y = _place("gaze", gaze)
+    x, y = places_of("gaze", gaze, device)
     across = torch.linspace(0, columns, columns, dtype=torch.float64, device=device) - x * columns
-    down = torch.linspace(0, rows, rows, dtype=torch.float64, device=device) - y * rows
-    distance = torch.hypot(across.expand(rows, columns), down[:, None].expand(rows, columns))
-    return (distance / distance.max().clamp_min(torch.finfo(torch.float64).tiny)).to(dtype)
+    down = torch.linspace(0, rows, rows, dtype=torch.float64, device=device)[:, None] - y * rows
+    distance = torch.hypot(across, down)
+    return (distance / distance.amax((-2, -1), True).clamp_min(torch.finfo(torch.float64).tiny)).to(dtype)
 
 
 def make_equi_pooling_size_map_pixels(
-    gaze_angles: Sequence[float],
+    gaze_angles: Gaze,
     image_pixel_size: Sequence[int],
     alpha: float = 0.3,
     mode: str = "quadratic",
@@ -358,9 +382,8 @@ def make_equi_pooling_size_map_pixels(
     """
     dtype, device = _options(dtype, device)
     rows, columns = _validate.size("image_pixel_size", image_pixel_size)
-    yaw, pitch = (
-        torch.as_tensor(angle, dtype=torch.float64, device=device) for angle in _place("gaze_angles", gaze_angles)
-    )
+    angles = places_of("gaze_angles", gaze_angles, device)
+    yaw, pitch = (torch.as_tensor(angle, dtype=torch.float64, device=device) for angle in angles)
     yaws = torch.linspace(-math.pi, math.pi, columns, dtype=torch.float64, device=device)
     pitches = torch.linspace(-math.pi / 2, math.pi / 2, rows, dtype=torch.float64, device=device)[:, None]
     level = torch.cos(pitches)
@@ -372,7 +395,7 @@ def make_equi_pooling_size_map_pixels(
 
 
 def make_equi_pooling_size_map_lod(
-    gaze_angles: Sequence[float],
+    gaze_angles: Gaze,
     image_pixel_size: Sequence[int],
     alpha: float = 0.3,
     mode: str = "quadratic",
@@ -418,60 +441,6 @@ def make_equi_pooling_size_map_lod(
         gaze_angles, image_pixel_size, alpha, mode, dtype=torch.float64, device=device
     )
     return _level(pixels, nominal_width).to(dtype)
-
-
-def checked_view(real_image_width, real_viewing_distance) -> tuple[Any, ...]:
-    """Return the width of a picture and the distance of the eye, after warning of an angle that no display has."""
-    width = _validate.number("real_image_width", real_image_width, positive=True)
-    distance = _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
-    if _array.is_readable(width) and _array.is_readable(distance):
-        wide, far = _validate.numbers((width, distance))
-        angle = math.degrees(2 * math.atan(wide / far / 2))
-        if not _NARROWEST <= angle <= _WIDEST:
-            warn(
-                f"real_image_width {wide:g} at real_viewing_distance {far:g} is a picture of {angle:.2g} degrees: both "
-                "are lengths in one unit",
-                ArgumentWarning,
-            )
-    return width, distance
-
-
-def _geometry(real_image_width, real_viewing_distance):
-    """Return the width of a picture and the distance of the eye; tensors that require a gradient are kept."""
-    width, distance = checked_view(real_image_width, real_viewing_distance)
-    return _number(width), _number(distance)
-
-
-def _number(value):
-    """Return a tensor that requires a gradient as one of float64 without axes, any other number as a float."""
-    return value.to(torch.float64).reshape(()) if _array.is_traced(value) else float(value)
-
-
-def _place(name, value) -> tuple:
-    """Return two finite numbers as a copy, so that later changes of a list have no effect."""
-    try:
-        x, y = _validate.several(name, value.reshape(-1) if _array.is_array(value) else value, 2)
-    except ValueError as error:
-        raise ValueError(f"{name} must be two finite numbers, got {value!r}") from error
-    return _number(x), _number(y)
-
-
-class _Point(tuple):
-    """Two floats that have been checked, so that nothing is told of them again under another name."""
-
-
-def _point(name, value) -> _Point:
-    """Return two finite floats, which carry no gradient."""
-    if isinstance(value, _Point):
-        return value
-    x, y = (_validate.constant(name, number) for number in _place(name, value))
-    if max(abs(x), abs(y)) > _FARTHEST:
-        warn(
-            f"{name} must be shares of the picture's width and height, 0 to 1 within it; got ({x:g}, {y:g}), far "
-            "outside: divide pixels by its width and height",
-            ArgumentWarning,
-        )
-    return _Point((x, y))
 
 
 def _growth(alpha, mode):
@@ -891,7 +860,7 @@ def _line(fine, coarse):
 class RadiallyVaryingBlur(nn.Module):
     """Blur of pictures over regions as wide as the eye's pooling regions.
 
-    The map of levels is kept for the last picture size, gaze and viewing geometry.
+    The map of levels is kept for the last picture size and geometry, and for each of the last gazes.
 
     Parameters
     ----------
@@ -925,8 +894,7 @@ class RadiallyVaryingBlur(nn.Module):
         self.nominal_width = _validate.flag("nominal_width", nominal_width)
         for name in ("lod_map", "lod_fraction"):
             self.register_buffer(name, None, persistent=False)
-        self._key: tuple | None = None
-        self._sampler: Any = None
+        self._kept = Kept()
         self.equi: bool | None = None
 
     def forward(
@@ -935,9 +903,11 @@ class RadiallyVaryingBlur(nn.Module):
         alpha: float = 0.2,
         real_image_width: float = 0.2,
         real_viewing_distance: float = 0.7,
-        centre: Sequence[float] | None = None,
+        centre: Gaze | None = None,
         mode: str = "quadratic",
         equi: bool = False,
+        *,
+        viewing: Viewing | None = None,
     ) -> torch.Tensor:
         """Return the blurred image; the same as :meth:`blur`.
 
@@ -957,8 +927,10 @@ class RadiallyVaryingBlur(nn.Module):
             Law of that growth, default "quadratic".
         equi : bool
             Whether the image is an equirectangular panorama, default False.
+        viewing : Viewing, optional
+            Geometry and gaze, see :meth:`blur`.
         """
-        return self.blur(image, alpha, real_image_width, real_viewing_distance, centre, mode, equi)
+        return self.blur(image, alpha, real_image_width, real_viewing_distance, centre, mode, equi, viewing=viewing)
 
     def blur(
         self,
@@ -966,9 +938,11 @@ class RadiallyVaryingBlur(nn.Module):
         alpha: float = 0.2,
         real_image_width: float = 0.2,
         real_viewing_distance: float = 0.7,
-        centre: Sequence[float] | None = None,
+        centre: Gaze | None = None,
         mode: str = "quadratic",
         equi: bool = False,
+        *,
+        viewing: Viewing | None = None,
     ) -> torch.Tensor:
         """Blur a picture; differentiable in it.
 
@@ -985,11 +959,13 @@ class RadiallyVaryingBlur(nn.Module):
             Distance of the eye from the picture's centre, in the same unit.
         centre : sequence of float, optional
             Gaze: (x, y), 0 to 1 from the top-left corner, the picture's centre by default. With `equi` (yaw, pitch) in
-            radians, (0, 0) by default.
+            radians, (0, 0) by default. Or ``[B, 2]``, one for each picture.
         mode : str
             "quadratic" or "linear".
         equi : bool
             Take the picture for an equirectangular one; width and distance then mean nothing.
+        viewing : Viewing, optional
+            Geometry and, without `centre`, gaze, instead of the two lengths.
 
         Returns
         -------
@@ -1005,9 +981,12 @@ class RadiallyVaryingBlur(nn.Module):
         if not isinstance(image, torch.Tensor) or image.ndim != 4 or not image.is_floating_point():
             kind = f"{tuple(image.shape)} of {image.dtype}" if isinstance(image, torch.Tensor) else type(image).__name__
             raise ValueError(f"image must be a tensor of real floats [B, C, H, W], got {kind}")
-        equi = _validate.flag("equi", equi)
-        centre = _point("centre", ((0.0, 0.0) if equi else (0.5, 0.5)) if centre is None else centre)
-        return self.sampler(image, alpha, real_image_width, real_viewing_distance, centre, mode, equi)(image)
+        equi, centre = _validate.flag("equi", equi), gaze_at(viewing, centre)
+        centre = gaze_of("centre", ((0.0, 0.0) if equi else (0.5, 0.5)) if centre is None else centre, len(image))
+        view, centres = geometry(viewing, real_image_width, real_viewing_distance), each_of(centre)
+        self._kept.room = len(centres)
+        blurred = [self.sampler(one, alpha, *view, place, mode, equi)(one) for one, place in parts_of(image, centres)]
+        return torch.cat(blurred) if len(blurred) > 1 else blurred[0]
 
     def sampler(
         self,
@@ -1045,25 +1024,24 @@ class RadiallyVaryingBlur(nn.Module):
         """
         if not isinstance(image, torch.Tensor) or _validate.image("image", image).ndim < 4:
             raise ValueError(f"image must be a tensor [B, C, ..., H, W], got {getattr(image, 'shape', image)!r:.80}")
-        lengths = {"real_image_width": real_image_width, "real_viewing_distance": real_viewing_distance}
-        sizes = (_validate.constant(name, value, positive=True) for name, value in lengths.items())
-        place = _point("centre", centre), mode, _validate.flag("equi", equi)
-        geometry: tuple[Any, ...] = (_validate.constant("alpha", alpha), *sizes, *place)
+        lengths = _validate.constants(real_image_width=real_image_width, real_viewing_distance=real_viewing_distance)
+        view = map(float, checked_view(*lengths))
+        place = point("centre", centre), mode, _validate.flag("equi", equi)
+        where: tuple[Any, ...] = (_validate.constant("alpha", alpha), *view, *place)
         size = tuple(image.shape[-2:])
-        self.n_channels = image.shape[1]
-        key = (size, geometry, self.nominal_width, image.dtype, image.device)
-        if key == self._key:
-            return self._sampler
-        # A map made in inference mode could not be used with autograd later.
-        with _torch_private.keeping(), torch.no_grad():
-            options: dict[str, Any] = {"nominal_width": self.nominal_width, "device": image.device}
-            lod = level_map(size, *geometry, dtype=torch.float64, **options)
-            self._sampler = MipSampler(lod, image.dtype)
-            self.lod_map, self.lod_fraction = lod.to(image.dtype), (lod % 1).to(image.dtype)
-        self._key, self.size = key, size
-        self.alpha, self.real_image_width, self.real_viewing_distance = geometry[:3]
-        self.centre, self.mode, self.equi = geometry[3:]
-        return self._sampler
+
+        def made():
+            # A map made in inference mode could not be used with autograd later.
+            with _torch_private.keeping(), torch.no_grad():
+                options: dict[str, Any] = {"nominal_width": self.nominal_width, "device": image.device}
+                lod = level_map(size, *where, dtype=torch.float64, **options)
+                return MipSampler(lod, image.dtype), lod.to(image.dtype), (lod % 1).to(image.dtype)
+
+        key = (size, where, self.nominal_width, image.dtype, image.device)
+        sampler, self.lod_map, self.lod_fraction = self._kept.get(key, made)
+        self.n_channels, self.size = image.shape[1], size
+        self.alpha, self.real_image_width, self.real_viewing_distance, self.centre, self.mode, self.equi = where
+        return sampler
 
 
 def level_map(
@@ -1117,7 +1095,7 @@ def level_map(
     return make_pooling_size_map_lod(centre, size, alpha, real_image_width, real_viewing_distance, mode, **options)
 
 
-class BlurLoss(nn.Module):
+class BlurLoss(Seen):
     """Mean squared difference of a picture from the target blurred for a gaze.
 
     Parameters
@@ -1139,6 +1117,8 @@ class BlurLoss(nn.Module):
     nominal_width : bool
         Choose levels whose sampling kernel, a square enlarged bilinearly, is as wide as the pooling region: equal
         standard deviations. False takes squares as wide as the region, whose kernel is 1.7 to 1.9 times as wide.
+    viewing : Viewing, optional
+        Geometry and gaze, instead of the two lengths.
 
     Raises
     ------
@@ -1147,6 +1127,8 @@ class BlurLoss(nn.Module):
 
     Attributes
     ----------
+    viewing : Viewing
+        How pictures are seen.
     target, blur, loss_func
         The last target, the blur and the mean squared error.
 
@@ -1176,12 +1158,14 @@ class BlurLoss(nn.Module):
         blur_source: bool = False,
         equi: bool = False,
         nominal_width: bool = False,
+        *,
+        viewing: Viewing | None = None,
     ) -> None:
         super().__init__()
         device = checked_device("device", device)
         self.register_buffer("_place", torch.empty(0, device=device), persistent=False)
         self.alpha, self.mode = _growth(alpha, mode)
-        self.real_image_width, self.real_viewing_distance = checked_view(real_image_width, real_viewing_distance)
+        self.viewing = viewing_of(viewing, real_image_width, real_viewing_distance)
         self.blur_source, self.equi = _validate.flag("blur_source", blur_source), _validate.flag("equi", equi)
         self.blur = RadiallyVaryingBlur(nominal_width).to(device)
         self.target: torch.Tensor | None = None
@@ -1192,7 +1176,7 @@ class BlurLoss(nn.Module):
         """Device of the loss."""
         return self._place.device
 
-    def blur_image(self, image: torch.Tensor, gaze: Sequence[float]) -> torch.Tensor:
+    def blur_image(self, image: torch.Tensor, gaze: Gaze | None) -> torch.Tensor:
         """Return an image averaged over the pooling region of each pixel, ``[B, C, H, W]``.
 
         Parameters
@@ -1200,22 +1184,21 @@ class BlurLoss(nn.Module):
         image : torch.Tensor
             Image ``[B, C, H, W]``.
         gaze : sequence of float
-            Gaze position (x, y), each 0 to 1 from the top left corner.
+            Gaze position (x, y), each 0 to 1 from the top left corner, or ``[B, 2]``; None for that of the viewing.
         """
-        gaze = _point("gaze", gaze)
-        return self.blur.blur(
-            image, self.alpha, self.real_image_width, self.real_viewing_distance, gaze, self.mode, self.equi
-        )
+        gaze, view = self._gaze(gaze, len(image)), self.viewing
+        return self.blur.blur(image, self.alpha, centre=gaze, mode=self.mode, equi=self.equi, viewing=view)
 
-    def forward(self, image: torch.Tensor, target: torch.Tensor, gaze: Sequence[float] = (0.5, 0.5)) -> torch.Tensor:
+    def forward(self, image: torch.Tensor, target: torch.Tensor, gaze: Gaze | None = None) -> torch.Tensor:
         """Return the loss.
 
         Parameters
         ----------
         image, target : torch.Tensor
             ``[B, C, H, W]`` of one shape, one or three channels, about 0 … 1 in any colour space.
-        gaze : sequence of float
-            (x, y), 0 to 1 from the top-left corner; it may lie outside the picture.
+        gaze : sequence of float, optional
+            (x, y), 0 to 1 from the top-left corner; it may lie outside the picture. Or ``[B, 2]``, one for each
+            picture. By default that of the viewing.
 
         Returns
         -------
@@ -1231,7 +1214,7 @@ class BlurLoss(nn.Module):
         as_pictures("image", image, None), as_pictures("target", target, None)
         pictures: dict[str, Any] = {"BlurLoss ERROR: image": image, "BlurLoss ERROR: target": target}
         check_values(**pictures)
-        self.target = target.detach()
+        self.target, gaze = target.detach(), self._gaze(gaze, len(image))
         if self.blur_source:
             image = self.blur_image(image, gaze)
         return self.loss_func(image, self.blur_image(target, gaze))

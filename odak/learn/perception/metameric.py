@@ -17,8 +17,6 @@ from odak.learn.perception.foveation import (
     RadiallyVaryingBlur,
     UniformSampler,
     _growth,
-    _point,
-    checked_view,
     is_blocked,
     level_map,
     make_radial_map,
@@ -50,6 +48,19 @@ from odak.learn.perception.pooled_statistics import (
     statistics_maps,
 )
 from odak.learn.perception.pyramids import SpatialSteerablePyramid, pad_image_for_pyramid
+from odak.learn.perception.sight import (
+    Gaze,
+    Kept,
+    Point,
+    Seen,
+    Viewing,
+    each_of,
+    gaze_at,
+    geometry,
+    parts_of,
+    point,
+    viewing_of,
+)
 
 RESOLVED = 1e-6
 FOVEA_SHARPNESS = 10
@@ -58,40 +69,7 @@ RADIAL_OFFSET, RADIAL_POWER = 1.1, 4
 FINEST = 1 / 64
 
 
-class _EachGaze(nn.Module):
-    """Base of losses that take a gaze for each picture of a batch, with a copy of the loss for each."""
-
-    _settings: tuple[str, ...] = ()
-    _copies: tuple[tuple[Any, ...], list[Any]] = ((), [])
-    _kept: "TargetCache"
-
-    def _of_each(self, gaze, count):
-        """Return a copy of the loss and the gaze for each of `count` pictures; None for one gaze of all of them.
-
-        Copies stay, so that the maps and the target of a picture are computed again only if its gaze or target changes.
-        """
-        if _array.is_array(gaze):
-            several, shape = gaze.ndim == 2 and len(gaze) > 1, tuple(gaze.shape)
-        else:
-            first = gaze[0] if isinstance(gaze, (list, tuple)) and gaze else None
-            several = isinstance(first, (list, tuple)) or (_array.is_array(first) and first.ndim == 1)
-            shape = (len(gaze), 2) if several else ()
-        if not several:
-            return None
-        if shape != (count, 2):
-            raise ValueError(f"gaze must be (x, y) or [B, 2] for {count} pictures, got shape {shape}")
-        options = tuple((name, getattr(self, name)) for name in self._settings)
-        copies = self._copies[1] if self._copies[0] == options else []
-        copies += [type(self)(**dict(options), trust_target=self._kept.trusting) for _ in range(len(copies), count)]
-        self._copies = options, copies
-        return list(zip(copies, gaze, strict=False))
-
-    def _apply(self, function, recurse=True):
-        self._copies = (), []
-        return super()._apply(function, recurse)
-
-
-class _StatisticsLoss(_EachGaze):
+class _StatisticsLoss(nn.Module):
     """Base of the losses that compare the pooled statistics of two pictures' steerable pyramids.
 
     A subclass defines in `_parts(picture, where, pairs)` which bands are pooled, and how; `where` holds its parameters.
@@ -238,7 +216,7 @@ class _StatisticsLoss(_EachGaze):
         return (ycrcb_2_rgb(metamer) if image.shape[1] == 3 else metamer).to(image.dtype)
 
 
-class MetamericLoss(_StatisticsLoss):
+class MetamericLoss(_StatisticsLoss, Seen):
     """Difference of two pictures for a fixed gaze, by their pooled statistics.
 
     Away from the gaze only means and standard deviations of steerable bands count, over regions that grow with
@@ -281,9 +259,13 @@ class MetamericLoss(_StatisticsLoss):
         Compare statistics of pairs of bands too, across channels, orientations, scales and neighbours, which keep edges
         and corners: :func:`odak.learn.perception.joint_statistics.joint_maps`. Takes several times as long; meant for
         four orientations.
+    viewing : Viewing, optional
+        Geometry and gaze, instead of the two lengths.
 
     Attributes
     ----------
+    viewing : Viewing
+        How pictures are seen.
     target_stats, fovea_mask, periphery_mask, loss_map
         Of the last call.
     pyramid_maker, blurs
@@ -309,12 +291,6 @@ class MetamericLoss(_StatisticsLoss):
     0.0
     """
 
-    _settings = (
-        *("device", "alpha", "real_image_width", "real_viewing_distance", "n_pyramid_levels", "mode"),
-        *("n_orientations", "use_l2_foveal_loss", "fovea_weight", "use_radial_weight", "use_fullres_l0", "equi"),
-        *("nominal_width", "joint"),
-    )
-
     def __init__(
         self,
         device: torch.device | str = "cpu",
@@ -332,6 +308,8 @@ class MetamericLoss(_StatisticsLoss):
         trust_target: bool = False,
         nominal_width: bool = False,
         joint: bool = False,
+        *,
+        viewing: Viewing | None = None,
     ) -> None:
         super().__init__(device, n_pyramid_levels, n_orientations, trust_target, nominal_width, joint)
         self.use_l2_foveal_loss = _validate.flag("use_l2_foveal_loss", use_l2_foveal_loss)
@@ -339,19 +317,19 @@ class MetamericLoss(_StatisticsLoss):
         if use_l2_foveal_loss and use_fullres_l0:
             raise ValueError("use_l2_foveal_loss and use_fullres_l0 exclude one another, got both")
         self.alpha, self.mode = _growth(alpha, mode)
-        self.real_image_width, self.real_viewing_distance = checked_view(real_image_width, real_viewing_distance)
+        self.viewing = viewing_of(viewing, real_image_width, real_viewing_distance)
         self.fovea_weight = _validate.number("fovea_weight", fovea_weight)
         self.use_radial_weight = _validate.flag("use_radial_weight", use_radial_weight)
         self.equi = _validate.flag("equi", equi)
         self.blurs: nn.ModuleList | None = None
         self.fovea_mask = self.periphery_mask = None
-        self._pooling: tuple | None = None
+        self._pooling = Kept()
 
     def forward(
         self,
         image: torch.Tensor,
         target: torch.Tensor,
-        gaze: Sequence[float] = (0.5, 0.5),
+        gaze: Gaze | None = None,
         image_colorspace: str = "RGB",
         visualise_loss: bool = False,
     ) -> torch.Tensor:
@@ -361,10 +339,10 @@ class MetamericLoss(_StatisticsLoss):
         ----------
         image, target : torch.Tensor
             ``[B, C, H, W]`` of one shape, one or three channels, about 0 … 1.
-        gaze : sequence of float
+        gaze : sequence of float, optional
             (x, y), 0 to 1 from the top-left corner; it may lie outside the picture. Or ``[B, 2]``, one for each picture
             of the batch, such as frames of a video with the track of an eye; maps and statistics are then kept for each
-            of them.
+            of them. By default that of the viewing.
         image_colorspace : str
             "RGB", or anything else if both pictures are in Y′CrCb already.
         visualise_loss : bool
@@ -381,31 +359,36 @@ class MetamericLoss(_StatisticsLoss):
             If the pictures cannot be compared or are too small for the pyramid.
         """
         checked_pictures("MetamericLoss", image, target, self.n_pyramid_levels)
-        if (each := self._of_each(gaze, len(image))) is not None:
-            values = [
-                one(image[i : i + 1], target[i : i + 1], place, image_colorspace, visualise_loss)
-                for i, (one, place) in enumerate(each)
-            ]
-            if visualise_loss:
-                self.loss_map = torch.cat([one.loss_map for one, _ in each])
-            return torch.stack(values).mean()
-        gaze = _point("gaze", gaze)
-        visualise_loss, geometry = _validate.flag("visualise_loss", visualise_loss), self._geometry(gaze)
-        key = (geometry, self._options(), image_colorspace)
+        visualise_loss = _validate.flag("visualise_loss", visualise_loss)
+        gazes = each_of(self._gaze(gaze, len(image)))
+        self._pooling.room = len(gazes)
+        pairs = zip(parts_of(image, gazes), parts_of(target, gazes), strict=True)
+        values = [
+            self._compared(one, two, place, index, image_colorspace, visualise_loss)
+            for index, ((one, place), (two, _)) in enumerate(pairs)
+        ]
+        if visualise_loss:
+            self.loss_map = torch.cat([shown for _, shown in values])
+        return values[0][0] if len(values) == 1 else torch.stack([value for value, _ in values]).mean()
+
+    def _compared(self, image, target, gaze, index, image_colorspace, visualise_loss):
+        """Return the loss of pictures with one gaze, the part `index` of a batch, and the map of the differences."""
+        where = self._where(gaze)
+        key = (where, self._options(), image_colorspace)
         reference, self.target_stats, kept = self._kept.get(
-            target, key, lambda: self._target_statistics(target, image_colorspace, geometry)
+            target, key, lambda: self._target_statistics(target, image_colorspace, where), index
         )
         image = self._converted(image, image_colorspace)
         if kept is None or visualise_loss or self.use_radial_weight or not is_blocked(image):
-            stats = statistics_maps(*self._parts(image, geometry))
+            stats = statistics_maps(*self._parts(image, where))
             if visualise_loss:
                 self.visualise_loss_map(stats)
             loss = self.metameric_loss_stats(stats, self.target_stats, gaze)
         else:
-            loss = self._distance(image, kept, geometry)
+            loss = self._distance(image, kept, where)
         if self.use_l2_foveal_loss:
             loss = loss + self.fovea_weight * ((self.fovea_mask * (image - reference)) ** 2).mean()
-        return loss
+        return loss, self.loss_map
 
     def calc_statsmaps(
         self,
@@ -416,6 +399,8 @@ class MetamericLoss(_StatisticsLoss):
         real_viewing_distance: float = 0.6,
         mode: str = "quadratic",
         equi: bool = False,
+        *,
+        viewing: Viewing | None = None,
     ) -> list[torch.Tensor]:
         """Return the pooled statistics of a picture.
 
@@ -435,6 +420,8 @@ class MetamericLoss(_StatisticsLoss):
             "quadratic" or "linear" growth.
         equi : bool
             The picture is equirectangular.
+        viewing : Viewing, optional
+            Geometry and, without `gaze`, gaze, instead of the two lengths.
 
         Returns
         -------
@@ -449,11 +436,11 @@ class MetamericLoss(_StatisticsLoss):
         """
         equi = _validate.flag("equi", equi) or self.equi
         _validate.image("image", image, axes=4)
-        gaze = _point("gaze", ((0.0, 0.0) if equi else (0.5, 0.5)) if gaze is None else gaze)
-        lengths = {"real_image_width": real_image_width, "real_viewing_distance": real_viewing_distance}
-        sizes = (_validate.constant(name, value, positive=True) for name, value in lengths.items())
-        geometry = (_validate.constant("alpha", alpha), *sizes, gaze, mode, equi)
-        return statistics_maps(*self._parts(image, geometry))
+        gaze = gaze_at(viewing, gaze)
+        gaze = point("gaze", ((0.0, 0.0) if equi else (0.5, 0.5)) if gaze is None else gaze)
+        view = map(float, geometry(viewing, real_image_width, real_viewing_distance))
+        where = (_validate.constant("alpha", alpha), *view, gaze, mode, equi)
+        return statistics_maps(*self._parts(image, where))
 
     def metameric_loss_stats(
         self, statsmap_a: list[torch.Tensor], statsmap_b: list[torch.Tensor], gaze: Sequence[float]
@@ -472,7 +459,7 @@ class MetamericLoss(_StatisticsLoss):
         ValueError, TypeError
             If the lists are not statistics of pictures of one size.
         """
-        gaze = _point("gaze", gaze)
+        gaze = point("gaze", gaze)
         statsmap_a, statsmap_b = checked_statistics(statsmap_a=statsmap_a, statsmap_b=statsmap_b)
         if self.use_radial_weight:
             weights = {}
@@ -487,29 +474,23 @@ class MetamericLoss(_StatisticsLoss):
         return mean_distance(statsmap_a, statsmap_b)
 
     def _apply(self, function, recurse=True):
-        self._pooling = None
+        self._pooling.clear()
         return super()._apply(function, recurse)
 
     def _options(self):
         bands = self.n_pyramid_levels, self.n_orientations, self.nominal_width, self.joint
         return *bands, self.use_l2_foveal_loss, self.use_fullres_l0
 
-    def _geometry(self, gaze):
-        names = "alpha", "real_image_width", "real_viewing_distance"
-        numbers = [_validate.constant(name, getattr(self, name)) for name in names]
-        return *numbers, _point("gaze", gaze), self.mode, self.equi
+    def _where(self, gaze: Point):
+        view = self.viewing.real_image_width, self.viewing.real_viewing_distance
+        return _validate.constant("alpha", self.alpha), *view, gaze, self.mode, self.equi
 
     def _parts(self, picture, where, pairs=True):
         groups, low = self._maker(picture.shape[1]).stacked_bands(picture, self.n_pyramid_levels)
         key = (tuple(picture.shape), where, self._options(), picture.dtype, picture.device)
-        if self._pooling is None or self._pooling[0] != key:
-            kept = self.blurs
-            if kept is None or len(kept) != self.n_pyramid_levels or kept[0].nominal_width != self.nominal_width:
-                blurs = (RadiallyVaryingBlur(self.nominal_width) for _ in range(self.n_pyramid_levels))
-                self.blurs = nn.ModuleList(blurs)
-            samplers = [blur.sampler(bands, *where) for blur, bands in zip(self.blurs, groups[1:], strict=False)]
-            self._pooling = (key, samplers, self._level_masks(picture, [one.shape[-2:] for one in low]))
-        _, samplers, masks = self._pooling
+        samplers, masks, self.fovea_mask, self.periphery_mask = self._pooling.get(
+            key, lambda: self._pooled_by(picture, where, groups, [one.shape[-2:] for one in low])
+        )
         rest = samplers[0](picture) if self.use_fullres_l0 else low[-1]
         *level_masks, last = masks
         others = [rest if last is None else last * rest]
@@ -517,21 +498,29 @@ class MetamericLoss(_StatisticsLoss):
             others += self._pairs(groups, low, samplers, level_masks)
         return groups, [samplers[0], *samplers], [level_masks[0], *level_masks], others
 
+    def _pooled_by(self, picture, where, groups, sizes):
+        """Return samplers and masks of the levels of pictures, and the masks of fovea and periphery or None."""
+        kept = self.blurs
+        if kept is None or len(kept) != self.n_pyramid_levels or kept[0].nominal_width != self.nominal_width:
+            blurs = (RadiallyVaryingBlur(self.nominal_width) for _ in range(self.n_pyramid_levels))
+            self.blurs = nn.ModuleList(blurs)
+        samplers = [blur.sampler(bands, *where) for blur, bands in zip(self.blurs, groups[1:], strict=False)]
+        return samplers, *self._level_masks(picture, sizes)
+
     def _level_masks(self, image, sizes):
-        """Return, for each size, the weight of each pixel's statistics; None where all weights are 1."""
+        """Return the weight of each pixel's statistics for each size, None where all are 1; and the masks of gaze."""
         if not (self.use_l2_foveal_loss or self.use_fullres_l0):
-            return [None] * len(sizes)
+            return [None] * len(sizes), None, None
         with _torch_private.keeping(), torch.no_grad():
             levels = [blur.lod_map for blur in self.blurs[:-1]]
             if self.use_fullres_l0:
-                return [*[(level > RESOLVED).to(image.dtype) for level in levels], None]
+                return [*[(level > RESOLVED).to(image.dtype) for level in levels], None], None, None
             fovea = (1 - levels[0] / levels[0].max().clamp_min(RESOLVED)) ** FOVEA_SHARPNESS
             fovea = torch.where(levels[0] < RESOLVED, 1.0, fovea)
-            self.fovea_mask, self.periphery_mask = fovea.expand(image.shape), (1 - fovea).expand(image.shape)
             masks = [1 - fovea]
             for size in sizes[1:]:
                 masks.append(functional.adaptive_avg_pool2d(masks[-1][None], size)[0])
-        return masks
+            return masks, fovea.expand(image.shape), (1 - fovea).expand(image.shape)
 
 
 class MetamericLossUniform(_StatisticsLoss):
@@ -801,7 +790,7 @@ def _of_the_metameric_loss(name: str) -> Any:
     )
 
 
-class MetamerMSELoss(_EachGaze):
+class MetamerMSELoss(Seen):
     """Mean squared difference of a picture from one metamer of the target.
 
     Parameters
@@ -835,9 +824,13 @@ class MetamerMSELoss(_EachGaze):
         Compare statistics of pairs of bands too, across channels, orientations, scales and neighbours, which keep edges
         and corners: :func:`odak.learn.perception.joint_statistics.joint_maps`. Takes several times as long; meant for
         four orientations.
+    viewing : Viewing, optional
+        Geometry and gaze, instead of the two lengths.
 
     Attributes
     ----------
+    viewing : Viewing
+        How pictures are seen.
     alpha, real_image_width, real_viewing_distance, mode, n_pyramid_levels, n_orientations, equi, nominal_width, joint
         As given; a change counts from the next call on.
     target, target_metamer
@@ -864,15 +857,10 @@ class MetamerMSELoss(_EachGaze):
     True
     """
 
-    _settings = (
-        *("device", "alpha", "real_image_width", "real_viewing_distance", "mode", "n_pyramid_levels"),
-        *("n_orientations", "equi", "iterations", "nominal_width", "joint"),
-    )
     alpha = _of_the_metameric_loss("alpha")
     mode = _of_the_metameric_loss("mode")
     equi = _of_the_metameric_loss("equi")
-    real_image_width = _of_the_metameric_loss("real_image_width")
-    real_viewing_distance = _of_the_metameric_loss("real_viewing_distance")
+    viewing = _of_the_metameric_loss("viewing")
     n_pyramid_levels = _of_the_metameric_loss("n_pyramid_levels")
     n_orientations = _of_the_metameric_loss("n_orientations")
     nominal_width = _of_the_metameric_loss("nominal_width")
@@ -892,6 +880,8 @@ class MetamerMSELoss(_EachGaze):
         iterations: int = METAMER_ITERATIONS,
         nominal_width: bool = False,
         joint: bool = False,
+        *,
+        viewing: Viewing | None = None,
     ) -> None:
         super().__init__()
         self.iterations = _validate.integer("iterations", iterations)
@@ -907,6 +897,7 @@ class MetamerMSELoss(_EachGaze):
             equi=equi,
             nominal_width=nominal_width,
             joint=joint,
+            viewing=viewing,
         )
         self.loss_func = nn.MSELoss()
         self.target: Any = None
@@ -922,7 +913,7 @@ class MetamerMSELoss(_EachGaze):
     def gen_metamer(
         self,
         image: torch.Tensor,
-        gaze: Sequence[float],
+        gaze: Gaze | None = None,
         seed: int = 0,
         iterations: int | None = None,
         progress: Callable[[], object] | None = None,
@@ -935,8 +926,9 @@ class MetamerMSELoss(_EachGaze):
         ----------
         image : torch.Tensor
             RGB or grey ``[B, C, H, W]``, about 0 … 1.
-        gaze : sequence of float
-            (x, y), 0 to 1 from the top-left corner.
+        gaze : sequence of float, optional
+            (x, y), 0 to 1 from the top-left corner; or ``[B, 2]``, one for each picture. By default that of the
+            viewing.
         seed : int
             Seed of the noise that it starts from; equal input gives equal output.
         iterations : int, optional
@@ -977,35 +969,39 @@ class MetamerMSELoss(_EachGaze):
         >>> difference[..., 30:34, :4].max().item() < 1e-6, difference[..., 32:].mean().item() > 0.05
         (True, True)
         """
-        kept = ("device", "alpha", "real_image_width", "real_viewing_distance", "n_pyramid_levels", "mode", "equi")
-        options = {name: getattr(self, name) for name in (*kept, "nominal_width", "joint")}
+        kept = ("device", "alpha", "n_pyramid_levels", "mode", "equi", "nominal_width", "joint", "viewing")
+        options = {name: getattr(self, name) for name in kept}
         options["n_orientations"] = max(self.n_orientations, METAMER_ORIENTATIONS)
         inner = MetamericLoss(**options, use_l2_foveal_loss=False)
-        return self._drawn(inner, False, image, gaze, seed, iterations, progress)
+        checked_pictures("MetamerMSELoss", image, image, inner.n_pyramid_levels)
+        gazes = each_of(self._gaze(gaze, len(image)))
+        drawn = [
+            self._drawn(inner, False, one, place, seed, iterations, progress) for one, place in parts_of(image, gazes)
+        ]
+        return torch.cat(drawn)
 
     def _drawn(self, inner, earlier, image, gaze, seed=0, iterations=None, progress=None):
         """Return a metamer by the statistics of a loss."""
-        checked_pictures("MetamerMSELoss", image, image, inner.n_pyramid_levels)
-        geometry = inner._geometry(gaze)
+        where = inner._where(gaze)
         kind = {"nominal_width": inner.nominal_width, "dtype": torch.float64, "device": image.device}
 
         def levels(size):
-            return level_map(tuple(size), *geometry, **kind)
+            return level_map(tuple(size), *where, **kind)
 
         iterations = self.iterations if iterations is None else iterations
-        return inner._metamer(image, geometry, levels, seed, iterations, progress, earlier)
+        return inner._metamer(image, where, levels, seed, iterations, progress, earlier)
 
-    def forward(self, image: torch.Tensor, target: torch.Tensor, gaze: Sequence[float] = (0.5, 0.5)) -> torch.Tensor:
+    def forward(self, image: torch.Tensor, target: torch.Tensor, gaze: Gaze | None = None) -> torch.Tensor:
         """Return the loss.
 
         Parameters
         ----------
         image, target : torch.Tensor
             ``[B, C, H, W]`` of one shape, one or three channels, about 0 … 1.
-        gaze : sequence of float
+        gaze : sequence of float, optional
             (x, y), 0 to 1 from the top-left corner; it may lie outside the picture. Or ``[B, 2]``, one for each picture
-            of the batch, such as frames of a video with the track of an eye; maps and statistics are then kept for each
-            of them.
+            of the batch, such as frames of a video with the track of an eye; maps and metamers are then kept for each
+            of them. By default that of the viewing.
 
         Returns
         -------
@@ -1020,24 +1016,20 @@ class MetamerMSELoss(_EachGaze):
         inner = self.metameric_loss
         checked_pictures("MetamerMSELoss", image, target, inner.n_pyramid_levels)
         # Not compiled: gradient descent would amplify the rounding differences of a compiled graph.
-        if (each := self._of_each(gaze, len(image))) is None:
-            self.target_metamer = _array.outside_graphs(self._metamer_of, target, gaze)
-        else:
-            self.target_metamer = torch.cat(
-                [
-                    _array.outside_graphs(one._metamer_of, target[i : i + 1], place)
-                    for i, (one, place) in enumerate(each)
-                ]
-            )
+        gazes = each_of(self._gaze(gaze, len(image)))
+        self.target_metamer = _array.outside_graphs(self._metamers_of, target, gazes)
         return self.loss_func(image, self.target_metamer)
 
-    def _metamer_of(self, target, gaze):
-        inner, gaze = self.metameric_loss, _point("gaze", gaze)
-        key = (inner._geometry(gaze), inner._options(), self.iterations)
+    def _metamers_of(self, target, gazes):
+        inner = self.metameric_loss
+        inner._pooling.room, made = len(gazes), []
         constant = _torch_private.as_constant(target)
         with _torch_private.outside_functional_transforms(constant):
             self.target = constant.detach()
-            return self._kept.get(self.target, key, lambda: self._drawn(inner, True, self.target, gaze))
+            for index, (one, place) in enumerate(parts_of(self.target, gazes)):
+                key = (inner._where(place), inner._options(), self.iterations)
+                made.append(self._kept.get(one, key, partial(self._drawn, inner, True, one, place), index))
+        return torch.cat(made) if len(made) > 1 else made[0]
 
     def _apply(self, function, recurse=True):
         self._kept.clear()
@@ -1078,7 +1070,7 @@ def checked_pictures(name: str, image: torch.Tensor, target: torch.Tensor, n_lev
 
 
 class TargetCache:
-    """Cache of the last result computed from a target, valid while the target and all parameters are the same.
+    """Cache of what was last computed from each target, valid while the target and all parameters are the same.
 
     A copy of the target is kept and compared value by value, so that a buffer that was filled again is another target
     whoever wrote to it. Values on a GPU are not compared, because the host would have to wait for the answer: what
@@ -1096,12 +1088,10 @@ class TargetCache:
         self.clear()
 
     def clear(self) -> None:
-        """Drop the stored result."""
-        self._target: Any = None
-        self._key: Any = None
-        self._value: Any = None
+        """Drop the stored results."""
+        self._stored: dict[int, tuple[Any, Any, Any]] = {}
 
-    def get(self, target: torch.Tensor, parameters: Hashable, compute: Callable):
+    def get(self, target: torch.Tensor, parameters: Hashable, compute: Callable, index: int = 0):
         """Return `compute()`, or the stored result of this target and these parameters.
 
         Parameters
@@ -1112,6 +1102,8 @@ class TargetCache:
             Everything else that the result depends on.
         compute : callable
             Makes the result; without gradients if it is to be kept.
+        index : int
+            Which of the targets of a batch it is, each of which has a result of its own.
         """
         if target.requires_grad or target.is_inference() or _torch_private.is_transformed(target):
             return compute()
@@ -1121,11 +1113,12 @@ class TargetCache:
         elif not _array.is_readable(target):
             with _torch_private.keeping(), torch.no_grad():
                 return compute()
-        if key != self._key or not (self.trusting or torch.equal(target, self._target)):
+        stored, known, result = self._stored.get(index, (None, None, None))
+        if key != known or not (self.trusting or torch.equal(target, stored)):
             # Tensors made in inference mode could not be used with autograd later.
             with _torch_private.keeping(), torch.no_grad():
-                value = compute()
+                result = compute()
                 # A trusted target is referenced, so that its memory cannot be reused.
-                self._target = target.detach() if self.trusting else target.detach().clone()
-            self._key, self._value = key, value
-        return self._value
+                stored = target.detach() if self.trusting else target.detach().clone()
+            self._stored[index] = stored, key, result
+        return result

@@ -12,6 +12,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -34,10 +35,13 @@ from odak.learn.perception.color import (
 )
 from odak.learn.perception.foveation import make_eccentricity_distance_maps
 from odak.learn.perception.hdr import PU21_LIMITS, PU21_PARAMETERS, pu21_encode
+from odak.learn.perception.sight import Gaze, Kept, Viewing, checked_viewing, each_of, gaze_at, gaze_of, geometry
 from odak.learn.tools import loss
 from odak.learn.tools.loss import psnr
 
 WINDOW, SIGMA = 11, 1.5
+# What pictures for models of vision hold.
+ENCODINGS = ("sRGB", "luminance")
 _DENSEST = 1000
 K1, K2 = 0.01, 0.03
 SCALE_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
@@ -242,7 +246,13 @@ def multi_scale_structural_similarity(
     return result.mean()
 
 
-def flip(predictions: torch.Tensor, targets: torch.Tensor, pixels_per_degree: float = 67.02) -> torch.Tensor:
+def flip(
+    predictions: torch.Tensor,
+    targets: torch.Tensor,
+    pixels_per_degree: float = 67.02,
+    *,
+    viewing: Viewing | None = None,
+) -> torch.Tensor:
     """Return the map of visible differences when two pictures alternate at one place (FLIP).
 
     Parameters
@@ -254,6 +264,8 @@ def flip(predictions: torch.Tensor, targets: torch.Tensor, pixels_per_degree: fl
     pixels_per_degree : float
         Pixels in one degree of visual angle; by default for a display 0.7 m wide with 3840 pixels, seen from
         0.7 m.
+    viewing : Viewing, optional
+        Geometry, in which pictures fill the display, instead of that number.
 
     Returns
     -------
@@ -281,9 +293,10 @@ def flip(predictions: torch.Tensor, targets: torch.Tensor, pixels_per_degree: fl
     >>> flip(picture, picture).max().item()
     0.0
     """
-    density = _density(pixels_per_degree)
     predictions, targets = checked_pair(predictions, targets)
     as_pictures("predictions", predictions)
+    seen = None if viewing is None else checked_viewing(viewing).density(predictions.shape[-1])
+    density = _density(pixels_per_degree if seen is None else seen)
     pair = torch.stack([as_pictures(*named) for named in (("predictions", predictions), ("targets", targets))])
     opponent = _opponent(mix(rows(_FLIP_TO_XYZ), srgb_decoded(pair.flatten(0, -4).clamp(0, 1))))
     seen = _hunt_lab(
@@ -304,6 +317,8 @@ class FLIP(nn.Module):
     ----------
     pixels_per_degree : float
         Pixels in one degree of visual angle.
+    viewing : Viewing, optional
+        Geometry, in which pictures fill the display, instead of that number.
 
     Examples
     --------
@@ -314,9 +329,10 @@ class FLIP(nn.Module):
     (0.0, True)
     """
 
-    def __init__(self, pixels_per_degree: float = 67.02) -> None:
+    def __init__(self, pixels_per_degree: float = 67.02, *, viewing: Viewing | None = None) -> None:
         super().__init__()
         self.pixels_per_degree = _density(pixels_per_degree)
+        self.viewing = None if viewing is None else checked_viewing(viewing)
 
     def forward(self, predictions: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
         """Return the mean of :func:`flip` over all pixels.
@@ -328,7 +344,7 @@ class FLIP(nn.Module):
         targets : torch.Tensor
             Reference images of the same shape.
         """
-        return flip(predictions, targets, self.pixels_per_degree).mean()
+        return flip(predictions, targets, self.pixels_per_degree, viewing=self.viewing).mean()
 
 
 class PU21PSNR(nn.Module):
@@ -642,11 +658,13 @@ class EccentricityReport:
 def eccentricity_report(
     predictions: torch.Tensor,
     targets: torch.Tensor,
-    gaze: Sequence[float] = (0.5, 0.5),
+    gaze: Gaze | None = None,
     edges: Sequence[float] = DEFAULT_EDGES,
     real_image_width: float = 0.2,
     real_viewing_distance: float = 0.7,
     data_range: float = 1.0,
+    *,
+    viewing: Viewing | None = None,
 ) -> EccentricityReport:
     """Return PSNR and SSIM of pictures by rings around the gaze.
 
@@ -656,9 +674,9 @@ def eccentricity_report(
         Pictures ``[..., H, W]``, each side at least 11.
     targets : torch.Tensor
         Pictures of the same shape that they are compared with.
-    gaze : sequence of float
+    gaze : sequence of float, optional
         Where the viewer looks, (x, y) from the top left corner (0, 0) to the bottom right one (1, 1); may lie off the
-        picture.
+        picture. Or ``[B, 2]``, one for each picture of a batch. By default the middle, or that of the viewing.
     edges : sequence of float
         Rising eccentricities in degrees; ring i lies between edge i and the next.
     real_image_width : float
@@ -667,6 +685,8 @@ def eccentricity_report(
         Distance of the eye in front of the picture's middle, in the same unit.
     data_range : float
         Largest value that a picture could have, less the smallest.
+    viewing : Viewing, optional
+        Geometry and, without `gaze`, gaze, instead of the two lengths.
 
     Returns
     -------
@@ -688,34 +708,42 @@ def eccentricity_report(
     >>> [round(ring.psnr.item(), 1) for ring in report.rings]
     [inf, 22.8]
     """
-    gaze, edges, real_image_width, real_viewing_distance = _validate.constants(
-        gaze=gaze, edges=edges, real_image_width=real_image_width, real_viewing_distance=real_viewing_distance
-    )
     predictions, targets = _checked(predictions, targets, WINDOW, data_range)
-    size = tuple(predictions.shape[-2:])
-    masks = ring_masks(size, gaze, edges, real_image_width, real_viewing_distance, device=predictions.device)
+    size, gaze = tuple(predictions.shape[-2:]), _gaze_of(viewing, gaze, predictions)
+    lengths = _validate.constants(real_image_width=real_image_width, real_viewing_distance=real_viewing_distance)
+    view = geometry(viewing, *lengths)
+    masks, several = ring_masks(size, gaze, edges, *view, device=predictions.device), len(each_of(gaze)) > 1
     luminance, structure = similarity_terms(_planes(predictions), _planes(targets), data_range)
     similarity = luminance * structure
     border = WINDOW // 2
     rings = []
     for mask, inner, outer in zip(masks, edges[:-1], edges[1:], strict=True):
-        inside = mask[border:-border, border:-border]
-        values = psnr(predictions[..., mask], targets[..., mask], data_range)
-        rings.append(Ring(float(inner), float(outer), int(mask.sum()), values, similarity[..., inside].mean()))
-    x, y = (float(value) for value in gaze)
-    conditions = (
-        f"{size[0]} x {size[1]} pixels, gaze ({x:g}, {y:g}), width {real_image_width:g} at {real_viewing_distance:g}"
-    )
+        # The pixels of a ring in each picture, and with channels.
+        shape = (len(mask), *[1] * (predictions.ndim - 3), *size) if several else size
+        inside = mask.reshape(shape).expand(predictions.shape)
+        values = psnr(predictions[inside], targets[inside], data_range)
+        seen = _planes(inside)[..., border:-border, border:-border]
+        pixels = round(int(mask.sum()) / (len(mask) if several else 1))
+        rings.append(Ring(float(inner), float(outer), pixels, values, similarity[seen].mean()))
+    places = " and ".join(f"({x:g}, {y:g})" for x, y in each_of(gaze)[:: max(1, len(each_of(gaze)) - 1)])
+    conditions = f"{size[0]} x {size[1]} pixels, gaze {places}, width {view[0]:g} at {view[1]:g}"
     return EccentricityReport(tuple(rings), conditions)
+
+
+def _gaze_of(viewing, gaze, pictures=None):
+    """Return the gaze that is given, that of a viewing, or the middle."""
+    found = gaze_at(viewing, gaze)
+    return gaze_of("gaze", (0.5, 0.5) if found is None else found, None if pictures is None else len(pictures))
 
 
 def ring_masks(
     size: Sequence[int],
-    gaze: Sequence[float] = (0.5, 0.5),
+    gaze: Gaze | None = None,
     edges: Sequence[float] = DEFAULT_EDGES,
     real_image_width: float = 0.2,
     real_viewing_distance: float = 0.7,
     *,
+    viewing: Viewing | None = None,
     device: torch.device | str | None = None,
 ) -> torch.Tensor:
     """Return which pixels lie between eccentricities.
@@ -724,21 +752,24 @@ def ring_masks(
     ----------
     size : sequence of int
         Rows and columns.
-    gaze : sequence of float
-        (x, y) from the top-left corner (0, 0) to the bottom-right one (1, 1); may lie off the picture.
+    gaze : sequence of float, optional
+        (x, y) from the top-left corner (0, 0) to the bottom-right one (1, 1); may lie off the picture. Or ``[B, 2]``.
+        By default the middle, or that of the viewing.
     edges : sequence of float
         Rising eccentricities in degrees; ring i lies between edge i and the next.
     real_image_width : float
         Width of the flat picture.
     real_viewing_distance : float
         Distance of the eye in front of the picture's middle, in the same unit.
+    viewing : Viewing, optional
+        Geometry and, without `gaze`, gaze, instead of the two lengths.
     device : torch.device or str, optional
         Device of the result; the CPU by default.
 
     Returns
     -------
     torch.Tensor
-        Booleans ``[len(edges) − 1, H, W]``; no pixel is in two rings.
+        Booleans ``[len(edges) − 1, H, W]``, of gazes ``[len(edges) − 1, B, H, W]``; no pixel is in two rings.
 
     Raises
     ------
@@ -752,16 +783,15 @@ def ring_masks(
     >>> tuple(masks.shape), bool((masks[0] & masks[1]).any())
     ((2, 32, 32), False)
     """
-    gaze, edges, real_image_width, real_viewing_distance = _validate.constants(
-        gaze=gaze, edges=edges, real_image_width=real_image_width, real_viewing_distance=real_viewing_distance
+    edges, width, distance = _validate.constants(
+        edges=edges, real_image_width=real_image_width, real_viewing_distance=real_viewing_distance
     )
+    gaze, view = _gaze_of(viewing, gaze), geometry(viewing, width, distance)
     size = _validate.size("size", size)
     limits = _validate.numbers(_validate.real("edges", edges))
     if len(limits) < 2 or limits[0] < 0 or any(low >= high for low, high in itertools.pairwise(limits)):
         raise ValueError(f"edges must be two or more rising numbers of at least 0, got {edges!r}")
-    eccentricity, _ = make_eccentricity_distance_maps(
-        gaze, size, real_image_width, real_viewing_distance, dtype=torch.float64, device=device
-    )
+    eccentricity, _ = make_eccentricity_distance_maps(gaze, size, *view, dtype=torch.float64, device=device)
     device = eccentricity.device
     bounds = torch.tensor([math.radians(limit) for limit in limits], dtype=torch.float64, device=device)
     places = torch.bucketize(eccentricity, bounds, right=True) - 1
@@ -1031,7 +1061,58 @@ class _Wrapper(nn.Module):
 
 
 class _DifferencePredictor(_Wrapper):
-    """Quality on a "standard_4k" display, one picture or video after the other so that they cannot influence others."""
+    """Quality on a display, one picture or video after the other so that they cannot influence others."""
+
+    _photometry = _geometry = ""
+
+    def __init__(self, device, viewing, encoding, required):
+        super().__init__(required)
+        self.device = checked_device("device", device)
+        self.viewing = None if viewing is None else checked_viewing(viewing)
+        self.encoding = _validate.one_of("encoding", encoding, ENCODINGS)
+        if viewing is None and encoding != ENCODINGS[0]:
+            raise ValueError(f"viewing must be given for pictures in {encoding}, got None")
+        self._predictors = Kept()
+        setattr(self, self._name, self._predictor((2160, 3840)) if self.available else None)
+
+    @property
+    def _name(self):
+        return type(self).__name__.lower()
+
+    def _predictor(self, size):
+        """Return the measure of the package for pictures of some rows and columns."""
+        if self.viewing is None:
+            # Of the package, whatever the size of the pictures.
+            return self._predictors.get(None, partial(self._made, display_name="standard_4k"))
+        return self._predictors.get((self.viewing, size), partial(self._made_for, size))
+
+    def _made(self, **display):
+        with _quietly():
+            measure = getattr(self._import(), self._name)
+            return measure(quiet=True, device=self.device, **display)
+
+    def _made_for(self, size):
+        view, package = self.viewing, self._import()
+        photometry, geometry = getattr(package, self._photometry), getattr(package, self._geometry)
+        contrast = view.peak_luminance / view.black_luminance
+        return self._made(
+            display_photometry=photometry(
+                view.peak_luminance,
+                contrast,
+                EOTF="sRGB" if self.encoding == ENCODINGS[0] else "linear",
+                E_ambient=view.ambient_light,
+                k_refl=view.reflectivity,
+            ),
+            display_geometry=geometry(
+                size[::-1], distance_m=view.real_viewing_distance, fov_horizontal=view.field_of_view
+            ),
+        )
+
+    def _gazes(self, predictions, gaze):
+        """Return the arguments of the measure about the gaze, for each picture or video of a batch."""
+        if gaze is not None:
+            raise ValueError(f"{type(self).__name__} has no fovea, so that gaze must be None, got {gaze!r:.80}")
+        return [{}] * len(predictions)
 
     def forward(
         self,
@@ -1039,18 +1120,22 @@ class _DifferencePredictor(_Wrapper):
         targets: torch.Tensor,
         dim_order: str = "BCHW",
         frames_per_second: float | None = None,
+        gaze: Gaze | None = None,
     ) -> torch.Tensor:
         """Return the mean quality of pictures or videos.
 
         Parameters
         ----------
         predictions, targets : torch.Tensor
-            Display-encoded pictures ``[B, C, H, W]`` or ``[C, H, W]``, or videos of F frames ``[B, C, F, H, W]``, of
-            one or three channels, 0 … 1.
+            Pictures ``[B, C, H, W]`` or ``[C, H, W]``, or videos of F frames ``[B, C, F, H, W]``, of one or three
+            channels: sRGB values of 0 … 1, or cd/m² with the encoding "luminance".
         dim_order : str
             Order of the axes of pictures that have four, and of videos; of the latter "BCFHW" by default.
         frames_per_second : float, optional
             Rate of the frames of videos, which determines how visible flicker and motion are; required for videos.
+        gaze : sequence of float, optional
+            Where a foveated measure takes the eye to look: (x, y), 0 to 1 from the top-left corner, or ``[B, 2]`` for
+            pictures and ``[F, 2]`` for the frames of videos. By default that of the viewing.
 
         Returns
         -------
@@ -1066,7 +1151,8 @@ class _DifferencePredictor(_Wrapper):
         ImportError
             If the package is missing.
         """
-        predictions, targets = checked_pair(predictions, targets)
+        white = 1.0 if self.encoding == ENCODINGS[0] else PU21_LIMITS[1]
+        predictions, targets = checked_pair(predictions, targets, white)
         _validate.instance("dim_order", dim_order, str, "a string")
         if predictions.ndim == 5:
             if frames_per_second is None:
@@ -1080,15 +1166,13 @@ class _DifferencePredictor(_Wrapper):
             axes, options = "BCHW", {}
         predictions, targets = (_as_batch(value, dim_order, axes).float() for value in (predictions, targets))
         self._require()
+        gazes, predictor = self._gazes(predictions, gaze), self._predictor(tuple(predictions.shape[-2:]))
         with _quietly():
             scores = [
-                self._metric().predict(one[None], two[None], dim_order=axes, **options)[0].reshape(())
-                for one, two in zip(predictions, targets, strict=True)
+                predictor.predict(one[None], two[None], dim_order=axes, **options, **fixed)[0].reshape(())
+                for one, two, fixed in zip(predictions, targets, gazes, strict=True)
             ]
         return torch.stack(scores).mean()
-
-    def _metric(self):
-        raise NotImplementedError
 
 
 class CVVDP(_DifferencePredictor):
@@ -1100,6 +1184,12 @@ class CVVDP(_DifferencePredictor):
     ----------
     device : torch.device
         Where the comparison runs.
+    viewing : Viewing, optional
+        Geometry and luminances of the display, which pictures fill. By default the package's "standard_4k", of 75
+        pixels per degree and 200 cd/m² in a room of 250 lux.
+    encoding : {"sRGB", "luminance"}
+        What pictures hold: sRGB values, or light in cd/m² with the primaries of sRGB, such as pictures of high dynamic
+        range; the latter with a viewing, whose peak is the brightest.
     required : bool
         Raise when the package is missing. Otherwise a :class:`~odak.MissingPackageWarning` says so, and calls raise.
 
@@ -1133,21 +1223,24 @@ class CVVDP(_DifferencePredictor):
     """
 
     _module, _package = "pycvvdp", "cvvdp"
+    _photometry, _geometry = "vvdp_display_photo_eotf", "vvdp_display_geometry"
 
-    def __init__(self, device: torch.device = torch.device("cpu"), *, required: bool = False):  # noqa: B008
-        super().__init__(required)
-        device = checked_device("device", device)
-        self.cvvdp = None
-        if self.available:
-            with _quietly():
-                self.cvvdp = self._import().cvvdp(display_name="standard_4k", quiet=True, device=device)
-
-    def _metric(self):
-        return self.cvvdp
+    def __init__(
+        self,
+        device: torch.device = torch.device("cpu"),  # noqa: B008
+        *,
+        viewing: Viewing | None = None,
+        encoding: str = "sRGB",
+        required: bool = False,
+    ):
+        super().__init__(device, viewing, encoding, required)
 
 
 class FVVDP(_DifferencePredictor):
     """FovVideoVDP: visual difference of pictures or videos in luminance, in JOD; a quality, larger is better.
+
+    With a viewing it is foveated: differences count the less the farther they are from the gaze. Without one the eye
+    looks everywhere.
 
     Mantiuk et al., ACM Trans. Graph. 40, 49 (2021).
 
@@ -1155,6 +1248,12 @@ class FVVDP(_DifferencePredictor):
     ----------
     device : torch.device
         Where the comparison runs.
+    viewing : Viewing, optional
+        Geometry and luminances of the display, which pictures fill, and gaze. By default the package's "standard_4k",
+        of 75 pixels per degree and 200 cd/m² in a room of 250 lux.
+    encoding : {"sRGB", "luminance"}
+        What pictures hold: sRGB values, or light in cd/m² with the primaries of sRGB, such as pictures of high dynamic
+        range; the latter with a viewing, whose peak is the brightest.
     required : bool
         Raise when the package is missing. Otherwise a :class:`~odak.MissingPackageWarning` says so, and calls raise.
 
@@ -1180,17 +1279,34 @@ class FVVDP(_DifferencePredictor):
     """
 
     _module, _package = "pyfvvdp", "pyfvvdp"
+    _photometry, _geometry = "fvvdp_display_photo_eotf", "fvvdp_display_geometry"
 
-    def __init__(self, device: torch.device = torch.device("cpu"), *, required: bool = False):  # noqa: B008
-        super().__init__(required)
-        device = checked_device("device", device)
-        self.fvvdp = None
-        if self.available:
-            with _quietly():
-                self.fvvdp = self._import().fvvdp(display_name="standard_4k", heatmap="none", quiet=True, device=device)
+    def __init__(
+        self,
+        device: torch.device = torch.device("cpu"),  # noqa: B008
+        *,
+        viewing: Viewing | None = None,
+        encoding: str = "sRGB",
+        required: bool = False,
+    ):
+        super().__init__(device, viewing, encoding, required)
 
-    def _metric(self):
-        return self.fvvdp
+    def _made(self, **display):
+        foveated = {} if self.viewing is None else {"foveated": True}
+        return super()._made(heatmap="none", **foveated, **display)
+
+    def _gazes(self, predictions, gaze):
+        if self.viewing is None:
+            return super()._gazes(predictions, gaze)
+        rows, columns = predictions.shape[-2:]
+        video = predictions.ndim == 5
+        found = self.viewing.gaze if gaze is None else gaze
+        track = each_of(gaze_of("gaze", found, predictions.shape[2] if video else len(predictions)))
+        # In pixels, the middle of the first of which is 0.
+        places = torch.tensor(track, dtype=torch.float32) * torch.tensor([columns, rows]) - 0.5
+        if video or len(places) == 1:
+            return [{"fixation_point": places if len(places) > 1 else places[0]}] * len(predictions)
+        return [{"fixation_point": place} for place in places]
 
 
 class LPIPS(_Wrapper):

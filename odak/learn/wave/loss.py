@@ -692,6 +692,8 @@ class perceptual_multiplane_loss(FocalTargets):
     numerical_aperture : float, optional
         Sine of the half angle of the cone in which light arrives, as an iris or a pupil limits it; by default limited
         by the modulator, λ/(2·pixel_pitch).
+    viewing : odak.learn.perception.Viewing, optional
+        How images are seen, for "cvvdp" and "fvvdp"; by default on their packages' display.
 
     Raises
     ------
@@ -734,6 +736,7 @@ class perceptual_multiplane_loss(FocalTargets):
         wavelengths: Sequence[float] | None = None,
         pixel_pitch: float | Sequence[float] | None = None,
         numerical_aperture: float | None = None,
+        viewing: perception.Viewing | None = None,
     ):
         distances, wavelengths, pixel_pitch = _validate.constants(
             distances=distances, wavelengths=wavelengths, pixel_pitch=pixel_pitch
@@ -750,7 +753,7 @@ class perceptual_multiplane_loss(FocalTargets):
         self.measures = nn.ModuleDict()
         for name in tuple(self.additional_loss_weights):
             try:
-                self.measures[name] = _MEASURES[name][0](self.target_image.device)
+                self.measures[name] = _MEASURES[name][0](self.target_image.device, viewing)
             except ImportError as error:
                 if additional_loss_weights is not None:
                     raise
@@ -806,14 +809,14 @@ def _similarity_loss(similarity):
     return 1 - similarity
 
 
-# How each measure is made for a device, and how its value becomes a loss.
-_MEASURES = {
-    "cvvdp": (lambda device: perception.CVVDP(device, required=True), _jod_loss),
-    "fvvdp": (lambda device: perception.FVVDP(device, required=True), _jod_loss),
-    "lpips": (lambda device: perception.LPIPS(required=True), lambda distance: distance),
-    "psnr": (lambda device: perception.PSNR(), lambda decibels: -decibels),
-    "ssim": (lambda device: perception.SSIM(), _similarity_loss),
-    "msssim": (lambda device: perception.MSSSIM(), _similarity_loss),
+# How each measure is made for a device and a viewing or None, and how its value becomes a loss.
+_MEASURES: dict[str, tuple[Callable[..., nn.Module], Callable[[torch.Tensor], torch.Tensor]]] = {
+    "cvvdp": (lambda device, viewing: perception.CVVDP(device, viewing=viewing, required=True), _jod_loss),
+    "fvvdp": (lambda device, viewing: perception.FVVDP(device, viewing=viewing, required=True), _jod_loss),
+    "lpips": (lambda *_: perception.LPIPS(required=True), lambda distance: distance),
+    "psnr": (lambda *_: perception.PSNR(), lambda decibels: -decibels),
+    "ssim": (lambda *_: perception.SSIM(), _similarity_loss),
+    "msssim": (lambda *_: perception.MSSSIM(), _similarity_loss),
 }
 
 
