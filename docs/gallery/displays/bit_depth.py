@@ -1,7 +1,9 @@
 """Bits per pixel of a modulator
 
-A hologram for modulators of 8, 4, 3, 2 and 1 bits per pixel: phases found without levels and rounded to them, and below
-the levels that a search finds.
+Fast panels have few levels: mirrors and pistons four bits, ferroelectric cells one. A hologram found for any phase and
+rounded to them loses much of its quality; a search among the levels themselves gives part of it back.
+
+[Real displays](../../guides/real_displays.md) describes panels.
 """
 
 from importlib.resources import files
@@ -11,11 +13,14 @@ import matplotlib.pyplot as plt
 from odak.learn.tools import load_image
 from odak.learn.wave import Display, Modulator, Run, light_of, optimise
 
+# %%
+# A small picture, since the search is slow.
 photo = load_image(files("odak") / "assets" / "photo.png", torch_style=True)
 photo = photo[:3, 40:300:2, 60:480:2]
 target = light_of(photo, 532e-9).targets
 
 # %%
+# Rounded above, searched below. Quality is that of a camera at any place.
 figure, axes = plt.subplots(2, 5, figsize=(14, 4.6), sharex=True, sharey=True)
 for column, bits in zip(axes.T, (8, 4, 3, 2, 1)):
     display = Display(Modulator((130, 210), 8e-6, bits), 532e-9, 0.01)

@@ -1,7 +1,10 @@
 """Diffraction orders of a pixelated panel
 
-A modulator of square pixels repeats its replay field in diffraction orders, under the envelope of one pixel. With several
-samples per pixel the field behind it shows both.
+Why is every picture of a hologram repeated, and why are the copies weaker? A modulator of square pixels samples the
+field, which repeats its spectrum in diffraction orders; the pixel's own diffraction, a sinc, is the envelope. Displays
+block all orders but one.
+
+[Real displays](../../guides/real_displays.md) goes on from here.
 """
 
 import matplotlib.pyplot as plt
@@ -9,6 +12,8 @@ import torch
 
 from odak.learn.wave import spatial_light_modulator, weighted_gerchberg_saxton
 
+# %%
+# A hologram of eight spots by the weighted iteration.
 size, samples = 64, 6
 target = torch.zeros(size, size)
 for row, column in (
@@ -23,12 +28,16 @@ for row, column in (
 ):
     target[row, column] = 1
 hologram, _ = weighted_gerchberg_saxton(target.to(torch.complex64), 30, seed=0)
+
+# %%
+# The field behind the panel with six samples to a pixel, and its far field.
 panel = spatial_light_modulator(samples_per_pixel=samples, fill_factor=0.9)
 field = panel(hologram.angle())
 spectrum = torch.fft.fftshift(torch.fft.fft2(torch.fft.ifftshift(field))).abs()
 spectrum = torch.nn.functional.max_pool2d((spectrum / spectrum.max())[None], 3, 1, 1)[0]
 
 # %%
+# Lines mark the central order.
 figure, axes = plt.subplots(1, 2, figsize=(10, 4.3))
 axes[0].imshow(hologram.angle() % 6.2832, cmap="twilight")
 axes[0].set(title="hologram", xlabel="column", ylabel="row")
@@ -47,4 +56,5 @@ for edge in (-0.5, 0.5):
 figure.colorbar(drawn, ax=axes[1], label="amplitude")
 # Thumbnail: 0.7
 # Picture: A hologram of eight spots, and its replay field, which is repeated in all diffraction orders
+# Change: `fill_factor=0.9` to `fill_factor=0.5`: Pixels that fill half of their side have a wider envelope: the copies are much brighter beside the image.
 plt.show()

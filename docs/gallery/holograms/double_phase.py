@@ -1,7 +1,10 @@
 """Amplitude from a phase-only modulator: double phase
 
-A complex field is written as two phases on a checkerboard, φ ± arccos(a). Seen through an aperture that passes the centre
-of the spectrum, the pair adds up to the field.
+A modulator of phase alone shows any complex field with two pixels for each value: a = cos(δ) is the mean of exp(iδ) and
+exp(−iδ). Written on a checkerboard as φ ± arccos(a), and seen through an aperture that passes the centre of the
+spectrum, each pair adds up. No iteration is needed, and the price is half of the resolution.
+
+[Compute a hologram](../../guides/compute_a_hologram.md) compares the methods.
 """
 
 from importlib.resources import files
@@ -12,6 +15,8 @@ import torch
 from odak.learn.tools import load_image, psnr
 from odak.learn.wave import generate_complex_field, propagate_beam, shift_w_double_phase
 
+# %%
+# The target is propagated back to the panel and encoded there.
 pitch, wavelength, distance = 4e-6, 532e-9, 0.005
 photo = load_image(files("odak") / "assets" / "scene.png", torch_style=True)
 photo = photo[:3, :, 420:1500].mean(0)
@@ -29,6 +34,9 @@ phase = shift_w_double_phase(
     amplitude=target.sqrt(),
     kernel_length=0,
 )
+
+# %%
+# What a relay with an aperture of half the band shows, and its quality.
 field = propagate_beam(
     generate_complex_field(1.0, phase), None, distance, pitch, wavelength
 )
@@ -40,6 +48,7 @@ shown = shown * (shown * target).sum() / (shown**2).sum()
 print(f"PSNR behind the aperture {psnr(shown, target):.1f} dB")
 
 # %%
+# The spectrum holds the picture in its middle and the checkerboard's light in the corners.
 figure, axes = plt.subplots(1, 4, figsize=(14, 3.2))
 panels = (
     (
@@ -83,4 +92,5 @@ for axis, (title, picture, options, extent, unit, label) in zip(axes, panels):
 axes[2].add_patch(plt.Circle((0, 0), 0.25, fill=False, color="w", ls="--"))
 # Thumbnail: 0.9
 # Picture: Target, detail of the checkerboard of phases, spectrum with the aperture, and the image behind it
+# Change: `< 0.25` to `< 0.45`: The light of the checkerboard lies in the corners of the spectrum: a wider aperture still blocks it, keeps sharper edges and reaches 34 dB.
 plt.show()

@@ -1,8 +1,10 @@
 """A hologram seen from several places of the eyebox
 
-A hologram of four frames shows a different view of a scene at each of three positions of the pupil, with parallax
-between near objects and the wall, through a pupil of 2 mm. A hologram of the central view alone shows speckle at the
-other two positions.
+An eye moves, and what it sees must move with it: near objects shift against far ones. A hologram sends light into all
+places of the eyebox, and each of them can have a view of its own. This one has four frames and shows three views,
+through a pupil of 2 mm; a hologram of the central view alone shows speckle at the other two positions.
+
+[Displays and holograms as objects](../../guides/displays.md) describes the optics of eyes.
 """
 
 from importlib.resources import files
@@ -13,6 +15,8 @@ import torch
 from odak.learn.tools import load_image
 from odak.learn.wave import Display, Eyes, Modulator, Run, optimise
 
+# %%
+# A rendered scene and its depth.
 assets = files("odak") / "assets"
 scene = load_image(assets / "scene.png", torch_style=True)[:3].mean(0)
 depth = load_image(assets / "scene_depth.png").float()
@@ -25,7 +29,8 @@ scene, depth = (
 wavelength, pitch, distance = 532e-9, 8e-6, 0.1
 places = [(0.0, -2e-3), (0.0, 0.0), (0.0, 2e-3)]
 
-
+# %%
+# The scene as each pupil sees it, by its parallax.
 def view(place):
     """Return the scene seen from a position of the pupil, at depths of 98 to 103 mm."""
     apart = place[1] * (1 - distance / (0.098 + 0.005 * depth)) / pitch
@@ -37,7 +42,8 @@ def view(place):
         scene[None, None], grid[None], padding_mode="border", align_corners=True
     )[0, 0]
 
-
+# %%
+# The display: a panel and the places of eyes. `optimise` takes targets for each place.
 def seen_from(places):
     panel = Modulator((128, 192), pitch)
     return Display(panel, wavelength, Eyes(distance, places, 2e-3), frames=4)
@@ -47,11 +53,15 @@ targets = torch.stack([view(place) for place in places])[:, None]
 run = Run(100, progress=False, seed=0)
 hologram = optimise(seen_from(places), targets, run=run)
 alone = optimise(seen_from(places[1:2]), targets[1], run=run)
+
+# %%
+# The hologram of one view, judged at all three places.
 beside = seen_from(places).judge(alone.phases)[0]
 beside = beside / beside.amax((2, 3), keepdim=True)
 print("PSNR:", ", ".join(f"{float(value):.1f} dB" for value in hologram.psnr))
 
 # %%
+# Targets, the hologram of three views, and that of one.
 figure, axes = plt.subplots(3, 3, figsize=(11, 7.4), sharex=True, sharey=True)
 extent = [-0.77, 0.77, 0.51, -0.51]
 rows = (
@@ -68,4 +78,5 @@ for axis in axes[-1]:
     axis.set_xlabel("x (mm)")
 # Thumbnail: 0.5
 # Picture: Three views of a still life through pupils at three places, the targets above and a hologram of one view below
+# Change: `Eyes(distance, places, 2e-3), frames=4` to `Eyes(distance, places, 2e-3), frames=1`: With one frame there is a quarter of the freedom, and all three views are noisier.
 plt.show()

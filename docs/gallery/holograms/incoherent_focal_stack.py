@@ -1,7 +1,10 @@
 """Natural blur of a scene of planes
 
-A scene with a depth map is divided into planes; the image for each focal plane is what an eye with a small pupil sees
-in incoherent light. These images serve as targets of holograms.
+A hologram with depth needs targets that are out of focus in the right way. In incoherent light each plane of a scene is
+blurred by its distance from the focus, and near planes cover far ones: this is what an eye with a small pupil sees, and
+what a display should show.
+
+[Multiplane and multi-colour holograms](../../guides/multiplane_and_colour.md) uses such stacks.
 """
 
 from importlib.resources import files
@@ -13,6 +16,8 @@ from odak.learn.perception import slice_rgbd_targets
 from odak.learn.tools import load_image
 from odak.learn.wave import incoherent_focal_stack_rgbd
 
+# %%
+# A picture with its depth map, divided into five planes.
 assets = files("odak") / "assets"
 scene = load_image(assets / "scene.png", torch_style=True)
 scene = scene[:3, :, 420:1500]
@@ -23,11 +28,15 @@ depth = torch.nn.functional.interpolate(depth[None, None], (256, 256), mode="are
 ]
 positions = torch.linspace(0, 1, 5)
 targets, masks = slice_rgbd_targets(scene, depth / depth.max(), positions)
+
+# %%
+# One image for each focal plane, for three wavelengths.
 stack = incoherent_focal_stack_rgbd(
     targets, masks, 8e-3 * positions, 8e-6, [639e-9, 515e-9, 473e-9]
 )
 
 # %%
+# The focus moves from the near plane to the far one.
 figure, axes = plt.subplots(1, 4, figsize=(13, 3.6))
 drawn = axes[0].imshow(depth, cmap="viridis")
 figure.colorbar(drawn, ax=axes[0], label="depth (0 near, 1 far)", shrink=0.8)
@@ -39,4 +48,5 @@ for axis in axes:
     axis.axis("off")
 # Thumbnail: 0.37
 # Picture: Depth of a scene, and three images of it with the focus at different depths
+# Change: `8e-3 * positions` to `20e-3 * positions`: A deeper scene is blurred more where it is out of focus.
 plt.show()

@@ -1,7 +1,10 @@
 """An image as a sum of Gaussians
 
-Five hundred two-dimensional Gaussians start where an image has edges. Damped least squares changes all of their places,
-sizes, rotations and heights at once; every fourth step the weakest of them move to where the error is largest.
+Splats made three-dimensional scenes fast; in two dimensions a few hundred Gaussians describe a picture with derivatives
+for everything. They start where the image has edges. Damped least squares changes all of their places, sizes, rotations
+and heights at once; every fourth step the weakest of them move to where the error is largest.
+
+[Learned models](../../guides/learned_models.md) has Gaussians in space.
 """
 
 from importlib.resources import files
@@ -12,6 +15,8 @@ import torch
 from odak.learn.models import gaussians_2d
 from odak.learn.tools import load_image, psnr
 
+# %%
+# A picture of 64 × 64 pixels and the points where the sum is evaluated.
 photo = (
     load_image(files("odak") / "assets" / "scene.png", torch_style=True)[:3]
     .mean(0)
@@ -22,6 +27,9 @@ target = torch.nn.functional.interpolate(photo[None, None], (64, 64), mode="area
 y, x = torch.meshgrid(
     torch.linspace(-1, 1, 64), torch.linspace(-1, 1, 64), indexing="ij"
 )
+
+# %%
+# Five hundred Gaussians, refined in steps of four.
 model = gaussians_2d(500)
 model.initialize_from_image(target, seed=0)
 errors, stages = [], {}
@@ -33,6 +41,7 @@ for step in range(0, 41, 4):
     model.refine(target, steps=4)
 
 # %%
+# The picture at three stages, and the error.
 figure, axes = plt.subplots(1, 5, figsize=(14, 2.9))
 axes[0].imshow(target, cmap="gray", vmin=0, vmax=1)
 axes[0].set_title("target")
@@ -45,4 +54,5 @@ axes[4].semilogy(range(0, 41, 4), errors)
 axes[4].set(xlabel="step", ylabel="mean squared error")
 # Thumbnail: 0.68
 # Picture: A scene, and the sum of five hundred Gaussians at its start and at two steps of the fit
+# Change: `gaussians_2d(500)` to `gaussians_2d(100)`: A hundred Gaussians draw the large shapes only, and the error stops at a higher value.
 plt.show()

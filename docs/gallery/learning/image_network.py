@@ -1,6 +1,10 @@
 """A picture in the weights of a network
 
-A network with sines for activations maps coordinates to colours; one with rectifiers of the same size stays blurred.
+A network from coordinates to colours holds a picture, a scene or a wavefront in its weights, with a value everywhere
+and derivatives of all orders. With rectifiers it stays blurred, as they are slow to learn high frequencies; sines
+(SIREN) learn them.
+
+[Learned models](../../guides/learned_models.md) goes on from here.
 """
 
 from importlib.resources import files
@@ -11,6 +15,8 @@ import torch
 from odak.learn.models import multi_layer_perceptron
 from odak.learn.tools import load_image, psnr
 
+# %%
+# A picture as points and colours.
 scene = load_image(files("odak") / "assets" / "scene.png", torch_style=True)
 scene = scene[:3, :, 420:1500].float()
 target = torch.nn.functional.interpolate(scene[None], (96, 96), mode="area")[0]
@@ -19,6 +25,9 @@ points = torch.stack(
     torch.meshgrid(axis_points, axis_points, indexing="ij"), -1
 ).reshape(-1, 2)
 colours = target.permute(1, 2, 0).reshape(-1, 3)
+
+# %%
+# The same training for both activations.
 results, curves = {}, {}
 for name, options in (
     ("ReLU", {}),
@@ -39,6 +48,7 @@ for name, options in (
     results[name] = network(points).detach().reshape(96, 96, 3).clamp(0, 1)
 
 # %%
+# After 200 steps.
 figure, axes = plt.subplots(1, 4, figsize=(13, 3.3))
 axes[0].imshow(target.permute(1, 2, 0))
 axes[0].set_title("target")
@@ -53,4 +63,5 @@ axes[3].set(xlabel="step", ylabel="mean squared error")
 axes[3].legend()
 # Thumbnail: 0.63
 # Picture: A scene, and what networks with rectifiers and with sines make of it after the same training
+# Change: `"siren_multiplier": 30.0` to `"siren_multiplier": 5.0`: The multiplier sets the highest frequency that sines begin with: at 5 they are as blurred as rectifiers.
 plt.show()
