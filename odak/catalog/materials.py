@@ -736,7 +736,8 @@ def refractive_index(
     name : str or Material
         Name in the catalogue (:func:`material_names`), in any case, with or without hyphens and spaces.
     wavelength : float or array
-        Vacuum wavelength, numbers or an array of any shape and library.
+        Wavelength, numbers or an array of any shape and library. Formulas of glasses are fitted to wavelengths in air,
+        as their makers state them; a wavelength in vacuum, which is 1.0003 times as long, changes n by up to 8e-6.
     unit : str
         Unit of `wavelength`: "m", "mm", "um" or "nm".
     medium : str, optional
@@ -764,7 +765,8 @@ def refractive_index(
     Notes
     -----
     At another temperature the index in vacuum changes by (n² − 1)/(2n)·[D₀ΔT + D₁ΔT² + D₂ΔT³ + (E₀ΔT + E₁ΔT²)/(λ² −
-    λ_TK²)] (Schott, Technical Information 19); air follows :func:`air_index`. A material without these constants
+    λ_TK²)] (Schott, Technical Information 19); air follows :func:`air_index`. Of germanium, silicon, gallium arsenide
+    and common plastics D₀ alone is known, from a constant dn/dT. A material without these constants
     keeps its index in vacuum, and an :class:`~odak.AccuracyWarning` says so where a temperature is given.
 
     Examples
@@ -833,7 +835,12 @@ def thermal_of(found: Material) -> tuple[tuple[float, ...] | None, float | None,
         return found.thermal, found.expansion, found.measured_at
     built_in = "refractiveindex.info database" in found.source or "schott" in found.source.casefold()
     maker, _, bare = found.name.rpartition(":")
-    held = _thermal_data()
+    constant, own = _thermal_data()["constant"].get(found.name), _catalogue().get(_key(found.name))
+    if constant is not None and own is not None and own.source == found.source:
+        rate, wavelength, expansion, _ = constant
+        n = found.index(wavelength)
+        return (2 * n * rate / (n * n - 1), 0.0, 0.0, 0.0, 0.0, 0.0), expansion, found.measured_at
+    held = _thermal_data()["makers"]
     for one in ([maker] if maker else held) if built_in else ():
         entry = held.get(one, {}).get(_key(bare))
         if entry is not None:
@@ -843,7 +850,7 @@ def thermal_of(found: Material) -> tuple[tuple[float, ...] | None, float | None,
 
 @cache
 def _thermal_data() -> dict:
-    return json.loads(_THERMAL.read_text(encoding="utf-8"))["makers"]
+    return json.loads(_THERMAL.read_text(encoding="utf-8"))
 
 
 def internal_transmittance(

@@ -3,6 +3,7 @@
 import json
 import math
 import warnings
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -485,9 +486,9 @@ def test_errors_in_numbers_of_other_programs_name_the_file(name, text, tmp_path)
         catalog.load_materials(path)
 
 
-@pytest.mark.parametrize("name", ["PMMA", "germanium", "water"])
+@pytest.mark.parametrize("name", ["Optorez 1330", "zinc selenide", "water"])
 def test_a_temperature_of_what_has_no_known_change_is_told(name):
-    wave, own = 10e-6 if name == "germanium" else LINE_D * 1e-6, materials.material(name).measured_at
+    wave, own = 10e-6 if name == "zinc selenide" else LINE_D * 1e-6, materials.material(name).measured_at
     with pytest.warns(
         odak.AccuracyWarning, match=f"dn/dT of {name} is not known and counts as 0: .* at 20 °C"
     ) as caught:
@@ -499,3 +500,24 @@ def test_a_temperature_of_what_has_no_known_change_is_told(name):
         refractive_index(name, wave, pressure=9e4)
         for known in ("N-BK7", "air", "vacuum"):
             refractive_index(known, LINE_D * 1e-6, temperature=60.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "wave", "rate"),
+    [
+        ("germanium", 10e-6, 427e-6),
+        ("silicon", 8e-6, 186e-6),
+        ("gallium arsenide", 10e-6, 203e-6),
+        ("PMMA", 589.3e-9, -10e-5),
+        ("polycarbonate", 589.3e-9, -12e-5),
+        ("OKP4HT", 589.3e-9, -11e-5),
+    ],
+)
+def test_the_change_of_crystals_and_plastics_with_temperature_is_that_which_was_measured(name, wave, rate):
+    """Hilton's prisms at another wavelength than that of the data, within 3 %; refractometer readings of plastics."""
+    warm, cold = (refractive_index(name, wave, medium="vacuum", temperature=t) for t in (60.0, 20.0))
+    assert (warm - cold) / 40 == pytest.approx(rate, rel=0.03)
+    # The same material used in a lens, and with a range of its own, keeps its data; one of the user has none.
+    assert materials.thermal_of(materials.material(name).at(60.0))[1] > 0
+    own = replace(materials.material(name), source="measured")
+    assert materials.thermal_of(own)[:2] == (None, None)

@@ -13,6 +13,7 @@ from odak._array import is_compiling, is_readable
 from odak.learn._tensors import checked_device, checked_dtype
 from odak.learn.raytracing.system.paraxial import entrance_pupil
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
+from odak.learn.raytracing.system.specification import is_number
 from odak.learn.raytracing.system.surfaces import checked_system, is_break, optical_system
 from odak.learn.raytracing.system.tracing import Rays, Traced, in_surface_frame, trace
 from odak.raytracing.batches import needs_gradient
@@ -437,10 +438,7 @@ def field_points(system, fields=None) -> torch.Tensor:
         return _validate.real("fields", fields).double()
     if fields is not None and (isinstance(fields, str) or not isinstance(fields, Iterable)):
         raise TypeError(f"fields must be a sequence of numbers y or pairs (x, y), got {type(fields).__name__}")
-    points = [
-        point if isinstance(point, Iterable) else (0.0, point)
-        for point in (system.fields if fields is None else fields)
-    ]
+    points = [(0.0, point) if is_number(point) else point for point in (system.fields if fields is None else fields)]
     pairs = [_validate.several("fields", point, 2) for point in points]
     if not pairs:
         raise ValueError("fields must contain at least one number y or pair (x, y), got an empty sequence")
@@ -644,7 +642,7 @@ def _search(system, given: tuple, wide: bool, known: tuple | None, graph: bool) 
     step = 1e-4 * pupil.reach[..., None, None, None]
     centre = torch.zeros_like(points[..., :1, :])
     batch = (*pupil.reach.shape, 1, len(fields), 1)
-    shape = torch.broadcast_shapes(batch, (*numbers.batch, 1, 1, 1), points.shape[:-1])
+    shape = np.broadcast_shapes(batch, (*numbers.batch, 1, 1, 1), points.shape[:-1])
     goals = points.expand(*shape, 2)
     held = None if known is None else _CHIEF_RAYS.pop(known, None)
     if held is None:
@@ -855,7 +853,7 @@ def _differences(errors, x, y, step, goals, *where):
 def _side_by_side(errors, places: list, goals, *where) -> list[tuple]:
     """Return the errors of several places of each ray from one trace: few rays cost what its calls do."""
     x, count = places[0][0], len(places)
-    where = tuple(value.expand(*torch.broadcast_shapes(value.shape[:-1], x.shape[-2:]), 2) for value in where)
+    where = tuple(value.expand(*np.broadcast_shapes(value.shape[:-1], x.shape[-2:]), 2) for value in where)
     px, py = (torch.cat([place[i] for place in places], -1) for i in range(2))
     parts = errors(px, py, *(torch.cat([value] * count, -2) for value in (goals.expand(*x.shape, 2), *where)))
     return list(zip(*(part.chunk(count, -1) for part in parts), strict=True))

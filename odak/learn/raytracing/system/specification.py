@@ -103,8 +103,8 @@ class Wavelengths:
     Parameters
     ----------
     wavelengths : float, str or sequence of them, optional
-        Vacuum wavelengths in the unit of the system, or texts with units of their own such as "550nm"; the d line,
-        587.5618 nm, by default.
+        Wavelengths in the unit of the system, or texts with units of their own such as "550nm"; the d line, 587.5618
+        nm, by default. They are those in the air around the lens, to which the formulas of glasses are fitted.
     reference : int, optional
         Index of the wavelength at which first-order properties, pupils and reference spheres are computed; the middle
         one by default.
@@ -270,10 +270,15 @@ def checked_fields(values) -> tuple[tuple[float, float], ...]:
     _validate.listed("fields", values, "a sequence of numbers y or pairs (x, y)")
     (values,) = _validate.constants(fields=values)
     values = values.tolist() if hasattr(values, "tolist") else values
-    points = [tuple(value) if isinstance(value, Iterable) else (0.0, value) for value in values]
+    points = [(0.0, value) if is_number(value) else tuple(value) for value in values]
     if not points or any(len(point) != 2 for point in points):
         raise ValueError(f"fields must be numbers y or pairs (x, y), at least one, got {values!r}")
     return tuple((_validate.constant("fields", x), _validate.constant("fields", y)) for x, y in points)
+
+
+def is_number(value) -> bool:
+    """Return whether a field point is a number y, an array without axes too, rather than a pair."""
+    return not isinstance(value, Iterable) or getattr(value, "ndim", 1) == 0
 
 
 def _factors(values, count: int) -> tuple[tuple[float, ...], ...] | None:

@@ -1371,7 +1371,7 @@ def _nonuniform_transform(values: torch.Tensor, x: torch.Tensor, y: torch.Tensor
         ``[..., l, k]``; 0 is at size // 2 of both axes.
     """
     fine = 2 * size
-    lead = torch.broadcast_shapes(values.shape[:-1], x.shape[:-1], y.shape[:-1])
+    lead = np.broadcast_shapes(values.shape[:-1], x.shape[:-1], y.shape[:-1])
     parts = [value.expand(*lead, value.shape[-1]).reshape(-1, value.shape[-1]) for value in (values, x, y)]
     # Only the middle half is wanted, where the transform of the kernel is far from zero.
     number = torch.arange(size, device=values.device) - size // 2

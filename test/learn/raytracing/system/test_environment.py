@@ -150,8 +150,8 @@ def test_focal_length_has_gradient_by_temperature_and_curvature():
 
 
 def test_what_is_not_known_is_said():
-    lens = optical_system([surface(50.0, thickness=3.0, material="PMMA"), surface(-50.0)], 5.0)
-    with pytest.warns(AccuracyWarning, match="expansion or dn/dT of PMMA is not known"):
+    lens = optical_system([surface(50.0, thickness=3.0, material="Optorez 1330"), surface(-50.0)], 5.0)
+    with pytest.warns(AccuracyWarning, match="expansion or dn/dT of Optorez 1330 is not known"):
         in_environment(lens, 40.0)
     with pytest.raises(ValueError, match=r"surfaces\[0\] is a Toroid"):
         in_environment(optical_system([surface(shape=Toroid(0.01, 0.02)), coordinate_break()], 5.0), 40.0)
@@ -294,8 +294,8 @@ def test_settings_of_temperatures_are_checked():
         zoom.vary("mirror")
     with pytest.raises(ValueError, match="variables must not be glasses"):
         zoom_design(zoom, ["spot"], Variable("glass", 0))
-    unknown = optical_system([surface(50.0, thickness=3.0, material="PMMA"), surface(-50.0)], 5.0)
-    with pytest.warns(AccuracyWarning, match="expansion or dn/dT of PMMA is not known") as told:
+    unknown = optical_system([surface(50.0, thickness=3.0, material="Optorez 1330"), surface(-50.0)], 5.0)
+    with pytest.warns(AccuracyWarning, match="expansion or dn/dT of Optorez 1330 is not known") as told:
         configurations(unknown, [("temperature", None, [0.0, 40.0])]).prescription()
     assert len(told) == 1
     bent = optical_system([surface(50.0, coefficients=[1e-6], thickness=3.0, material="N-BK7"), surface()], 5.0)

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from odak.learn.raytracing.system import (
+    Fields,
     airy_pattern,
     field_modulation,
     first_order,
@@ -308,7 +309,10 @@ def test_a_pinhole_has_the_fourth_power_of_the_cosine():
 def test_fields_are_numbers_or_pairs():
     lens = load_system("cooke_triplet")
     pairs = rms_spot(lens, fields=[(0.0, 0.0), (0.0, 14.0)])
-    for fields in ([0.0, 14.0], torch.tensor([0.0, 14.0]), [(0.0, 0.0), 14.0]):
+    zero, angle = torch.tensor(0.0), torch.tensor(14.0)
+    for fields in ([0.0, 14.0], torch.tensor([0.0, 14.0]), [(0.0, 0.0), 14.0], [zero, angle], [(0.0, zero), angle]):
         torch.testing.assert_close(rms_spot(lens, fields=fields), pairs, rtol=0, atol=0)
+    lens.fields = Fields([zero, angle]).fields
+    torch.testing.assert_close(rms_spot(lens), pairs, rtol=0, atol=0)
     with pytest.raises(ValueError, match="number y or pair"):
         rms_spot(lens, fields=[])
