@@ -419,6 +419,8 @@ def _known(where: str, entry, keys) -> None:
 
 # Distance in millimetres beyond which an object given by angles is treated as infinitely far.
 FAR = 1e8
+# Steps of Newton's method, in radians and in radii of the pupil, after which a chief ray is found.
+ON_THE_WAY, AT_THE_END = 1e-3, 1e-6
 # How far beyond the range of a glass a file may use it.
 MAXIMUM_STRETCH = 1.5
 _MARKS = ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"), (codecs.BOM_UTF8, "utf-8-sig"))
@@ -690,8 +692,12 @@ def _from_axis(system, size: float, unit, way: Any, notes: list | None) -> tuple
         held = kept.reshape(-1) & image.arrived.reshape(-1)
         return torch.stack([torch.where(held, value.reshape(-1), torch.nan) for value in (stop, miss)])
 
-    def solved(start, distance):
-        """Return the field and the place in the pupil, None where rays are lost on the way."""
+    def solved(start, distance, close):
+        """Return the field and the place in the pupil, None where rays are lost on the way.
+
+        A step shorter than `close` is the last one: what it leaves is of the order of its square, and of a millionth of
+        it by the differences that the Jacobian is taken from.
+        """
         here = start
         for _ in range(8):
             if system.at_infinity and not float(here[0].abs()) < 1.56:
@@ -705,18 +711,18 @@ def _from_axis(system, size: float, unit, way: Any, notes: list | None) -> tuple
             if not float(change.abs().max()) < 10:
                 return None
             here = here - change
-            if float(change.abs().max()) < 1e-11:
-                return here if bool(torch.isfinite(errors(*here[:, None], distance)).all()) else None
+            if float(change.abs().max()) < close:
+                return here
         return None
 
     here, share, step = torch.zeros(2, dtype=torch.float64), 0.0, 1.0
     if way is None:
-        near = solved(here, 1e-3 * size)
+        near = solved(here, 1e-3 * size, ON_THE_WAY)
         way = here, 0.0, None if near is None else near / (1e-3 * size)
     here, share, rate = way[0], way[1] / size, None if way[2] is None else way[2] * size
     while rate is not None and share < 1 and step > 2e-3:
         target = min(1.0, share + step)
-        found = solved(here + rate * (target - share), target * size)
+        found = solved(here + rate * (target - share), target * size, ON_THE_WAY if target < 1 else AT_THE_END)
         outwards = found is not None and float(found[0].abs()) > float(here[0].abs())
         if found is None or not outwards:
             step = (target - share) / 2

@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 
 from odak import _validate
 from odak.catalog.materials import MICROMETRES, Material, glass_makers, material, model_glass, nearest_materials
+from odak.learn.raytracing.system.operands import clear_heights
 from odak.learn.raytracing.system.paraxial import first_order, matrix, signed_indices
+from odak.learn.raytracing.system.pupils import trace_fields
 from odak.learn.raytracing.system.specification import AIR, MIRROR, SETTINGS, SystemAperture
 from odak.learn.raytracing.system.surfaces import (
     checked_system,
@@ -83,6 +86,11 @@ class Line(NamedTuple):
         if found != found:
             raise ValueError(f"line {self.number}: {self.key} must have a number, got {word!r}")
         return found
+
+    @property
+    def automatic(self) -> bool:
+        """Whether it is a semi-diameter that its program has from the rays, and that states nothing."""
+        return self.key == "DIAM" and self.words[1:2] == ("0",)
 
     def whole(self, place: int = 0) -> int:
         """Return one of the words as an integer."""
@@ -550,7 +558,7 @@ def _surface(number: int, surfaces, context: Context) -> surface:
         used = line.key in _SURFACE_KEYS
         if line.key in ("PARM", "XDAT") and len(line.words) > 1 and line.value(1):
             used = line.whole() in TYPES[kind] if line.key == "PARM" else line.whole() <= extended
-        if not used:
+        if not (used or line.automatic):
             context.ignored.append(_named(line, number))
     thickness = _of(lines, "DISZ", 0.0) * scale
     p = _parameters(lines, "PARM")
@@ -914,7 +922,9 @@ def _image(number: int, surfaces, context: Context) -> surface | None:
     lines = [line for line in surfaces[number] if line.key not in ("GLAS", "DISZ", "STOP")]
     context.ignored.extend([_named(line, number) for line in surfaces[number] if line.key == "GLAS"])
     found = _surface(0, [lines], context._replace(ignored=[]))
-    context.ignored.extend([_named(line, number) for line in lines if line.key not in _SURFACE_KEYS])
+    context.ignored.extend(
+        [_named(line, number) for line in lines if not (line.key in _SURFACE_KEYS or line.automatic)]
+    )
     if is_break(found) or found.phase is not None:
         kind = "COORDBRK" if is_break(found) else type(found.phase).__name__
         raise ValueError(f"surface {number}, the image, must be a surface without diffraction, got {kind}")
@@ -1129,13 +1139,33 @@ def _zmx_text(system) -> str:
     lines += [f"PWAV {system.reference + 1}", "SURF 0", "  TYPE STANDARD", "  CURV 0.0"]
     lines += [f"  DISZ {'INFINITY' if system.at_infinity else repr(system.object_distance * scale)}"]
     lines += _written_glass(system.object_material)
-    rows = own_surfaces(system)
+    rows, reaches = own_surfaces(system), _reaches(system)
     for number, item in enumerate(rows, start=1):
-        lines += _written(number, item, scale, number - 1 == system.stop, system)
+        written = _written(number, item, scale, number - 1 == system.stop, system)
+        lines += written if is_break(item) else _with_diameter(written, reaches, number - 1, scale)
     image = system.image or surface()
-    lines += [f"SURF {len(rows) + 1}", *_written_form("image", image, scale), "  DISZ 0"]
-    lines += _written_limits("image", image, scale)
+    written = [f"SURF {len(rows) + 1}", *_written_form("image", image, scale), "  DISZ 0"]
+    lines += _with_diameter(written + _written_limits("image", image, scale), reaches, -1, scale)
     return "\n".join([*lines, *_written_settings(system, scale, factor)]) + "\n"
+
+
+def _reaches(system) -> list[float]:
+    """Return the largest distance of a ray from the axis on each surface and in the image; none without a pupil."""
+    numbers = system.prescription()
+    with torch.no_grad():
+        try:
+            image = trace_fields(system, "rings", 1, vignetting=False)
+            heights = clear_heights(system, numbers, 8)
+        except ValueError:
+            return []
+    return [*heights.tolist(), float(torch.hypot(image.x, image.y).nan_to_num().amax())]
+
+
+def _with_diameter(lines: list[str], reaches: list[float], place: int, scale: float) -> list[str]:
+    """Return the lines of a surface with the semi-diameter that its rays need, where it has none of its own."""
+    if not reaches or not reaches[place] or any(line.startswith("  DIAM") for line in lines):
+        return lines
+    return [*lines, f"  DIAM {reaches[place] * scale!r} 0 0 0 1"]
 
 
 def _written_settings(system, scale: float, factor: float) -> list[str]:

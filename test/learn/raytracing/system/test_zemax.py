@@ -499,3 +499,19 @@ def test_the_object_may_be_in_a_medium(tmp_path):
     write_zmx(system, tmp_path / "again.zmx")
     for again in (read_zmx(tmp_path / "again.zmx")[0], system_from_dict(system_to_dict(system))):
         assert torch.equal(again.prescription().index, system.prescription().index)
+
+
+def test_surfaces_and_image_are_written_with_the_diameters_that_rays_need(tmp_path):
+    """Those of an ideal image and a plane window are known: f·tan of the field, and the pupil's radius."""
+    lens = optical_system(
+        [surface(thickness=0.0, stop=True), surface(phase=IdealLens(50.0), thickness=50.0, semi_diameter=9.0)],
+        10.0,
+        fields=[0.0, 10.0],
+    )
+    write_zmx(lens, tmp_path / "lens.zmx")
+    text = (tmp_path / "lens.zmx").read_text()
+    found = [float(line.split()[1]) for line in text.splitlines() if line.startswith("  DIAM")]
+    assert found == pytest.approx([5.0, 9.0, 50 * math.tan(math.radians(10.0))], rel=1e-9)
+    again, report = read_zmx(tmp_path / "lens.zmx")
+    assert [item.semi_diameter for item in again.surfaces] == [None, 9.0] and again.image is None
+    assert report.ignored == ("line 34, surface 2: DIAM 9.0 1 0 0 1",)
