@@ -20,14 +20,7 @@ from odak.catalog import abbe_number, material_names, refractive_index
 from odak.learn.perception import MetamerMSELoss, color_matching_functions, linear_rgb_to_rgb, xyz_to_linear_rgb
 from odak.learn.raytracing.system import load_system, retinal_image, spot_diagram, wavefront
 from odak.learn.tools import load_image
-from odak.learn.wave import (
-    calculate_phase,
-    multiplane_hologram_optimizer,
-    propagate_beam,
-    propagate_to_window,
-    spatial_light_modulator,
-    stochastic_gradient_descent,
-)
+from odak.learn.wave import Display, Modulator, Run, optimise, propagate_beam, propagate_to_window
 from odak.visualize.plotly import field_show, plotshow, surfaceshow, system_show
 
 FOLDER = Path(__file__).resolve().parent / "pictures" / "interactive"
@@ -65,11 +58,8 @@ def distance():
 
 def smooth_hologram(target):
     """Return the phase of a hologram of an image 3 cm away, from a start without speckle."""
-    hologram, _ = stochastic_gradient_descent(
-        target, WAVELENGTH, 0.03, PITCH, n_iteration=60, learning_rate=0.2, scale=True, progress=False,
-        initial_phase=torch.zeros_like(target),
-    )
-    return calculate_phase(hologram)
+    display = Display(Modulator(target.shape, PITCH), WAVELENGTH, 0.03)
+    return optimise(display, target, run=Run(40, progress=False)).phases[0]
 
 
 def wavelength():
@@ -97,23 +87,18 @@ def aperture():
 def bits():
     """Yield reconstructions of modulators of one to eight bits."""
     target = photograph()
-    phase = smooth_hologram(target)
     for count in range(1, 9):
-        shown = spatial_light_modulator(bits=count)(phase)
-        image = propagate_beam(shown, None, 0.03, PITCH, WAVELENGTH).abs().square()
-        image = image * (image * target).sum() / (image**2).sum()
+        display = Display(Modulator(target.shape, PITCH, count), WAVELENGTH, 0.03)
+        image = optimise(display, target, run=Run(60, progress=False)).images[0, 0]
         yield f"{count} bit{'s' * (count > 1)} per pixel", colored(image, "gray", 1.0)
 
 
 def convergence():
     """Yield the reconstruction after a growing number of iterations, from a random start."""
     target = photograph()
+    display = Display(Modulator(target.shape, PITCH), WAVELENGTH, 0.03)
     for count in (1, 2, 3, 5, 8, 12, 20, 30, 50, 80):
-        _, field = stochastic_gradient_descent(
-            target, WAVELENGTH, 0.03, PITCH, n_iteration=count, learning_rate=0.2, scale=True, seed=0, progress=False
-        )
-        image = field.abs().square()
-        image = image * (image * target).sum() / (image**2).sum()
+        image = optimise(display, target, start="random", run=Run(count, progress=False)).images[0, 0]
         yield f"{count} iteration{'s' * (count > 1)}", colored(image, "gray", 1.0)
 
 
@@ -124,14 +109,11 @@ def focal_sweep():
         picture = Image.new("L", (256, 256))
         ImageDraw.Draw(picture).text((128, 128), text, 255, font, anchor="mm")
         targets.append(torch.from_numpy(np.array(picture, dtype=np.float32) / 255))
-    optimizer = multiplane_hologram_optimizer(
-        515e-9, 10e-3, 3e-3, PITCH, [256, 256], torch.stack(targets), number_of_planes=3, number_of_iterations=60,
-        learning_rate=0.1, seed=0, progress=False, propagator_type="forward", aperture="open",
-    )
-    phase, amplitude, _ = optimizer.optimize()
-    field = torch.polar(amplitude, phase).to(torch.complex64)
+    panel = Modulator((256, 256), PITCH)
+    planes = Display(panel, 515e-9, [7e-3, 10e-3, 13e-3])
+    hologram = optimise(planes, torch.stack(targets)[:, None], run=Run(60, progress=False))
     for z in np.linspace(4e-3, 17e-3, 27):
-        image = propagate_beam(field, None, float(z), PITCH, 515e-9).abs().square()
+        image = Display(panel, 515e-9, float(z))(hologram.phases)[0, 0] * hologram.brightness
         yield f"{1e3 * z:.1f} mm", colored(image[44:212, 16:240], "gray", 1.2)
 
 

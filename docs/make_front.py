@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw, ImageFont, ImageOps
 
 from odak.learn.perception import MetamerMSELoss
 from odak.learn.tools import load_image
-from odak.learn.wave import calculate_intensity, calculate_phase, stochastic_gradient_descent
+from odak.learn.wave import Display, Modulator, Run, light_of, optimise
 
 DOCS = Path(__file__).resolve().parent
 FRONT = DOCS / "pictures" / "front"
@@ -32,15 +32,11 @@ CAPTIONS = {
 def pictures() -> dict[str, Image.Image]:
     """Return the pictures by name."""
     scene = load_image(files("odak") / "assets" / "scene.png", torch_style=True)[:3].float()
-    target = torch.nn.functional.interpolate(scene[None], (540, 960), mode="area")[0].mean(0)[70:520, 200:800]
-    hologram, field = stochastic_gradient_descent(
-        target, wavelength=532e-9, distance=0.05, pixel_pitch=8e-6, n_iteration=150, learning_rate=0.2, scale=True,
-        initial_phase=torch.zeros_like(target), progress=False,
-    )
-    phase = calculate_phase(hologram) % (2 * torch.pi) / (2 * torch.pi)
-    intensity = calculate_intensity(field)
-    intensity = (intensity * (intensity * target).sum() / (intensity**2).sum()).clamp(0, 1).numpy()
-    green = intensity[..., None] ** 1.1 * np.array([0.35, 1.0, 0.45])
+    picture = torch.nn.functional.interpolate(scene[None], (540, 960), mode="area")[0, :, 70:520, 200:800]
+    display = Display(Modulator((450, 600), 8e-6), 532e-9, 0.05)
+    hologram = optimise(display, light_of(picture, display).targets, run=Run(60, progress=False))
+    phase = hologram.phases[0] / (2 * torch.pi)
+    green = hologram.pictures(0)[0].numpy()[..., None] * np.array([0.35, 1.0, 0.45])
     photo = load_image(files("odak") / "assets" / "photo.png", torch_style=True)[None, :3, :384, :512].float()
     loss = MetamerMSELoss(real_image_width=0.5, real_viewing_distance=0.5)
     metamer = loss.gen_metamer(photo, (0.54, 0.55)).clamp(0, 1)[0].permute(1, 2, 0).numpy()

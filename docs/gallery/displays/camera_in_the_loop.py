@@ -7,34 +7,33 @@ image drives the optimisation, which then compensates for the aberration.
 from importlib.resources import files
 
 import matplotlib.pyplot as plt
-import torch
 
 from odak.learn.tools import load_image, psnr
 from odak.learn.wave import (
-    calculate_phase,
+    Descent,
+    Display,
+    Modulator,
+    Run,
+    light_of,
+    optimise,
     simulated_camera,
-    stochastic_gradient_descent,
     zernike_phase,
 )
 
 pitch, wavelength, distance = 8e-6, 532e-9, 0.01
-photo = load_image(files("odak") / "assets" / "photo.png", torch_style=True)[
-    1, 60:340, 60:480
-]
+photo = load_image(files("odak") / "assets" / "photo.png", torch_style=True)
+photo = light_of(photo[:3, 60:340, 60:480], wavelength).targets[0]
 aberration = zernike_phase(*photo.shape, {(2, 2): 0.8, (3, 1): 0.6}, dx=pitch)
 camera = simulated_camera(
     wavelength, distance, pitch, aberration=aberration, exposure=0.25, seed=0
 )
-options = {
-    "n_iteration": 100,
-    "learning_rate": 0.1,
-    "progress": False,
-    "scale": True,
-    "initial_phase": torch.zeros_like(photo),
-}
-blind, _ = stochastic_gradient_descent(photo, wavelength, distance, pitch, **options)
-looped, _ = stochastic_gradient_descent(
-    photo, wavelength, distance, pitch, camera=camera, **options
+display = Display(Modulator(photo.shape, pitch), wavelength, distance)
+run = Run(100, progress=False)
+blind, looped = (
+    optimise(
+        display, photo, solver=Descent("adam", camera=given), start="flat", run=run
+    )
+    for given in (None, camera)
 )
 
 # %%
@@ -46,10 +45,10 @@ figure.colorbar(drawn, ax=axes[0], label="rad", shrink=0.8)
 for axis, hologram, name in zip(
     axes[1:], (blind, looped), ("model alone", "camera in the loop")
 ):
-    image = camera(calculate_phase(hologram))
+    image = camera(hologram.phases[0])
     image = image * (image * photo).sum() / (image**2).sum()
     drawn = axis.imshow(image, cmap="gray", vmin=0, vmax=1, extent=extent)
-    axis.set(title=f"{name}: {psnr(image, photo):.1f} dB", xlabel="x (mm)")
+    axis.set(title=f"{name}: {psnr(image, photo):.0f} dB", xlabel="x (mm)")
 figure.colorbar(drawn, ax=axes[2], label="captured intensity, scaled", shrink=0.8)
 # Thumbnail: 0.14
 # Picture: An aberration, the image captured without and with the camera in the loop

@@ -27,7 +27,7 @@ target = light_of(picture, display).targets
 # %%
 # One call for all three frames. The qualities are those of the three lasers' light.
 hologram = optimise(display, target, run=Run(60, progress=False))
-print(", ".join(f"{quality:.0f} dB" for quality in hologram.psnr[0].tolist()))
+print(", ".join(f"≈ {quality:.0f} dB" for quality in hologram.psnr[0].tolist()))
 
 # %%
 # The patterns, and the mixture as a screen shows it.

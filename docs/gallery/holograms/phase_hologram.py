@@ -19,7 +19,7 @@ pitch = 8e-6
 display = Display(Modulator((400, 600), pitch), 532e-9, 0.05)
 light = light_of(files("odak") / "assets" / "photo.png", display)
 hologram = optimise(display, light.targets, run=Run(60, progress=False))
-print(f"PSNR {hologram.psnr.item():.0f} dB")
+print(f"PSNR ≈ {hologram.psnr.item():.0f} dB")
 
 # %%
 # The image is encoded for a screen, as the photograph is.

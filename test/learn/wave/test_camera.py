@@ -173,3 +173,25 @@ def test_bad_phases_are_named():
         camera()(torch.zeros(4, 4, dtype=torch.complex64))
     with pytest.raises(ValueError, match="illumination must have the modulator's pixels"):
         camera(illumination=torch.ones(3, 4))(torch.zeros(4, 4))
+
+
+def test_descent_through_a_camera_makes_up_for_what_the_display_does_not_know():
+    """An aberration that the display lacks; what the camera would see without noise is compared."""
+    target = torch.zeros(48, 64)
+    target[12:36, 16:48] = 1
+    y, x = (torch.arange(48) - 24) / 24, (torch.arange(64) - 32) / 32
+    aside = simulated_camera(WAVELENGTH, 3e-3, PITCH, aberration=1.5 * (y[:, None] ** 2 + x**2), exposure=0.25, seed=0)
+    display = wave.Display(wave.Modulator((48, 64), PITCH), WAVELENGTH, 3e-3)
+    seen = []
+    for given in (None, aside):
+        solver = wave.Descent("adam", camera=given)
+        found = wave.optimise(display, target, solver=solver, run=wave.Run(60, progress=False))
+        light = aside.light(found.phases[0])
+        light = light * (light * target).sum() / light.square().sum()
+        seen.append(-10 * float((light - target).square().mean().log10()))
+    assert seen[1] > seen[0] + 4
+    with pytest.raises(ValueError, match="method must be 'adam' with a camera"):
+        wave.Descent(camera=aside)
+    frames = wave.Display(wave.Modulator((48, 64), PITCH), WAVELENGTH, 3e-3, frames=2)
+    with pytest.raises(ValueError, match="camera must be None but for one frame, plane and colour"):
+        wave.optimise(frames, target, solver=solver, run=wave.Run(1, progress=False))

@@ -93,6 +93,10 @@ class Problem:
         each = [self.loss(*pair) for pair in zip(images, self.wanted, strict=True)]
         return torch.stack(each).mean(0) if len(each) > 1 else each[0]
 
+    def loss_of_images(self, images: torch.Tensor) -> torch.Tensor:
+        """Return the loss of `images` on the pixels of the target, ``[D, C, rows, columns]``, whoever looks."""
+        return self.loss(images * brightness_of(images.detach(), self.target) if self.free else images, self.target)
+
     @functools.cached_property
     def wanted(self) -> torch.Tensor:
         """What the observer is to record, ``[grids, D, C, rows, columns]``."""
