@@ -73,6 +73,8 @@ from .display_color import metameric_failure as metameric_failure
 from .display_color import read_spectra as read_spectra
 from .display_color import sample_observers as sample_observers
 from .display_color import spectrum_to_xyz as spectrum_to_xyz
+from .eyesight import Viewer as Viewer
+from .eyesight import ocular_modulation_transfer as ocular_modulation_transfer
 from .foveation import BlurLoss as BlurLoss
 from .foveation import RadiallyVaryingBlur as RadiallyVaryingBlur
 from .foveation import make_3d_location_map as make_3d_location_map

@@ -145,6 +145,13 @@ class Viewing:
         return angle_of(self.real_image_width, self.real_viewing_distance)
 
     @property
+    def area(self) -> float:
+        """Area of the display in square degrees; that of a square one where its resolution is not known."""
+        rows, columns = self.resolution or (1, 1)
+        height = angle_of(self.real_image_width * rows / columns, self.real_viewing_distance)
+        return self.field_of_view * height
+
+    @property
     def pixels_per_degree(self) -> float:
         """Pixels of the display per degree, in its middle."""
         if self.resolution is None:

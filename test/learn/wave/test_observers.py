@@ -1,5 +1,7 @@
 """Observers against plane waves and picture squares that are summed up independently."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -10,9 +12,11 @@ from independent_camera import (
     camera,
     freely,
     picture_means,
+    picture_means_at,
 )
 
 from odak.instruments import Lens
+from odak.learn.perception import Viewer, Viewing, ocular_modulation_transfer
 from odak.learn.wave import Display, Iris, Modulator, Observer, Problem, Run, optimise
 from odak.learn.wave.displays import observers
 from odak.learn.wave.displays.observers import fine_intensity, resolved
@@ -200,7 +204,8 @@ def test_colours_and_planes_have_a_number_each(picture):
         (lambda: Observer.camera(-1e-6), "pitch must be positive"),
         (lambda: Observer.camera(fill=1.5), "fill must be 0 to 1, got 1.5"),
         (lambda: Observer.camera(magnification=0), "magnification must be positive"),
-        (lambda: Observer.camera(3e-6, registered=True), "pitch must be None and magnification 1 for a registered"),
+        (lambda: Observer.camera(3e-6, registered=True), "pitch must be None, magnification 1 and turned 0 for a"),
+        (lambda: Observer.camera(turned=60), "turned must be −45 to 45 degrees, got 60"),
         (lambda: Observer.camera(40.0).places((40, 36), SQUARE), "observer must have pixels within an image of 40"),
     ],
 )
@@ -277,3 +282,73 @@ def test_points_are_those_of_the_intensity_on_a_finer_grid_too(samples, size):
     shape = (size // samples // 2 * 2 - 2,) * 2
     found = observers.resolved(light, samples, shape, (0.0, 0.0))[:: observers.PLACES, :: observers.PLACES]
     torch.testing.assert_close(found, light[observers.pixels_of(light, samples, shape)], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("wide", "angle"), [(1, 3.0), (1.5, -20.0)])
+def test_a_turned_camera(random, picture, wide, angle):
+    display = Display(Modulator(picture.shape, PITCH), WAVELENGTH, 2e-3)
+    found = optimise(display, picture, run=Run(3, progress=False))
+    who = Observer.camera(magnification=1 / wide, turned=angle)
+    seen, target = seen_of(found.phases), picture.double().numpy()
+    # Quarters of pixels, of which some are drawn.
+    y, x = (random.integers(12, 4 * n - 16, 60) for n in picture.shape)
+    expected = picture_means_at(target, y / 4, x / 4, wide, angle, 200)
+    assert np.abs(who.picture(picture.double(), SQUARE).numpy()[y, x] - expected).max() < 3e-3
+    between = who.wanted(picture.double(), SQUARE).numpy()
+    assert (
+        np.abs(between[3][8:-8, 8:-8] - who.picture(picture.double(), SQUARE).numpy()[2::4, 2::4][8:-8, 8:-8]).max()
+        < 1e-6
+    )
+    light = torch.from_numpy(seen.on_a_grid(*(np.arange(4 * n) / 2 - n / 2 for n in picture.shape)))
+    shown = who.image(light, 2, picture.shape, SQUARE).numpy()
+    expected = seen.means_at(y / 4, x / 4, wide, angle, 8)
+    assert np.abs(shown[y, x] - expected).max() < 2e-3 * expected.max()
+
+
+def test_what_an_eye_sees_of_a_wave():
+    """Of 1 + cos(2πf·x) with the transfer of eyes at this frequency: 1 + M·cos(2πf·x)."""
+    seen, viewer = Viewing(0.02, 0.7, peak_luminance=200), Viewer(pupil=3)
+    who, shape = Observer.eye(seen, viewer), (48, 64)
+    density = 64 * 0.7 / 0.02 * math.pi / 180
+    cycles = (0.25, 0.375)
+    transfer = float(ocular_modulation_transfer(math.hypot(*cycles) * density, 3.0))
+    assert 0.2 < transfer < 0.5
+
+    def wave(y, x, depth):
+        return 1 + depth * np.cos(2 * np.pi * (cycles[0] * y[:, None] + cycles[1] * x))
+
+    light = torch.from_numpy(wave(*(np.arange(4 * n) / 2 - n / 2 for n in shape), 0.8))
+    places = [np.arange(4 * n) / 4 for n in shape]
+    expected = wave(*places, 0.8 * transfer)
+    assert np.abs(who.image(light, 2, shape, SQUARE).numpy() - expected).max() < 1e-9
+    points = torch.from_numpy(wave(*(np.arange(2 * n) / 2 for n in shape), 0.8))
+    found = who.recorded(points.reshape(48, 2, 64, 2).permute(1, 3, 0, 2)[None], SQUARE)[:, 0].numpy()
+    for grid, (down, across) in zip(found, GRIDS, strict=True):
+        expected = wave(np.arange(48) + down, np.arange(64) + across, 0.8 * transfer)
+        assert np.abs(grid - expected)[12:-12, 12:-12].max() < 5e-3
+    # Of bars of squares, the mean of each wave of their series.
+    bars = torch.from_numpy(np.tile(np.repeat([1.0, 0.0], 4), 8) + np.zeros((48, 1)))
+    series = 0.5 + sum(
+        2 / (np.pi * k) * (-1) ** (k // 2) * float(ocular_modulation_transfer(k / 8 * density, 3.0))
+        * np.cos(2 * np.pi * k / 8 * (places[1] - 1.5))
+        for k in range(1, 200, 2)
+    )  # fmt: skip
+    assert np.abs(who.picture(bars, SQUARE).numpy()[96] - series)[64:-64].max() < 4e-3
+    assert np.abs(who.wanted(bars, SQUARE).numpy()[1][24] - series[2::4])[16:-16].max() < 4e-3
+
+
+def test_an_eye_looks_at_a_hologram(picture):
+    """The nearer it is, the more it sees; what is optimised for it is good for it; it is stated by all."""
+    display = Display(Modulator(picture.shape, PITCH), WAVELENGTH, 2e-3)
+    run = Run(15, progress=False)
+    far, near = (Observer.eye(Viewing(0.01, distance), Viewer(pupil=3)) for distance in (0.7, 0.2))
+    usual = optimise(display, picture, run=run)
+    assert float(usual.psnr_of(far)) > float(usual.psnr_of(near)) + 3
+    aimed = optimise(display, picture, run=run, observer=near)
+    assert float(aimed.psnr) > float(usual.psnr_of(near)) + 0.3 and "an eye with a pupil of 3 mm" in repr(aimed)
+    worst = usual.psnr_of(Observer.cameras())
+    each = [float(usual.psnr_of(who)) for who in Observer.cameras()]
+    assert float(worst) == pytest.approx(min(each))
+    assert Observer.cameras()[-1].turned == 3
+    with pytest.raises(ValueError, match=r"observer must see 0\.1 degrees of the image at each rim"):
+        near.places((2, 40), SQUARE)

@@ -9,13 +9,14 @@ import functools
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
 
 from odak import _array, _torch_private, _validate
 from odak._torch_private import in_own_precision
+from odak.learn.perception import Viewer, Viewing
 from odak.learn.wave.fields import intensity
 
 # Pixels on either side, beside half the camera's, that a mean is computed from; see _weights.
@@ -26,6 +27,10 @@ _BLOCK = 16
 PLACES = 4
 # Pixels at each rim that are not judged by a camera at any place.
 _RING = 1
+# Degrees about a point over which an eye spreads nearly all of its light, and cycles per degree that it hardly passes.
+_SPREAD, _FINEST = 0.1, 60.0
+# Points along each axis of a turned pixel, by which its shares of the pixels of a picture are counted.
+_POINTS = 256
 
 
 @_validate.takes_units("pitch")
@@ -33,8 +38,9 @@ _RING = 1
 class Observer:
     """Who looks at a display: a camera of square pixels at any place or at one, or an eye.
 
-    Make one by :meth:`camera`, which is the default everywhere, or :meth:`points`. The stated quality is the least over
-    the places of a camera's pixels by quarters of a pixel of the panel along both axes, without the outermost pixels.
+    Make one by :meth:`camera`, which is the default everywhere, :meth:`eye` or :meth:`points`. The stated quality is
+    the least over the places of a camera's pixels by quarters of a pixel of the panel along both axes, without the
+    outermost pixels.
 
     Parameters
     ----------
@@ -46,6 +52,8 @@ class Observer:
         Size of the image on the camera over that on the plane of the display.
     registered : bool
         Whether the camera's pixels coincide with those of the image, which no camera does by itself.
+    turned : float
+        Angle of the camera's rows to those of the image, in degrees.
 
     Examples
     --------
@@ -60,6 +68,7 @@ class Observer:
     fill: float = 1.0
     magnification: float = 1.0
     registered: bool = False
+    turned: float = 0.0
 
     def __post_init__(self):
         if self.pitch is not None:
@@ -68,21 +77,64 @@ class Observer:
             raise ValueError(f"fill must be 0 to 1, got {self.fill!r:.80}")
         _validate.real("magnification", self.magnification, positive=True)
         _validate.flag("registered", self.registered)
-        if self.registered and not (self.pitch is None and self.magnification == 1):
+        if not abs(_validate.constant("turned", self.turned)) <= 45:
+            raise ValueError(f"turned must be −45 to 45 degrees, got {self.turned!r:.80}")
+        if self.registered and not (self.pitch is None and self.magnification == 1 and self.turned == 0):
             raise ValueError(
-                "pitch must be None and magnification 1 for a registered camera, whose pixels are those of the image; "
-                f"got {self.pitch!r:.80} and {self.magnification!r:.80}"
+                "pitch must be None, magnification 1 and turned 0 for a registered camera, whose pixels are those of "
+                f"the image; got {self.pitch!r:.80}, {self.magnification!r:.80} and {self.turned!r:.80}"
             )
 
     @classmethod
     def camera(
-        cls, pitch: float | None = None, fill: float = 1.0, magnification: float = 1.0, registered: bool = False
+        cls,
+        pitch: float | None = None,
+        fill: float = 1.0,
+        magnification: float = 1.0,
+        registered: bool = False,
+        turned: float = 0.0,
     ) -> "Observer":
         """Return a camera of a `pitch` and `fill`, whose `magnification` and whether it is `registered` is known.
 
-        See :class:`Observer` for each of them.
+        See :class:`Observer` for each of them, and for the angle by which it is `turned`.
         """
-        return cls(pitch, fill, magnification, registered)
+        return cls(pitch, fill, magnification, registered, turned)
+
+    @classmethod
+    def cameras(cls) -> tuple["Observer", ...]:
+        """Return cameras whose pixels are 1, 1.25, 1.5, 2 and 3 of the image's wide, and one that is turned by 3°.
+
+        What is good for all of them is good for cameras of the image's pitch and of larger pixels: coarse pixels that
+        are no multiple of the image's can pass errors that finer ones average away.
+        """
+        return *(cls.camera(magnification=1 / wide) for wide in (1.0, 1.25, 1.5, 2.0, 3.0)), cls.camera(turned=3.0)
+
+    @classmethod
+    def eye(cls, viewing: Viewing | None = None, viewer: Viewer | None = None) -> "Observer":
+        """Return an eye, whose pupil and aberrations blur an image that fills the width of the display.
+
+        Parameters
+        ----------
+        viewing : Viewing, optional
+            Size and distance at which the image is seen, and light that sets the pupil; the usual one by default.
+        viewer : Viewer, optional
+            Whose eye it is; the usual one by default.
+
+        Notes
+        -----
+        The image is blurred by the mean transfer of eyes with this pupil (Watson 2013,
+        :func:`odak.learn.perception.ocular_modulation_transfer`), and compared with the picture blurred alike, at every
+        quarter of a pixel but those within 0.1° of the rim. For the path of light to a retina, see
+        :class:`odak.learn.wave.Eyes`.
+
+        Examples
+        --------
+        >>> from odak.learn.perception import Viewer, Viewing
+        >>> from odak.learn.wave import Observer
+        >>> Observer.eye(Viewing.head_mounted((1080, 1920), 40), Viewer(pupil=4))
+        Observer: an eye with a pupil of 4 mm that sees the image 40° wide
+        """
+        return Eye(viewing=viewing or Viewing(), viewer=viewer or Viewer())
 
     @classmethod
     def points(cls) -> "Observer":
@@ -102,7 +154,9 @@ class Observer:
             else f"{1e6 * self.pitch / self.magnification:.4g} µm on the image"
         )
         wide += "" if self.fill == 1 else f" (fill {self.fill:g})"
-        return f"a camera of {wide}, {'whose pixels are those of the image' if self.registered else 'at any place'}"
+        turned = "" if self.turned == 0 else f", turned by {self.turned:g}°"
+        place = "whose pixels are those of the image" if self.registered else "at any place"
+        return f"a camera of {wide}{turned}, {place}"
 
     @property
     def grids(self) -> int:
@@ -146,6 +200,8 @@ class Observer:
         """
         planes, samples, _, rows, columns = points.shape
         values = points.permute(0, 3, 1, 4, 2).reshape(planes, rows * samples, columns * samples)
+        if self._blurs:
+            return self._recorded_between(values, samples, (rows, columns), pitches)
         grids = 1 if self.registered else 2
         for axis, side in zip((-1, -2), self.sides(pitches)[::-1], strict=True):
             values = _filtered(values, samples, side, grids, axis)
@@ -157,8 +213,7 @@ class Observer:
         The result is ``[grids, ..., rows, columns]``.
         """
         grids = 1 if self.registered else 2
-        ends = [np.minimum(np.arange(n * grids) / grids, n - 1) for n in target.shape[-2:]]
-        whole = means_of_squares(target, ends, self.sides(pitches))
+        whole = self._picture(target, pitches, grids, within=True)
         return torch.stack([whole[..., y::grids, x::grids] for y in range(grids) for x in range(grids)])
 
     def places(self, shape: Sequence[int], pitches: Sequence[float]) -> list[list[slice]]:
@@ -183,7 +238,8 @@ class Observer:
                 continue
             first = math.ceil(PLACES * (_RING - 0.5 + side / 2) - 1e-6)
             last = math.floor(PLACES * (n - _RING - 0.5 - side / 2) + 1e-6)
-            quarters = PLACES * step
+            # As is one whose rows are not those of the image.
+            quarters = PLACES * step if self.turned == 0 else 1.0
             # A camera whose pixels are no whole number of quarters apart is at all places at once.
             whole = round(quarters) if abs(quarters - round(quarters)) < 1e-3 else 1
             if last < first:
@@ -214,12 +270,69 @@ class Observer:
         torch.Tensor
             Means ``[4·rows, 4·columns]``, the first about the middle of the first pixel.
         """
+        if self._blurs:
+            light = _times(light, self._passed(light.shape, 1 / samples, shape, pitches))
+            return resolved(light, samples, shape, (0.0, 0.0))
         return resolved(light, samples, shape, self.sides(pitches))
 
     def picture(self, target: torch.Tensor, pitches: Sequence[float]) -> torch.Tensor:
         """Return what :meth:`image` is for a `target` of squares ``[rows, columns]`` of some `pitches` in metres."""
-        places = [np.arange(n * PLACES) / PLACES for n in target.shape]
-        return means_of_squares(target, places, self.sides(pitches))
+        return self._picture(target, pitches, PLACES)
+
+    @property
+    def _blurs(self) -> bool:
+        """Whether the resolution is no product of one along rows and one along columns."""
+        return self.turned != 0
+
+    def _passed(self, size: Sequence[int], step: float, shape: Sequence[int], pitches: Sequence[float]) -> torch.Tensor:
+        """Return what is passed of the frequencies of a grid of some `size` and `step` in pixels of an image."""
+        down, across = _frequencies(size, step)
+        angle = math.radians(self.turned)
+        # Along the sides of the camera's pixels, in lengths of a pixel of the image along each of them.
+        one, other = (side * p for side, p in zip(self.sides(pitches), pitches, strict=True))
+        y, x = down / pitches[0], across / pitches[1]
+        first, second = math.cos(angle) * y - math.sin(angle) * x, math.sin(angle) * y + math.cos(angle) * x
+        return torch.sinc(one * first) * torch.sinc(other * second)
+
+    def _picture(
+        self, target: torch.Tensor, pitches: Sequence[float], places: int, within: bool = False
+    ) -> torch.Tensor:
+        """Return what is seen of a picture of squares at places of each pixel, none beyond the last if `within`."""
+        if not self._blurs:
+            ends = [np.arange(n * places) / places for n in target.shape[-2:]]
+            ends = [np.minimum(e, n - 1) if within else e for e, n in zip(ends, target.shape[-2:], strict=True)]
+            return means_of_squares(target, ends, self.sides(pitches))
+        whole = self._seen_of(target.reshape(-1, 1, *target.shape[-2:]), pitches, places)
+        whole = whole.reshape(*target.shape[:-2], *whole.shape[-2:])
+        return _repeated(whole, places) if within else whole
+
+    def _seen_of(self, target: torch.Tensor, pitches: Sequence[float], places: int) -> torch.Tensor:
+        """Return what is seen of pictures ``[N, 1, rows, columns]`` at places of each pixel, by shares of squares."""
+        shares = _turned_shares(self.sides(pitches), tuple(pitches), self.turned, places).to(target)
+        around = shares.shape[-1] // 2
+        wide = torch.nn.functional.pad(target, (around,) * 4, mode="replicate")
+        return torch.nn.functional.pixel_shuffle(torch.nn.functional.conv2d(wide, shares), places)[:, 0]
+
+    def _recorded_between(self, values, samples, shape, pitches):
+        """Return :meth:`recorded` for values of planes, by products of spectra of what is continued beyond its ends."""
+        around = samples * max(_REACH, self._rim(shape, pitches))
+        wide = _continued(_continued(values, around, around, -1), around, around, -2)
+        size = wide.shape[-2:]
+        spectrum = torch.fft.rfft2(wide) * self._passed(size, 1 / samples, shape, pitches).to(wide)
+        down, across = _frequencies(size, 1 / samples)
+        found = []
+        for y, x in itertools.product((0.0, 0.5), repeat=2):
+            turn = torch.polar(torch.ones((), dtype=torch.float64), 2 * math.pi * (y * down + x * across))
+            moved = torch.fft.irfft2(spectrum * turn.to(spectrum), size)
+            rows, columns = (slice(around, around + n * samples, samples) for n in shape)
+            found.append(moved[:, rows, columns])
+        whole = torch.stack(found).unflatten(0, (2, 2)).permute(2, 3, 0, 4, 1).flatten(3, 4).flatten(1, 2)
+        whole = _repeated(whole, 2)
+        return torch.stack([whole[:, y::2, x::2] for y in range(2) for x in range(2)])
+
+    def _rim(self, shape: Sequence[int], pitches: Sequence[float]) -> int:
+        """Return how many pixels at each rim of an image are not seen as they are within it."""
+        return _RING
 
     def compared(self, image: torch.Tensor, wanted: torch.Tensor, pitches: Sequence[float]) -> torch.Tensor:
         """Return how what is recorded at each place compares with what is wanted.
@@ -242,6 +355,67 @@ class Observer:
             torch.stack([(a[y, x] * b[y, x]).mean(dtype=torch.float64) for a, b in pairs]) for y in down for x in across
         ]
         return torch.stack(means)
+
+
+@dataclass(frozen=True, repr=False)
+class Eye(Observer):
+    """An eye before a display; see :meth:`Observer.eye`.
+
+    Attributes
+    ----------
+    viewing : Viewing
+        Size, distance and light of the display.
+    viewer : Viewer
+        Whose eye it is.
+    """
+
+    viewing: Viewing = field(default_factory=Viewing)
+    viewer: Viewer = field(default_factory=Viewer)
+
+    def in_words(self) -> str:
+        """Return who looks, in words."""
+        pupil = self.viewer.pupil_diameter(self.viewing)
+        return f"an eye with a pupil of {pupil:.2g} mm that sees the image {self.viewing.field_of_view:.3g}° wide"
+
+    def places(self, shape: Sequence[int], pitches: Sequence[float]) -> list[list[slice]]:
+        """Return all quarters of pixels within the rim, as one place; see :meth:`Observer.places`."""
+        rim = self._rim(shape, pitches)
+        if 2 * rim >= min(shape):
+            raise ValueError(
+                f"observer must see {_SPREAD:g} degrees of the image at each rim, and more between: got an image of "
+                f"{tuple(shape)} pixels, {self._density(shape, pitches)[1]:.3g} per degree"
+            )
+        return [[slice(PLACES * rim, PLACES * (n - rim - 1) + 1)] for n in shape]
+
+    @property
+    def _blurs(self) -> bool:
+        return True
+
+    def _density(self, shape, pitches):
+        """Return the pixels per degree of an image along rows and along columns."""
+        across = self.viewing.density(shape[1])
+        return across * pitches[1] / pitches[0], across
+
+    def _passed(self, size: Sequence[int], step: float, shape: Sequence[int], pitches: Sequence[float]) -> torch.Tensor:
+        axes = zip(_frequencies(size, step), self._density(shape, pitches), strict=True)
+        return self.viewer.transfer(torch.hypot(*(cycles * density for cycles, density in axes)), self.viewing)
+
+    def _seen_of(self, target: torch.Tensor, pitches: Sequence[float], places: int) -> torch.Tensor:
+        # As fine as the eye resolves: squares have all frequencies.
+        shape, density = target.shape[-2:], min(self._density(target.shape[-2:], pitches))
+        finer = places * max(1, math.ceil(2 * _FINEST / (density * places)))
+        around = 2 * self._rim(shape, pitches)
+        wide = torch.nn.functional.pad(target, (around,) * 4, mode="replicate")[:, 0]
+        comb = wide.new_zeros(len(wide), *(n * finer for n in wide.shape[-2:]))
+        comb[:, ::finer, ::finer] = wide
+        size = comb.shape[-2:]
+        square = math.prod(torch.sinc(f) * finer for f in _frequencies(size, 1 / finer))
+        seen = _times(comb, square * self._passed(size, 1 / finer, shape, pitches))
+        rows, columns = (slice(around * finer, (around + n) * finer, finer // places) for n in shape)
+        return seen[:, rows, columns]
+
+    def _rim(self, shape: Sequence[int], pitches: Sequence[float]) -> int:
+        return max(_RING, math.ceil(_SPREAD * max(self._density(shape, pitches))))
 
 
 # The default of all that takes an observer, and the one of means over the areas of the image's pixels.
@@ -327,6 +501,46 @@ def resolved(
         chosen = slice(first, first + n * finer, finer // places)
         light = light[:, chosen] if axis == -1 else light[chosen]
     return light
+
+
+def _frequencies(size: Sequence[int], step: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the frequencies along rows ``[rows, 1]`` and columns of half the spectrum of a grid."""
+    down = torch.fft.fftfreq(size[-2], step, dtype=torch.float64)
+    return down[:, None], torch.fft.rfftfreq(size[-1], step, dtype=torch.float64)
+
+
+def _times(light: torch.Tensor, passed: torch.Tensor) -> torch.Tensor:
+    """Return periodic intensities whose frequencies are passed by some shares."""
+    return torch.fft.irfft2(torch.fft.rfft2(light) * passed.to(light), light.shape[-2:])
+
+
+def _repeated(values: torch.Tensor, places: int) -> torch.Tensor:
+    """Return means at places of pixels, with that about the last pixel in place of those beyond it."""
+    for axis in (-1, -2):
+        kept = values.shape[axis] - places + 1
+        last = values.narrow(axis, kept - 1, 1)
+        values = torch.cat([values.narrow(axis, 0, kept), *[last] * (places - 1)], axis)
+    return values
+
+
+@functools.lru_cache(16)
+def _turned_shares(
+    sides: tuple[float, float], pitches: tuple[float, float], turned: float, places: int
+) -> torch.Tensor:
+    """Return the share that each pixel about it has of a turned square at places of a pixel ``[places², 1, n, n]``."""
+    angle, line = math.radians(turned), (np.arange(_POINTS) + 0.5) / _POINTS - 0.5
+    parts = np.meshgrid(line, line, indexing="ij")
+    y, x = (side * p * part for side, p, part in zip(sides, pitches, parts, strict=True))
+    down = (math.cos(angle) * y + math.sin(angle) * x) / pitches[0]
+    across = (math.cos(angle) * x - math.sin(angle) * y) / pitches[1]
+    around = math.ceil(max(abs(down).max(), abs(across).max()) + 0.5)
+    edges = np.arange(2 * around + 2) - around - 0.5
+    whole = [
+        np.histogram2d((down + i / places).ravel(), (across + j / places).ravel(), (edges, edges))[0]
+        for i in range(places)
+        for j in range(places)
+    ]
+    return torch.from_numpy(np.stack(whole)[:, None] / line.size**2)
 
 
 def pixels_of(light: torch.Tensor, samples: int, shape: Sequence[int]) -> tuple[slice, ...]:

@@ -1,5 +1,6 @@
 """Holograms that were computed for a display, with their quality. Touches a display by its places and levels."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -72,19 +73,21 @@ class DisplayedHologram:
         """Peak signal-to-noise ratio of the images in decibels, ``[D, C]``: of a camera whose pixels are theirs."""
         return decibels((self.images - self.target).square().mean((-2, -1)))
 
-    def psnr_of(self, observer: Observer) -> torch.Tensor:
+    def psnr_of(self, observer: Observer | Sequence[Observer]) -> torch.Tensor:
         """Return what :attr:`psnr` is for another observer, each colour at the brightness that is best for it.
 
         Parameters
         ----------
-        observer : Observer
-            Who looks.
+        observer : Observer or sequence of Observer
+            Who looks; of several, such as :meth:`Observer.cameras`, the least is returned.
 
         Returns
         -------
         torch.Tensor
             Decibels ``[D, C]``.
         """
+        if not isinstance(observer, Observer):
+            return torch.stack([self.psnr_of(one) for one in observer]).amin(0)
         held = Comparison(observer, self.target)
         compared = judged(self.display, self.phases, self.amplitudes, held).compared
         return decibels(squared_errors(compared, brightest(compared))).to(self.psnr)
