@@ -5,14 +5,13 @@ encodings, transfer functions and bounds are those of the newer modules, which i
 asked for the same, descent by L-BFGS and alternating projections find the same patterns, and the fields of
 :class:`propagator` are those of :meth:`Display.fields`. What stays here is what a display does not compute to 1e-6:
 
-- `single_plane`: losses of intensities at points of point pixels, batches of pictures, Adam at a constant rate, a
-  camera in the loop, a range of phases below 2π, lenses of points, smoothing before the double-phase encoding
-- `volume`, `propagators`: several samples per pixel, impulse responses, incoherent light and Fraunhofer's methods,
-  wavelengths and pitches with gradients, stops drawn on the padded spectrum, fields that are not padded, powers by
-  cosines
+- `single_plane`: pixels that are points, batches of pictures, targets of a given brightness, Adam at a constant rate,
+  a camera in the loop, a range of phases below 2π, lenses of points, smoothing before the double-phase encoding
+- `volume`, `propagators`: pixels that are points or of several samples, impulse responses, incoherent light and
+  Fraunhofer's methods, wavelengths and pitches with gradients, fields that are not padded, powers by cosines
 - `multiplane`: patterns that stay double phase, a step for each plane in turn
 - `multi_color`, `terms`: losses of the sources, of the eyebox and of the pattern, a learned amplitude
-- `eyebox`: images on the retina at points, some places of the pupil in each step
+- `eyebox`: pixels that are points, some places of the pupil in each step
 - `kernels`: transfer functions as results, and the Fresnel field of free points
 """
 
