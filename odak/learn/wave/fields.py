@@ -124,17 +124,17 @@ def exposure(
     _validate.one_device(field=field, power=power)
     if workspace is not None and not isinstance(workspace, Workspace):
         raise TypeError(f"workspace must be a Workspace or None, got {type(workspace).__name__}")
-    return exposed(trainable(field), trainable(power), one_each, workspace)
+    if one_each:
+        # Colours of one frame.
+        field, power = field.transpose(0, 2), power.mT
+    return exposed(trainable(field), trainable(power), workspace)
 
 
-def exposed(
-    field: torch.Tensor, power: torch.Tensor, one_each: bool = False, workspace: Workspace | None = None
-) -> torch.Tensor:
+def exposed(field: torch.Tensor, power: torch.Tensor, workspace: Workspace | None = None) -> torch.Tensor:
     """Return :func:`exposure` of fields and amplitudes of the sources that have been checked, and are of one dtype."""
     if is_transformed(field, power):
-        light = intensity(field) * power.square()[:, None, :, None, None]
-        return light[:, :, 0].transpose(0, 1) if one_each else light.sum(0)
-    return _exposure(field.resolve_conj(), power, one_each, workspace)
+        return (intensity(field) * power.square()[:, None, :, None, None]).sum(0)
+    return _exposure(field.resolve_conj(), power, workspace)
 
 
 def squared_error(image: torch.Tensor, target: torch.Tensor, workspace: Workspace | None = None) -> torch.Tensor:
@@ -320,24 +320,23 @@ class _Exposure(torch.autograd.Function):
     """d Σ p²|u|² = Σ 2p²·Re(conj(u)·du) + Σ 2p·|u|²·dp, frame by frame: only the gradient is as large as the field."""
 
     @staticmethod
-    def forward(field, power, one_each, workspace):
-        frames, planes, colours, *shape = field.shape
-        total = allocate_like(workspace, "exposure", (planes, frames if one_each else colours, *shape), field.real)
+    def forward(field, power, workspace):
+        frames, planes, *shape = field.shape
+        total = allocate_like(workspace, "exposure", (planes, *shape), field.real)
         weights = power.square()
         # Plane by plane, so that intermediate results stay in the cache.
         for frame, plane in itertools.product(range(frames), range(planes)):
             own, weight = field[frame, plane], weights[frame, :, None, None]
-            place = total[plane, frame : frame + 1] if one_each else total[plane]
             light = own.real.square().addcmul_(own.imag, own.imag)
-            if one_each or frame == 0:
-                torch.mul(light, weight, out=place)
+            if frame == 0:
+                torch.mul(light, weight, out=total[plane])
             else:
-                place.addcmul_(light, weight)
+                total[plane].addcmul_(light, weight)
         return total
 
     @staticmethod
     def setup_context(ctx, inputs, output):
-        field, power, ctx.one_each, workspace = inputs
+        field, power, workspace = inputs
         consume = workspace is not None
         ctx.consumed = field if consume else None
         ctx.save_for_backward(*([] if consume else [field]), power)
@@ -350,27 +349,23 @@ class _Exposure(torch.autograd.Function):
             raise RuntimeError("the fields were overwritten: exposure(..., workspace=) has one backward pass")
         to_field = to_power = None
         if ctx.needs_input_grad[1]:
-            own = (gradient[:, frame : frame + 1] if ctx.one_each else gradient for frame in range(len(field)))
-            overlaps = [_overlap(frame, slope) for frame, slope in zip(field, own, strict=True)]
-            to_power = 2 * power * torch.stack(overlaps)
+            to_power = 2 * power * torch.stack([_overlap(frame, gradient) for frame in field])
         if ctx.needs_input_grad[0]:
-            to_field = _slope(field, gradient, power, ctx.one_each, None if saved else field)
-        return to_field, to_power, None, None
+            to_field = _slope(field, gradient, power, None if saved else field)
+        return to_field, to_power, None
 
 
 _exposure = operator(_Exposure)
 
 
-def _slope(field, gradient, power, one_each, result=None):
+def _slope(field, gradient, power, result=None):
     """Return 2p²·g·u, in the memory of `result` if given."""
     if torch.is_grad_enabled():
-        own = gradient.transpose(0, 1)[:, :, None] if one_each else gradient[None]
-        return field * (own * (2 * power.square())[:, None, :, None, None])
+        return field * (gradient * (2 * power.square())[:, None, :, None, None])
     result = torch.empty_like(field) if result is None else result.detach()
     weights = 2 * power.square()
     for frame, plane in itertools.product(*map(range, field.shape[:2])):
-        own = gradient[plane, frame : frame + 1] if one_each else gradient[plane]
-        factor = (own * weights[frame, :, None, None])[..., None]
+        factor = (gradient[plane] * weights[frame, :, None, None])[..., None]
         torch.mul(torch.view_as_real(field[frame, plane]), factor, out=torch.view_as_real(result[frame, plane]))
     return result
 
