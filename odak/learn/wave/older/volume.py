@@ -81,20 +81,14 @@ class LightPath:
             name, pitch, scale = "Transfer Function Fresnel", divided_pitch(self.pitch, self.scale), 1
         request = Request(pitch, wavelength, distance, scale=scale, samples=self.samples)
         grid = request.grid(shape, _array.namespace(torch.empty(0)), device, dtype)
-        if name == "Transfer Function Fresnel" or not sampled_response:
-            if self.linear:
-                # How its integral is summed follows from the lengths as numbers.
-                kernel = _array.outside_graphs(_linear_kernel, name, cutoff, self.pixel_fill, grid)
-                return kernel * self._averaging(grid) if sampled_response else kernel
-            kernel = method_named(name).kernel(grid)  # type: ignore[misc]
-            kernel = kernel * self._averaging(grid) if sampled_response else kernel
+        if self.linear:
+            # How its integral is summed follows from the lengths as numbers.
+            kernel = _array.outside_graphs(_linear_kernel, name, cutoff, self.pixel_fill, grid)
         else:
             kernel = method_named(name).kernel(grid)  # type: ignore[misc]
-        return (
-            kernel
-            if cutoff is None
-            else kernel * disc_of_frequencies(shape, divided_pitch(pitch, scale), cutoff).to(device)
-        )
+            if cutoff is not None:
+                kernel = kernel * disc_of_frequencies(shape, divided_pitch(pitch, scale), cutoff).to(device)
+        return kernel * self._averaging(grid) if name != self.propagation_type else kernel
 
     def _averaging(self, grid) -> torch.Tensor:
         """Return the spectrum of the averages over source and target apertures, for scale² samples per pixel."""
