@@ -4,9 +4,7 @@ import itertools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
-from torch.autograd.function import once_differentiable
 
 from odak import _array, _validate
 from odak._torch_private import is_transformed, operator
@@ -135,14 +133,6 @@ def exposed(field: torch.Tensor, power: torch.Tensor, workspace: Workspace | Non
     if is_transformed(field, power):
         return (intensity(field) * power.square()[:, None, :, None, None]).sum(0)
     return _exposure(field.resolve_conj(), power, workspace)
-
-
-def squared_error(image: torch.Tensor, target: torch.Tensor, workspace: Workspace | None = None) -> torch.Tensor:
-    """Return Σ (image − target)², in one array instead of three, of a workspace or fresh.
-
-    The backward pass can be run once.
-    """
-    return _SquaredError.apply(image, target, workspace)
 
 
 def _lists_as_tensors(core, wavelength, **arguments):
@@ -295,25 +285,6 @@ class _Intensity(torch.autograd.Function):
 
 
 _intensity = operator(_Intensity)
-
-
-class _SquaredError(torch.autograd.Function):
-    """d Σ e² = 2·Σ e·de."""
-
-    @staticmethod
-    def forward(ctx, image, target, workspace):
-        shape = np.broadcast_shapes(image.shape, target.shape)
-        ctx.error = torch.sub(image, target, out=allocate_like(workspace, "error", shape, image))
-        return torch.dot(ctx.error.flatten(), ctx.error.flatten())
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx, gradient):
-        error, ctx.error = ctx.error, None
-        if error is None:
-            raise RuntimeError("squared_error has one backward pass: its error became the gradient")
-        slope = error.mul_(2 * gradient)
-        return slope, -slope if ctx.needs_input_grad[1] else None, None
 
 
 class _Exposure(torch.autograd.Function):

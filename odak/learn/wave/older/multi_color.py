@@ -18,7 +18,6 @@ from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import checked_device, checked_generator, floating
 from odak.learn.tools.iterations import Run, minimise
 from odak.learn.wave.camera import captured_by, with_model_gradient
-from odak.learn.wave.fields import squared_error
 from odak.learn.wave.older.propagators import power_method
 from odak.learn.wave.older.propagators import propagator as propagator_type
 from odak.learn.wave.older.terms import (
@@ -522,8 +521,7 @@ class multi_color_hologram_optimizer(Prepared):
             return sum(self.loss_function(image, target, **keywords) for image, target in pairs)
         if inject_noise:
             target_image = with_noise(target_image, noise_ratio, generator)
-        error = squared_error(input_image, target_image, self._workspace)
-        return error / input_image.numel() if self.reduction == "mean" else error
+        return torch.nn.functional.mse_loss(input_image, target_image, reduction=self.reduction)
 
     def double_phase_constrain(
         self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int | None = None
