@@ -323,8 +323,8 @@ def axial_color(
     ----------
     system : optical_system
         The system.
-    wavelengths : sequence of float, optional
-        Vacuum wavelengths in the system's unit, within the ranges of its glasses; its own by default.
+    wavelengths : sequence of float or torch.Tensor, optional
+        Wavelengths in the system's unit, within the ranges of its glasses; its own by default. Differentiable.
     prescription : Prescription, optional
         Numbers in place of the system's own, whose wavelengths are taken then.
 

@@ -914,15 +914,18 @@ class optical_system(torch.nn.Module):
         """Whether the object is infinitely far away."""
         return math.isinf(self.object_distance)
 
-    def prescription(self, wavelengths: Sequence[float] | None = None) -> Prescription:
+    def prescription(self, wavelengths: Sequence[float | str] | torch.Tensor | None = None) -> Prescription:
         """Return the system's numbers as tensors, differentiable in those that are parameters.
 
         Parameters
         ----------
-        wavelengths : sequence of float, optional
-            The system's by default.
+        wavelengths : sequence of float or torch.Tensor, optional
+            The system's by default; texts have units of their own. The indices are differentiable in a tensor ``[W]``.
         """
-        wavelengths = self.wavelengths if wavelengths is None else checked_wavelengths(wavelengths)
+        waves: Any = self.wavelengths if wavelengths is None else wavelengths
+        if not isinstance(waves, torch.Tensor) or not waves.numel():
+            waves = torch.tensor(checked_wavelengths(waves, self.unit), dtype=torch.float64)
+        waves = _validate.real("wavelengths", waves, positive=True).double().reshape(-1)
         items = list(self.surfaces)
         longest = max(item.coefficients.numel() for item in items)
         coefficients = [
@@ -933,8 +936,8 @@ class optical_system(torch.nn.Module):
             torch.stack([getattr(item, name).double().reshape(()) for item in items])
             for name in ("curvature", "conic", "thickness")
         )
-        index = self._indices(wavelengths)
-        waves = torch.tensor(wavelengths, dtype=torch.float64, device=index.device)
+        index = self._indices(waves)
+        waves = waves.to(index.device)
         shapes = tuple(None if item.own_shape is None else item.shape for item in items)
         phases, gradients = (tuple(getattr(item, name) for item in items) for name in ("phase", "gradient"))
         if any(isinstance(phase, IdealLens) for phase in phases):
@@ -1042,11 +1045,10 @@ class optical_system(torch.nn.Module):
             return (1.0 if medium == AIR else medium) + 0 * wavelengths
         return refractive_index(medium, wavelengths, self.unit, medium="air")
 
-    def _indices(self, wavelengths) -> torch.Tensor:
+    def _indices(self, values: torch.Tensor) -> torch.Tensor:
         """Return the indices before the first surface and behind each, ``[W, S + 1]``."""
         first = self.surfaces[0]
-        one = torch.ones(len(wavelengths), dtype=torch.float64, device=first.thickness.device)
-        values = torch.tensor(wavelengths, dtype=torch.float64)
+        one = torch.ones(len(values), dtype=torch.float64, device=first.thickness.device)
         columns = [self._front(values).to(one)]
         for item in self.surfaces:
             if item.reflects or is_break(item):

@@ -197,13 +197,13 @@ class configurations(torch.nn.Module):
                 setattr(found, name, None)
         return found
 
-    def prescription(self, wavelengths: Sequence[float] | None = None) -> Prescription:
+    def prescription(self, wavelengths: Sequence[float | str] | torch.Tensor | None = None) -> Prescription:
         """Return the numbers of all configurations, ``[C, …]``, for one call of tracing and analysis.
 
         Parameters
         ----------
-        wavelengths : sequence of float, optional
-            Wavelengths to trace; by default the system's.
+        wavelengths : sequence of float or torch.Tensor, optional
+            Wavelengths to trace; by default the system's. The numbers are differentiable in a tensor.
 
         Returns
         -------

@@ -3,8 +3,19 @@
 import pytest
 import torch
 
-from odak.learn.raytracing.system import Prescription, load_system, optical_system, rms_spot, surface
+from odak.learn.raytracing.system import (
+    Prescription,
+    axial_color,
+    distortion,
+    first_order,
+    load_system,
+    optical_system,
+    rms_spot,
+    surface,
+    wavefront,
+)
 from odak.learn.raytracing.system.prescriptions import checked_prescription, padded
+from odak.raytracing.interfaces import RadialPhase
 from odak.raytracing.surfaces import Toroid
 
 LENS = load_system("cooke_triplet")
@@ -60,3 +71,40 @@ def test_padded_and_checked():
     assert isinstance(LENS.prescription(), Prescription)
     with pytest.raises(TypeError, match="prescription must be a Prescription, got dict"):
         checked_prescription({})
+
+
+@pytest.mark.parametrize("quantity", ["spot", "wavefront", "color", "focus"])
+def test_derivatives_by_the_wavelengths_are_those_of_differences(quantity):
+    """Through glasses, a diffractive surface and the unit of path differences, which is the wavelength."""
+    lens = load_system("cooke_triplet")
+    rows = [*[*lens.surfaces][:-1], surface(-20.4942, thickness=41.0, phase=RadialPhase([-3.0, 0.4], 6.0))]
+    hybrid = optical_system(rows, 8.0, fields=[0.0, 10.0], wavelengths=["500nm", "600nm"])
+
+    def value(waves):
+        if quantity == "color":
+            return axial_color(hybrid, waves)[0]
+        numbers = hybrid.prescription(waves)
+        if quantity == "spot":
+            return rms_spot(hybrid, prescription=numbers).sum()
+        if quantity == "focus":
+            return first_order(hybrid, prescription=numbers).focal_length
+        return wavefront(hybrid, prescription=numbers).path.square().sum()
+
+    waves = torch.tensor([500e-6, 600e-6], dtype=torch.float64, requires_grad=True)
+    (found,) = torch.autograd.grad(value(waves), waves)
+    step = 1e-9 * torch.eye(2, dtype=torch.float64)
+    expected = torch.stack([(value(waves.detach() + d) - value(waves.detach() - d)) / 2e-9 for d in step])
+    torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-6 * float(expected.abs().max()))
+    assert float(found.abs().max()) > 0
+
+
+@pytest.mark.parametrize("quantity", [rms_spot, distortion])
+def test_derivatives_by_the_fields_are_those_of_differences(quantity):
+    lens = load_system("cooke_triplet")
+    fields = torch.tensor([[1.0, 9.0], [2.0, 16.0]], dtype=torch.float64, requires_grad=True)
+    (found,) = torch.autograd.grad(quantity(lens, fields=fields).sum(), fields)
+    for place in ((0, 1), (1, 0)):
+        step = torch.zeros_like(found)
+        step[place] = 1e-3
+        ends = [float(quantity(lens, fields=fields.detach() + side * step).sum()) for side in (1, -1)]
+        assert float(found[place]) == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=1e-4)
