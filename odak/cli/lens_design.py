@@ -30,6 +30,7 @@ from odak.learn.raytracing.system import (
     optical_system,
     rms_spot,
     save_system,
+    scaled_system,
     standard_design,
     write_zmx,
 )
@@ -253,7 +254,10 @@ def _from_system(job: DesignSettings, step: Callable[[], Any]):
         raise InputError(f"SYSTEM {job.system!r} is afocal; a design needs a focal length")
     if job.focal_length is not None:
         wanted = math.copysign(job.focal_length * metre, f)
-        _scale(system, wanted / f, job)
+        try:
+            system = scaled_system(system, wanted / f)
+        except ValueError as error:
+            raise InputError(f"--focal-length: {error}, in {job.system!r}; leave it out") from error
         did.append(f"scaled by {wanted / f:.6g} from a focal length of {f:.6g} {system.unit}")
         f = wanted
     # Bounds of edges and the evaluation of spots use the whole beam.
@@ -301,27 +305,6 @@ def _check_start(system: optical_system, job: DesignSettings) -> None:
                 write_zmx(system, Path(folder) / "lens.zmx")
             except ValueError as error:
                 raise InputError(f"--zmx: {error}") from None
-
-
-def _scale(system: optical_system, factor: float, job: DesignSettings) -> None:
-    """Multiply all lengths of a system by a factor."""
-    items: list[Any] = [*system.surfaces, *([] if system.image is None else [system.image])]
-    for i, item in enumerate(items):
-        if any((item.own_shape, item.own_phase, item.own_gradient)):
-            raise InputError(
-                f"--focal-length: surface {i} of {job.system!r} has a shape, a phase or a medium that cannot be "
-                "scaled; leave it out"
-            )
-    with torch.no_grad():
-        for item in items:
-            for name, power in (("radius_value", 1), ("curvature_value", -1), ("thickness", 1), ("shift", 1)):
-                if hasattr(item, name):
-                    getattr(item, name).mul_(factor**power)
-            powers = torch.arange(item.coefficients.numel(), dtype=torch.float64)
-            item.coefficients.mul_(factor ** (-1 - 2 * powers))
-            item.apertures = tuple(part.scaled(factor) for part in item.apertures)
-    if system.aperture_type in ("EPD", "stop"):
-        system.aperture *= factor
 
 
 def _fields_to(own: tuple, largest: float | None) -> tuple:

@@ -32,6 +32,8 @@ from .coatings import CoatingDesign as CoatingDesign
 from .coatings import needle_design as needle_design
 from .codev import read_seq as read_seq
 from .codev import write_seq as write_seq
+from .copies import flipped_system as flipped_system
+from .copies import scaled_system as scaled_system
 from .design import DesignResult as DesignResult
 from .design import Pickup as Pickup
 from .design import Solve as Solve

@@ -128,7 +128,9 @@ class Coating:
         """Return the stack for light from the other side."""
         if self.substrate is not None:
             raise ValueError("substrate is the end of the stack, from which no light is incident")
-        return replace(self, media=self.media[::-1], thicknesses=list(terms(self.thicknesses))[::-1])
+        values = self.thicknesses
+        turned = namespace(values).flip(values) if is_array(values) else list(values)[::-1]
+        return replace(self, media=self.media[::-1], thicknesses=turned)
 
     def amplitudes(
         self, n1: Any, n2: Any, cosine: Any, cosine_behind: Any, wavelength: Any, unit: str = "mm"
