@@ -64,9 +64,8 @@ class ScreenModulator:
         shape: Sequence[int] | None = None,
         settling_time: float = 0.05,
     ):
-        pygame = _imported("pygame", "pygame-ce")
+        pygame = _screens()
         self._pygame = pygame
-        pygame.display.init()
         count = pygame.display.get_num_displays()
         if display is None and count == 1:
             raise ValueError("there is one screen, on which you work: connect the modulator, or give display=0")
@@ -83,22 +82,31 @@ class ScreenModulator:
             )
         self.pitch = float(_validate.number("pitch", pitch, positive=True))
         self.settling_time = float(_validate.number("settling_time", settling_time, least=0))
-        self._window = pygame.display.set_mode(self.shape[::-1], pygame.NOFRAME, display=display)
+        if display in _open:
+            raise ValueError(
+                f"display must be one that no other ScreenModulator covers, got {display}: close that first"
+            )
+        self._display = display
+        self._window = _open[display] = _window_on(pygame, display, self.shape)
         pygame.mouse.set_visible(False)
 
     def show(self, levels: np.ndarray) -> None:
         """Show levels 0 … 255, integers ``[rows, columns]``, and wait for the settling time."""
+        if self._window is None:
+            raise RuntimeError(f"the window on display {self._display} is closed: open a ScreenModulator anew")
         grey = checked_levels(levels, self.shape, self.bits).astype(np.uint8)
         colours = np.repeat(grey.T[..., None], 3, axis=-1)
-        self._pygame.surfarray.blit_array(self._window, colours)
-        self._pygame.display.flip()
+        self._pygame.surfarray.blit_array(self._window.get_surface(), colours)
+        self._window.flip()
         # Without this, window systems take the window for one that hangs.
         self._pygame.event.pump()
         time.sleep(self.settling_time)
 
     def close(self) -> None:
-        """Close the window."""
-        self._pygame.display.quit()
+        """Close the window; windows on other screens stay."""
+        if self._window is not None:
+            _open.pop(self._display).destroy()
+            self._window = None
 
     @staticmethod
     def identify(seconds: float = 2.0) -> list[tuple[int, int]]:
@@ -115,19 +123,41 @@ class ScreenModulator:
             Rows and columns of each screen.
         """
         seconds = float(_validate.number("seconds", seconds, least=0))
-        pygame = _imported("pygame", "pygame-ce")
-        pygame.display.init()
+        pygame = _screens()
         pygame.font.init()
         sizes = pygame.display.get_desktop_sizes()
         for number, (columns, rows) in enumerate(sizes):
-            window = pygame.display.set_mode((columns, rows), pygame.NOFRAME, display=number)
-            text = pygame.font.Font(None, rows // 2).render(str(number), True, "white")
-            window.blit(text, text.get_rect(center=window.get_rect().center))
-            pygame.display.flip()
+            window = _window_on(pygame, number, (rows, columns))
+            surface, text = window.get_surface(), pygame.font.Font(None, rows // 2).render(str(number), True, "white")
+            surface.fill("black")
+            surface.blit(text, text.get_rect(center=surface.get_rect().center))
+            window.flip()
             pygame.event.pump()
             time.sleep(seconds)
-        pygame.display.quit()
+            window.destroy()
         return [(rows, columns) for columns, rows in sizes]
+
+
+# Windows of ScreenModulator by the number of their screen: one each.
+_open: dict[int, Any] = {}
+# SDL's position of a window in the middle of a screen, less the number of the screen.
+_CENTRED = 0x2FFF0000
+
+
+def _screens() -> Any:
+    """Return pygame with the screens of this computer known, in their own pixels."""
+    pygame = _imported("pygame", "pygame-ce")
+    # Otherwise Windows scales what is shown on screens whose scale is not 100 %.
+    os.environ.setdefault("SDL_WINDOWS_DPI_AWARENESS", "permonitorv2")
+    pygame.display.init()
+    return pygame
+
+
+def _window_on(pygame: Any, display: int, shape: Sequence[int]) -> Any:
+    """Return a window without a frame in the middle of a screen, above all others."""
+    rows, columns = shape
+    place = (_CENTRED | display,) * 2
+    return pygame.Window("odak", (columns, rows), place, borderless=True, always_on_top=True)
 
 
 class VideoCamera:

@@ -1,6 +1,9 @@
 """Drivers that need no library of a maker: a screen, a video camera, files in a shared folder."""
 
 import contextlib
+import os
+import shutil
+import subprocess
 import sys
 import types
 from pathlib import Path
@@ -28,7 +31,7 @@ def test_a_pattern_fills_the_screen(monkeypatch):
         assert modulator.shape == (rows, columns)
         levels = np.random.default_rng(0).integers(256, size=modulator.shape)
         modulator.show(levels)
-        shown = pygame.surfarray.array3d(pygame.display.get_surface())
+        shown = pygame.surfarray.array3d(modulator._window.get_surface())
         assert np.array_equal(shown, np.repeat(levels.T[..., None], 3, axis=-1))
         with pytest.raises(ValueError, match="levels must be 0 to 255"):
             modulator.show(levels + 1)
@@ -36,6 +39,66 @@ def test_a_pattern_fills_the_screen(monkeypatch):
             instruments.ScreenModulator(8e-6, display=1)
     finally:
         modulator.close()
+
+
+# What ended the interpreter: a second object, identify(), and show() after either or after close().
+OPENED_AND_CLOSED = """
+import sys, numpy as np
+from odak.instruments import ScreenModulator
+modulator = ScreenModulator(8e-6, 0, settling_time=0.2)
+levels = np.random.default_rng(0).integers(256, size=modulator.shape)
+ScreenModulator.identify(0.0)
+modulator.show(levels)
+try:
+    ScreenModulator(8e-6, 0)
+except ValueError as error:
+    print(error)
+if len(sys.argv) > 1:
+    # A file in the format XWD: 32-bit numbers, the first the size of the header, and colours; then the pixels.
+    data = open(sys.argv[1], "rb").read()
+    header = np.frombuffer(data[:100], ">u4")
+    body = np.frombuffer(data[header[0] + 12 * header[19] :], np.uint8).reshape(header[5], header[12])
+    seen = body[:, : 4 * header[4]].reshape(header[5], header[4], 4)[..., :3]
+    print("exact", bool((seen == levels[..., None]).all()))
+modulator.close()
+modulator.close()
+try:
+    modulator.show(levels)
+except RuntimeError as error:
+    print(error)
+ScreenModulator(8e-6, 0).close()
+"""
+
+
+def test_screens_are_opened_and_closed_in_any_order():
+    pytest.importorskip("pygame", reason="pygame-ce is not installed")
+    found = subprocess.run(
+        [sys.executable, "-c", OPENED_AND_CLOSED], env={**os.environ, "SDL_VIDEODRIVER": "dummy"}, capture_output=True,
+        text=True, timeout=100,
+    )  # fmt: skip
+    assert found.returncode == 0, found.stderr
+    assert "display must be one that no other ScreenModulator covers, got 0" in found.stdout
+    assert "the window on display 0 is closed" in found.stdout
+
+
+@pytest.mark.skipif(shutil.which("Xvfb") is None, reason="the virtual display Xvfb is not installed")
+def test_a_virtual_display_shows_the_levels_exactly(tmp_path):
+    pytest.importorskip("pygame", reason="pygame-ce is not installed")
+    read, write = os.pipe()
+    # The server takes a free number, and writes it when it is ready.
+    command = ["Xvfb", "-displayfd", str(write), "-screen", "0", "320x200x24", "-fbdir", str(tmp_path)]
+    with subprocess.Popen(command, pass_fds=[write], stderr=subprocess.DEVNULL) as server:
+        os.close(write)
+        try:
+            with os.fdopen(read) as pipe:
+                number = pipe.readline().strip()
+            found = subprocess.run(
+                [sys.executable, "-c", OPENED_AND_CLOSED, str(tmp_path / "Xvfb_screen0")], capture_output=True,
+                env={**os.environ, "SDL_VIDEODRIVER": "x11", "DISPLAY": f":{number}"}, text=True, timeout=100,
+            )  # fmt: skip
+        finally:
+            server.terminate()
+    assert found.returncode == 0 and "exact True" in found.stdout, found.stdout + found.stderr
 
 
 def test_frames_of_a_video_are_captured(tmp_path):
