@@ -50,7 +50,8 @@ def ocular_modulation_transfer(
     >>> [round(ocular_modulation_transfer(u, 3.0).item(), 2) for u in (0.0, 10.0, 30.0)]
     [1.0, 0.56, 0.16]
     """
-    frequency = tensor("frequency", frequency, None if isinstance(frequency, torch.Tensor) else torch.float64)
+    if not isinstance(frequency, torch.Tensor):
+        frequency = tensor("frequency", _validate.number("frequency", frequency), torch.float64)
     _validate.real("frequency", frequency)
     if _array.is_readable(frequency) and bool((frequency.detach() < 0).any()):
         raise ValueError(f"frequency must not be negative, got {float(frequency.detach().min()):g}")

@@ -1186,7 +1186,7 @@ class BlurLoss(Seen):
         gaze : sequence of float
             Gaze position (x, y), each 0 to 1 from the top left corner, or ``[B, 2]``; None for that of the viewing.
         """
-        gaze, view = self._gaze(gaze, len(image)), self.viewing
+        gaze, view = self._gaze(gaze), self.viewing
         return self.blur.blur(image, self.alpha, centre=gaze, mode=self.mode, equi=self.equi, viewing=view)
 
     def forward(self, image: torch.Tensor, target: torch.Tensor, gaze: Gaze | None = None) -> torch.Tensor:

@@ -13,6 +13,7 @@ from odak._torch_private import in_own_precision
 from odak._warnings import AccuracyWarning, MissingPackageWarning, warn
 from odak.learn import perception
 from odak.learn._tensors import checked_device, checked_generator, get_device, kind_of, tensor
+from odak.learn.perception.sight import checked_viewing
 from odak.learn.tools.matrix import blur_gaussian, plane_indices, plane_masks
 from odak.learn.wave.training import with_noise
 from odak.wave.transfer_functions import checked_pitch, pitches
@@ -750,6 +751,7 @@ class perceptual_multiplane_loss(FocalTargets):
             "additional_loss_weights", additional_loss_weights, {"cvvdp": 1.0}, _MEASURES
         )
         self.return_components = _validate.flag("return_components", return_components)
+        viewing = None if viewing is None else checked_viewing(viewing)
         self.measures = nn.ModuleDict()
         for name in tuple(self.additional_loss_weights):
             try:

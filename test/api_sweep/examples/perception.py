@@ -217,6 +217,7 @@ ALLOWED = {
     (f"{HERE}.ictcp_to_rgb", "*", "infinity inside"): "values beyond the range count as its end, as documented",
     (f"{HERE}.display_color_hvs", "primaries_spectrum", "a text"): "a text is the name of a file, which is not there",
     (f"{HERE}.rgb_to_linear_rgb", "threshold", "*"): "the standard's counts whatever is given, as documented",
+    (f"{HERE}.ocular_modulation_transfer", "frequency", "zero"): "what is uniform passes as a whole",
     (f"{HERE}.pq_*code", "*", "infinity inside"): "values beyond the range count as its end, as documented",
     (f"{HERE}.pu21_*code", "*", "infinity inside"): "values beyond the range count as its end, as documented",
     (f"{HERE}.content_aware_contrast_ratio", "image", "infinity inside"): "pictures are held to 0 … 1, as documented",
