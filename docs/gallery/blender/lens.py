@@ -1,7 +1,8 @@
 """A lens and its focus
 
-Rays traced by odak through a plano-convex lens of the catalogue, rendered by Blender. The rays inside the lens appear
-displaced because Blender renders refraction with the same index.
+Rays traced by odak and glass rendered by Blender in one picture: a plano-convex lens of the catalogue with two rings of
+rays. The rays inside the lens appear displaced because Blender renders refraction with the same index. [Render in
+Blender](../../guides/render_in_blender.md) goes on from here.
 """
 
 import numpy as np
@@ -10,6 +11,8 @@ from odak.catalog import plano_convex_lens
 from odak.raytracing import propagate_a_ray
 from odak.visualize import blender
 
+# %%
+# The rays as points on the surfaces and behind them.
 lens = plano_convex_lens("LA1024")
 angles = np.linspace(0, 2 * np.pi, 12, endpoint=False)
 rings = np.concatenate(
@@ -24,6 +27,7 @@ paths = np.stack(
 )
 
 # %%
+# The lens is drawn from its data, the rays as thin tubes.
 picture = blender.scene(unit="mm", resolution=(600, 1100))
 picture.add_lens(lens)
 picture.add_lines(paths, radius=0.012, color="crimson")

@@ -1,10 +1,14 @@
 """A scene for holograms: colours and depth
 
-A rendered scene and its depth map, as used for holograms of several planes.
+Holograms with depth need pictures whose depth is known for each pixel. A renderer has both: this scene and its depth
+map are made of three balls. [Multiplane and multi-colour holograms](../../guides/multiplane_and_colour.md) divides such
+a scene into planes.
 """
 
 from odak.visualize import blender
 
+# %%
+# Balls, ground, camera and light.
 picture = blender.scene(unit="mm", resolution=(500, 700))
 for place, radius, color in (
     ([-9, 2, 30], 5, "seagreen"),

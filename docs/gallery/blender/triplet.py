@@ -1,11 +1,14 @@
 """A Cooke triplet in glass
 
-`add_system` draws an optical system with its glasses and with rays of all its fields.
+A Cooke triplet in glass, as on the first page of this site. `add_system` draws an optical system with its glasses and
+with rays of all its fields. [Render in Blender](../../guides/render_in_blender.md) goes on from here.
 """
 
 from odak.learn.raytracing.system import load_system
 from odak.visualize import blender
 
+# %%
+# Seven rays for each field.
 picture = blender.scene(unit="mm", resolution=(600, 1100))
 picture.add_system(load_system("cooke_triplet"), count=7, radius=0.15)
 picture.add_plane([400, 400], location=[0, -16, 30], rotation=[-90, 0, 0])

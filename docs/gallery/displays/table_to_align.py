@@ -1,9 +1,10 @@
 """A table to misalign and to register
 
-A simulated optical table with a rotated, shifted, tilted and distorting camera, an
-aberrated beam and a modulator with a nonlinear response, all drawn from a seed. The
-calibration uses only the modulator and the camera. Another seed gives a table with other
-errors, which the registration determines in the same way.
+On a real table the camera is rotated, shifted, tilted and distorting, the beam is aberrated and the modulator does not
+respond in proportion. This table is simulated and all its errors are drawn from a seed. The calibration uses only the
+modulator and the camera, and finds where each point of the image is seen.
+
+[Your table in an afternoon](../../guides/your_table_in_an_afternoon.md) does the same with a real one.
 """
 
 from dataclasses import replace
@@ -24,12 +25,17 @@ from odak.instruments import (
 from odak.instruments.phase_response import nearest_levels
 from odak.instruments.spots import spots_phase
 
+# %%
+# The table with its hidden errors, and what a data sheet says of it.
 hidden = SimulatedTable(seed=7)
 modulator, camera = hidden.modulator, hidden.camera
 table = OpticalTable(modulator, camera, hidden.laser.wavelength, distance=20e-3)
 nominal = Calibration.nominal(modulator, camera, table.wavelength, table.distance)
 
 # %%
+
+# %%
+# The response of the phases first, then registration and wavefront in turn, each better by the other.
 table = replace(table, phases=measure_phase_response(table, samples=17))
 for _ in range(3):
     table = replace(table, registration=register_camera(table))
@@ -37,12 +43,16 @@ for _ in range(3):
 found = register_camera(table)
 
 # %%
+
+# %%
+# A letter of spots, shown before and after.
 letter = ["####", "#...", "###.", "#...", "#..."]
 rows, columns = np.nonzero([[cell == "#" for cell in row] for row in letter])
 points = np.stack([columns - 1.5, rows - 2.0], axis=-1) * 0.12e-3
 phase = spots_phase(modulator, table.wavelength, table.distance, points)
 
-
+# %%
+# Captures with an exposure of their own.
 def photograph(levels):
     """Return a capture of levels."""
     set_exposure(camera, lambda: modulator.show(levels))
@@ -52,7 +62,8 @@ def photograph(levels):
 before = photograph(nominal.levels(phase))
 after = photograph(nearest_levels(phase - table.wavefront, table.phases))
 
-
+# %%
+# Each spot is looked for where it is assumed, and where it was registered.
 def seen(frame, place, reach=5):
     """Return the centroid of the spot next to a pixel."""
     column, row = np.rint(place).astype(int)
@@ -72,6 +83,9 @@ print(f"spots off the assumed positions: {off[0]:.1f} pixels")
 print(f"off the registered ones by less than 0.2 pixels: {off[1] < 0.2}")
 
 # %%
+
+# %%
+# Both captures in the plane of the image.
 side = np.linspace(-0.45e-3, 0.45e-3, 361)
 plane = np.stack(np.meshgrid(side, side), axis=-1)
 
