@@ -25,6 +25,7 @@ def display(bits):
 
 
 # %%
+# Rounded above, searched below. Quality is that of a camera whose pixels are those of the image.
 figure, axes = plt.subplots(2, 5, figsize=(14, 4.6), sharex=True, sharey=True)
 smooth = optimise(display(None), target, run=run)
 for column, bits in zip(axes.T, (8, 4, 3, 2, 1)):
