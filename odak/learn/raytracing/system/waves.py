@@ -1605,7 +1605,8 @@ def relative_illumination(
     -----
     The illuminance is the radiance times the area that the cone of rays covers in direction cosines (u, v) of image
     space (Rimmer, Proc. SPIE 655, 99 (1986)): the integral over the pupil of the Jacobian of (u, v), Gaussian along the
-    radius and in equal steps around, each ray's Jacobian being exact. The rays of a distant point stay parallel in a
+    radius and in equal steps around, each ray's Jacobian being exact; where the pupil is folded, its directions count
+    once. The rays of a distant point stay parallel in a
     system without power, such as a pinhole; there the same illuminance is the integral over the pupil of the solid
     angle in front that each ray's neighbours bring to an area of the image.
 
@@ -1633,8 +1634,9 @@ def relative_illumination(
             _, change, kept = forward_derivative(directions, points, way, has_aux=True)
             changes.append(change)
         (ux, vx), (uy, vy) = changes
-        area = torch.where(kept, ux * vy - uy * vx, 0.0).abs()
-        return (area * weight).sum(-1)
+        area = torch.where(kept, ux * vy - uy * vx, 0.0) * weight
+        # Where the pupil is folded over itself the Jacobian has the other sign: directions that are covered already.
+        return (area * area.detach().sum(-1, keepdim=True).sign()).clamp_min(0.0).sum(-1)
 
     def brought(fields):
         places = field_points(system, fields).to(points.device)

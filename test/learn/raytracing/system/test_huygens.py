@@ -23,7 +23,7 @@ from odak.learn.raytracing.system import (
 from odak.learn.raytracing.system.operands import View, values_of
 from odak.learn.raytracing.system.waves import _nonuniform_transform
 from odak.raytracing.apertures import CircularAperture
-from odak.raytracing.interfaces import IdealLens
+from odak.raytracing.interfaces import IdealLens, RadialPhase
 
 F64 = torch.float64
 
@@ -71,6 +71,31 @@ def test_an_ideal_lens_lights_its_image_as_a_disc_does():
     heights = [d * math.tan(math.radians(angle)) for angle in (0.0, 15.0, 35.0)]
     disc = [1 - (d * d + h * h - a * a) / math.sqrt((d * d + h * h + a * a) ** 2 - 4 * a * a * h * h) for h in heights]
     assert found.tolist() == pytest.approx([value / disc[0] for value in disc], rel=1e-9)
+
+
+def test_a_pupil_that_is_folded_over_itself_counts_once():
+    """A phase plate sends rays at the distance r from the axis to the sine g(r) = r/f − r³/q, folded beyond √(q/3f).
+
+    Of an oblique beam from a stop in front, which contains the axis, the covered area is ∮½·g(min(r₂, √(q/3f)))²dφ,
+    where r₂(φ) is the rim of the displaced beam; the beam on the axis is not folded.
+    """
+    wave, radius, far, f, q = 500e-6, 8.0, 10.0, 60.0, 16000.0
+    # Radians of r² and r⁴ over a radius of 1: dφ/dr·λ/2π = −g(r).
+    cycles = [-math.pi / (wave * f), math.pi / (2 * wave * q)]
+    rows = [surface(thickness=far, stop=True), surface(phase=RadialPhase(cycles, 1.0), thickness=f)]
+    lens = optical_system(rows, 2 * radius, fields=[0.0, 30.0], wavelengths=wave)
+    shift, fold = far * math.tan(math.radians(30.0)), math.sqrt(q / (3 * f))
+    turn = torch.linspace(0, 2 * math.pi, 4001, dtype=torch.float64)[:-1]
+    rim = shift * turn.cos() + (radius**2 - (shift * turn.sin()) ** 2).sqrt()
+
+    def area(reach):
+        return float((reach / f - reach**3 / q).square().mean())
+
+    assert radius < fold < float(rim.max())
+    expected = area(rim.clamp(max=fold)) / area(torch.full_like(rim, radius))
+    assert float(relative_illumination(lens, 40)[0, 1]) == pytest.approx(expected, rel=4e-3)
+    twice = 2 * expected - area(rim) / area(torch.full_like(rim, radius))
+    assert twice > 1.02 * expected
 
 
 def test_vignetting_darkens_and_gradients_pass():
