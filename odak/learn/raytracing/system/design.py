@@ -234,21 +234,17 @@ class lens_design:
         self.solved = {(_number_of(item), item.surface) for item in self.solves}
         self.places: dict[str, list[tuple[int, int]]] = {}
         self.columns: dict[str, list[int]] = {}
-        values: list[float] = []
-        low: list[float] = []
-        high: list[float] = []
+        rows: list[tuple[float, ...]] = []
         for item in _items("variables", variables, Variable):
             for place, term, value, bounds in self._entries(item):
                 if (place, term) in self.places.setdefault(item.name, []):
                     raise ValueError(f"{item.name} of surface {place} is a variable twice")
                 self.places[item.name].append((place, term))
-                self.columns.setdefault(item.name, []).append(len(values))
-                values.append(value)
-                low.append(bounds[0])
-                high.append(bounds[1])
-        if not values:
+                self.columns.setdefault(item.name, []).append(len(rows))
+                rows.append((value, *bounds))
+        if not rows:
             raise ValueError("variables must contain at least one")
-        self.values, self.lower, self.upper = (torch.tensor(v, dtype=torch.float64) for v in (values, low, high))
+        self.values, self.lower, self.upper = torch.tensor(rows, dtype=torch.float64).T.contiguous()
         if bool((self.lower > self.upper).any()):
             raise ValueError("lower bounds of variables must be at most their upper bounds")
         self.micrometres = torch.tensor(system.wavelengths, dtype=torch.float64) * MICROMETRES[system.unit]
@@ -512,7 +508,6 @@ class lens_design:
             If rays are lost at the start.
         """
         damping, tolerance = _validate.constants(damping=damping, tolerance=tolerance)
-        _validate.number("damping", damping, positive=True)
         history: list[float] = []
         _validate.integer("rounds", rounds, minimum=1)
         _validate.function_or_none("callback", callback)
@@ -620,12 +615,7 @@ class lens_design:
         with torch.no_grad():
             self.values = self._checked(values).detach().clone()
             p = self._nominal(self.values)
-            followers: dict[str, set[int]] = {
-                "curvature": set(),
-                "conic": set(),
-                "thickness": set(),
-                "coefficients": set(),
-            }
+            followers: dict[str, set[int]] = {name: set() for name in COPIED}
             for name, places in self.places.items():
                 followers.setdefault(name, set()).update(place for place, _ in places)
             for item in self.pickups:
