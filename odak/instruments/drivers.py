@@ -7,6 +7,7 @@ Micro-Manager's demonstration camera, not with hardware.
 import glob
 import os
 import time
+import weakref
 from collections.abc import Sequence
 from typing import Any
 
@@ -42,7 +43,8 @@ class ScreenModulator:
 
     Notes
     -----
-    Needs the package pygame-ce (``pip install pygame-ce``). Screens must not correct colours or scale: switch
+    Needs the package pygame-ce (``pip install pygame-ce``). Each object has a window of its own, above all others, so
+    that two panels of one table are two objects, each on its screen. Screens must not correct colours or scale: switch
     off night modes, and set a scale of 100 %.
 
     Examples
@@ -87,7 +89,8 @@ class ScreenModulator:
                 f"display must be one that no other ScreenModulator covers, got {display}: close that first"
             )
         self._display = display
-        self._window = _open[display] = _window_on(pygame, display, self.shape)
+        self._window: Any = _window_on(pygame, display, self.shape)
+        _open[display] = self
         pygame.mouse.set_visible(False)
 
     def show(self, levels: np.ndarray) -> None:
@@ -105,8 +108,9 @@ class ScreenModulator:
     def close(self) -> None:
         """Close the window; windows on other screens stay."""
         if self._window is not None:
-            _open.pop(self._display).destroy()
+            self._window.destroy()
             self._window = None
+            _open.pop(self._display, None)
 
     @staticmethod
     def identify(seconds: float = 2.0) -> list[tuple[int, int]]:
@@ -138,8 +142,8 @@ class ScreenModulator:
         return [(rows, columns) for columns, rows in sizes]
 
 
-# Windows of ScreenModulator by the number of their screen: one each.
-_open: dict[int, Any] = {}
+# Modulators that are open by the number of their screen: one each.
+_open: weakref.WeakValueDictionary[int, ScreenModulator] = weakref.WeakValueDictionary()
 # SDL's position of a window in the middle of a screen, less the number of the screen.
 _CENTRED = 0x2FFF0000
 

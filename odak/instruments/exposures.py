@@ -19,6 +19,8 @@ SATURATED = 0.98
 # Pixels that are stuck at most, reductions of the exposure by 4 through which they stay saturated, and the exposure in
 # seconds up to which light is searched for.
 LARGEST_STUCK, FEWEST_CUTS, LONGEST_DARK = 200, 5, 30.0
+# Rows or columns that are stuck, at most.
+STUCK_LINES = 4
 # Share of the wanted counts above which the offset is negligible.
 PROPORTIONAL = 0.25
 # Share of the wanted counts above which a first capture is used.
@@ -88,7 +90,7 @@ def set_exposure(camera: Camera, show: Callable[[], None] | None = None, level: 
         factor = 0.25 if brightest >= SATURATED * camera.top else float(np.clip(wanted / max(brightest, 1), 0.1, 10))
         # Pixels that stay the brightest however much the exposure is reduced.
         loud = frame >= min(SATURATED * camera.top, 0.95 * brightest)
-        same = same + 1 if factor < 1 and np.array_equal(loud, loudest) and loud.sum() <= LARGEST_STUCK else 0
+        same = same + 1 if factor < 1 and np.array_equal(loud, loudest) and _few(loud) else 0
         loudest = loud
         if same == FEWEST_CUTS:
             _replace(camera, loud)
@@ -99,6 +101,15 @@ def set_exposure(camera: Camera, show: Callable[[], None] | None = None, level: 
         none = brightest < max(1.5 * darkest, darkest + 0.02 * camera.top) and brightest < 0.3 * wanted
         if factor > 1 and none and now >= min(LONGEST_DARK, camera.limits[1]):
             camera.exposure = start
+            smooth = np.sort(frame, axis=None)
+            median, low = float(smooth[smooth.size // 2]), float(smooth[smooth.size // 20])
+            if brightest - median > max(20.0, 4 * (median - low)):
+                # A picture, and not noise.
+                raise RuntimeError(
+                    f"the counts of the camera do not follow its exposure: its brightest pixel has {brightest:.0f} of "
+                    f"{camera.top} counts, {median:.0f} at most pixels, at {now:.3g} s, as at exposures a hundred "
+                    "times shorter; switch off its automatic exposure and gain"
+                )
             raise RuntimeError(
                 f"the camera sees no light: its brightest pixel has {brightest:.0f} of {camera.top} counts at an "
                 f"exposure of {now:.3g} s, {darkest:.0f} at shorter ones; check that the laser is on, that no shutter "
@@ -158,7 +169,7 @@ def _examine(camera: CheckedCamera) -> bool:
     floor = float(np.median(whole))
     bright = whole >= floor + 0.3 * (whole.max() - floor)
     stuck = bright & (quarter - floor > 0.8 * (whole - floor)) & (half - floor > 0.8 * (whole - floor))
-    if 0 < stuck.sum() <= min(LARGEST_STUCK, bright.sum()) and (stuck.sum() < bright.sum() or _alone(stuck)):
+    if stuck.any() and _few(stuck) and (stuck.sum() < bright.sum() or _alone(stuck)):
         _replace(camera, stuck)
         return True
     camera.examined = True
@@ -197,6 +208,11 @@ def _power(ratio: float, whole: float, half: float, quarter: float) -> float:
     if excess(least) >= 0:
         return least
     return float(brentq(excess, least, most)) if excess(most) > 0 else most
+
+
+def _few(mask: np.ndarray) -> bool:
+    """Return whether a mask has so few pixels, rows or columns that they may be stuck."""
+    return bool(mask.sum() <= LARGEST_STUCK or min(int(mask.any(axis).sum()) for axis in (0, 1)) <= STUCK_LINES)
 
 
 def _alone(mask: np.ndarray) -> bool:

@@ -31,6 +31,8 @@ OF_ZERO, NOISE = 3, 4e-4
 DEVIATING = 0.1
 # Exposures in units of that at which no pixel is saturated: without the brightest pixels, the others have more light.
 BRIGHT, BRIGHTER = 2.0, 4.0
+# Share of the brightest pixel that the darkest ones have by ambient light, above which it is named.
+AMBIENT = 0.5
 # Factor by which light is focused, about, for a first exposure.
 FOCUSED = 300.0
 
@@ -216,6 +218,7 @@ def phases_with_uncertainty(
         step = 1 + 2 * reach // LARGEST_WINDOW
         read_around(camera, np.array(camera.shape[::-1]) // 2, reach)
         set_exposure(camera)
+    ambient = _ambient(camera)
     check_frames_are_new(modulator, camera, nearest_levels(deflected(modulator), np.array([0, np.pi])) * (top + 1) // 2)
     repeats = np.where(levels == 0, OF_ZERO, 1)
 
@@ -234,7 +237,8 @@ def phases_with_uncertainty(
     captures = _validate.integer("captures", captures, minimum=1)
     exposure = camera.exposure
     for brighter, *shown in ways:
-        camera.exposure = brighter * exposure
+        # Light that does not come from the modulator must not saturate all pixels.
+        camera.exposure = max(1.0, min(brighter, 0.7 / max(ambient, 1e-3))) * exposure
         frames = seen(1, *shown)
         most = 2 * captures // len(frames)
         more = min(most, math.ceil(max((_noise_of_phases(half) / NOISE) ** 2 for half in halves(frames)))) - 1
@@ -316,6 +320,23 @@ def measure_unmodulated_light(table: OpticalTable, *, samples: int = 6, captures
     # 2c/(1 + |c|²) of a c below 1.
     depth = complex(cosine, sine) / mean
     return complex(depth / (1 + math.sqrt(max(1 - abs(depth) ** 2, 0))))
+
+
+def _ambient(camera: Camera) -> float:
+    """Return the light that does not interfere as a share of the camera's range, and warn where it is most of it.
+
+    Interference makes some pixels dark.
+    """
+    frame, top = averaged(camera, 2), (1 << camera.bits) - 1
+    darkest, brightest = float(np.quantile(frame, 0.02)), float(frame.max())
+    if darkest > AMBIENT * brightest:
+        warn(
+            f"ambient light is {darkest / brightest:.0%} of the brightest pixel: its noise and changes are in all "
+            "results, and little of the camera's range is left; darken the room, shield the camera, or use a filter of "
+            "the wavelength",
+            AccuracyWarning,
+        )
+    return darkest / top
 
 
 def _onto_the_other_half(modulator: Modulator, wavelength: float, distance: float, top: int) -> np.ndarray:

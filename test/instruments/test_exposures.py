@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from laboratory import Altered, Laboratory
+from laboratory import Altered, Laboratory, random_table
 from tables import Counting
 
 from odak import AccuracyWarning, instruments
@@ -385,3 +385,36 @@ def test_a_linear_camera_with_steps_is_taken_for_linear():
         instruments.set_exposure(Stepped(table.camera, exposure / steps))
     assert exposures._power(2**0.5, 4.0, 2.0, 1.0) == pytest.approx(0.5, rel=1e-6)
     assert exposures._power((5**0.45 - 3**0.45) / (3**0.45 - 1), 5.0, 3.0, 1.0) == pytest.approx(0.45, rel=1e-6)
+
+
+def test_two_saturated_columns_are_replaced_and_do_not_set_the_exposure():
+    """Four hundred pixels; they once reduced the exposure to 1e-16 s."""
+    table, _ = random_table(1)
+
+    def saturated(frames, camera):
+        frames = frames.copy()
+        frames[..., 100:102] = (1 << camera.bits) - 1
+        return frames
+
+    table.modulator.show(np.zeros(table.modulator.shape, int))
+    expected = instruments.set_exposure(table.camera)
+    inner = table.camera
+    broken = Altered(inner, saturated, shape=inner.shape, pitch=inner.pitch, bits=inner.bits)
+    inner.exposure = 1e-3
+    with pytest.warns(AccuracyWarning, match=r"\d+ pixels of the camera do not change with its exposure.*column 100"):
+        assert instruments.set_exposure(broken) == pytest.approx(expected, rel=0.5)
+
+
+def test_a_camera_that_ignores_its_exposure_in_dim_light_is_not_told_to_see_none():
+    table, _ = random_table(1)
+    table.modulator.show(np.zeros(table.modulator.shape, int))
+
+    class Deaf:
+        shape, pitch, bits, exposure, region = table.camera.shape, table.camera.pitch, table.camera.bits, 1e-3, None
+
+        def capture(self, count=1):
+            table.camera.exposure = 3e-2
+            return table.camera.capture(count)
+
+    with pytest.raises(RuntimeError, match=r"counts of the camera do not follow its exposure: its brightest pixel has"):
+        instruments.set_exposure(Deaf())

@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
-from laboratory import Laboratory, random_table
+from laboratory import WELL, Altered, Laboratory, random_table
 from tables import fresh_seed, instruments_of
 
 from odak import AccuracyWarning, instruments
@@ -96,3 +96,20 @@ def test_nearest_levels_are_nearest():
     found = phase_response.nearest_levels(wanted, phases)
     apart = np.abs(np.angle(np.exp(1j * (phases[None, None] - wanted[..., None]))))
     assert np.allclose(np.take_along_axis(apart, found[..., None], -1)[..., 0], apart.min(-1))
+
+
+@pytest.mark.parametrize("ambient", [5.0, pytest.param(20.0, marks=pytest.mark.slow)])
+def test_ambient_light_is_named_and_the_response_found(ambient):
+    """So many times the unfocused light of the modulator, which saturated all pixels at long exposures."""
+    table, _ = random_table(1)
+    camera, top = table.camera, (1 << table.camera.bits) - 1
+
+    def lit(frames, camera):
+        return np.clip(frames + ambient * camera.exposure * 1e4 / WELL * top, 0, top).astype(np.uint16)
+
+    lit_camera = Altered(camera, lit, shape=camera.shape, pitch=camera.pitch, bits=camera.bits)
+    with pytest.warns(AccuracyWarning, match=r"ambient light is [5-9]\d% of the brightest pixel"):
+        found = instruments.measure_phase_response(
+            table.modulator, lit_camera, table.wavelength, table.distance, samples=13
+        )
+    assert np.abs(found - table.phases).max() < 0.01
