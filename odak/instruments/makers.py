@@ -179,6 +179,19 @@ class HoloeyeModulator:
         self._check(self._device.window().close())
 
 
+def _declarations(path: str) -> dict[str, list[str]]:
+    """Return the names of the parameters, in lower case, of each function that a header file in C declares."""
+    if not os.path.exists(path):
+        return {}
+    with open(path, encoding="latin-1") as stream:
+        text = re.sub(r"//[^\n]*|/\*.*?\*/", "", stream.read(), flags=re.DOTALL)
+    found = {}
+    for name, given in re.findall(r"(\w+)\s*\(([^()]*)\)\s*;", text):
+        parameters = [] if given.strip() in ("", "void") else given.split(",")
+        found[name] = [re.findall(r"\w+", part.partition("=")[0])[-1].lower() for part in parameters]
+    return found
+
+
 class MeadowlarkModulator:
     """Modulator of Meadowlark, driven by the C functions of one of its Blink SDKs.
 
@@ -208,9 +221,10 @@ class MeadowlarkModulator:
 
     Notes
     -----
-    The functions have different arguments in the three SDKs, which a library does not tell: see the file
-    ``Blink_C_wrapper.h`` and the examples beside it. Older versions of "overdrive-plus" have fewer arguments of
-    ``Write_image`` than the eight that are used here. Not run on hardware: tested with stand-ins for the functions.
+    The functions have different arguments in the SDKs and in their versions, which a library does not tell. Where the
+    SDK's file ``Blink_C_wrapper.h`` lies beside the library, as it is installed, its declarations are followed; without
+    it, the arguments are those of ``Write_image`` with eight ("overdrive-plus"), three ("plus") and two ("hdmi"). Not
+    run on hardware: tested with stand-ins for the functions.
 
     Examples
     --------
@@ -244,6 +258,7 @@ class MeadowlarkModulator:
         self.settling_time = float(_validate.number("settling_time", settling_time, least=0))
         self._timeout = ctypes.c_uint(round(1e3 * float(_validate.number("timeout", timeout, positive=True))))
         self._library = ctypes.CDLL(self._path)
+        self._declared = _declarations(os.path.join(os.path.dirname(self._path), "Blink_C_wrapper.h"))
         try:
             rows, columns, depth = self._open()
             if depth != 8:
@@ -262,15 +277,14 @@ class MeadowlarkModulator:
         library = self._library
         if self._sdk == "hdmi":
             # Newer versions take a flag, 1 for Python; older ones have no argument and ignore it.
-            library.Create_SDK(ctypes.c_uint(1))
+            library.Create_SDK(*([1] * len(self._declared.get("Create_SDK", [""]))))
             return library.Get_Height(), library.Get_Width(), 8
         boards, fine = ctypes.c_uint(0), ctypes.c_int(0)
-        if self._sdk == "plus":
-            library.Create_SDK(ctypes.byref(boards), ctypes.byref(fine))
-        else:
-            # 12 bits of voltages, nematic, writing to the memory of the card, without overdrive and its tables.
-            options = (1, 1, 0, 10, None)
-            library.Create_SDK(ctypes.c_uint(12), ctypes.byref(boards), ctypes.byref(fine), *options)
+        # 12 bits of voltages, nematic, writing to the memory of the card, without overdrive and its tables.
+        options = {"bit_depth": 12, "boards": ctypes.byref(boards), "construct": ctypes.byref(fine), "nematic": 1}
+        options |= {"write_enable": 1, "gpu": 0, "transients": 10, "lut": None}
+        usual = ["boards", "construct"] if self._sdk == "plus" else list(options)
+        library.Create_SDK(*self._arguments("Create_SDK", options, usual))
         if not fine.value or boards.value < self._board:
             message = library.Get_last_error_message
             message.restype = ctypes.c_char_p
@@ -279,22 +293,33 @@ class MeadowlarkModulator:
         board = self._board
         return library.Get_image_height(board), library.Get_image_width(board), library.Get_image_depth(board)
 
+    def _arguments(self, name: str, options: dict[str, Any], usual: list[str]) -> list[Any]:
+        """Return the arguments of a function: each the first option whose key is in the name of the parameter."""
+        found = []
+        for parameter in self._declared.get(name, usual):
+            keys = [key for key in options if key in parameter]
+            if not keys:
+                raise OSError(f"{name} of {self._path!r} has a parameter {parameter!r} that this driver does not know")
+            found.append(options[keys[0]])
+        return found
+
     def _check(self, name: str, result: int) -> None:
-        # −1 is a failure of "overdrive-plus", anything but 1 a failure of the others.
-        if result == -1 or (self._sdk != "overdrive-plus" and result != 1):
+        # −1 is a failure of "overdrive-plus", anything but 1 one of "plus"; "hdmi" returns a number above 0.
+        if result == -1 or (self._sdk == "plus" and result != 1) or (self._sdk == "hdmi" and result < 1):
             raise OSError(f"{name} of {self._path!r} failed and returned {result}")
 
     def show(self, levels: np.ndarray) -> None:
         """Show levels 0 … 255, integers ``[rows, columns]``, and wait for the settling time."""
         found = np.ascontiguousarray(checked_levels(levels, self.shape, self.bits))
         image = found.ctypes.data_as(ctypes.POINTER(ctypes.c_ubyte))
-        write = self._library.Write_image
-        if self._sdk == "hdmi":
-            self._check("Write_image", write(image, ctypes.c_uint(1)))
-        else:
-            # Neither triggers nor pulses.
-            middle = () if self._sdk == "plus" else (ctypes.c_uint(found.size), 0, 0, 0, 0)
-            self._check("Write_image", write(self._board, image, *middle, self._timeout))
+        # Neither triggers nor pulses. Names of several of the parameters contain "image" or "trigger".
+        options = {"board": self._board, "timeout": self._timeout, "trigger": 0, "flip": 0, "pulse": 0}
+        options |= {"8_bit": 1, "eight_bit": 1, "size": found.size, "image": image}
+        usual = {"hdmi": ["image", "8_bit"], "plus": ["board", "image", "timeout"]}.get(
+            self._sdk, ["board", "image", "size", "trigger", "flip", "pulse", "pulse", "timeout"]
+        )
+        self._check("Write_image", self._library.Write_image(*self._arguments("Write_image", options, usual)))
+        if self._sdk != "hdmi":
             self._check("ImageWriteComplete", self._library.ImageWriteComplete(self._board, self._timeout))
         time.sleep(self.settling_time)
 

@@ -92,6 +92,50 @@ def test_meadowlark_gets_levels_by_functions_of_its_library(sdk, monkeypatch, tm
     assert blink.seen[-1] == "Delete_SDK"
 
 
+@pytest.mark.parametrize(
+    ("sdk", "write", "expected"),
+    [
+        ("hdmi", "int board, unsigned char* image_data, int is_8_bit", (1, "image", 1)),
+        ("hdmi", "unsigned char* image_data, int is_8_bit", ("image", 1)),
+        (
+            "overdrive-plus",
+            "int board,\n unsigned char* image, // first\n unsigned int image_size, int wait_for_trigger,"
+            " int external_pulse, unsigned int trigger_timeout_ms",
+            (1, "image", 48, 0, 0, 5000),
+        ),
+        (
+            "overdrive-plus",
+            "int board, unsigned char* image, unsigned int image_size, int wait_for_trigger, int flip_immediate,"
+            " int output_pulse_image_flip, int output_pulse_image_refresh, unsigned int trigger_timeout_ms",
+            (1, "image", 48, 0, 0, 0, 0, 5000),
+        ),
+        (
+            "plus",
+            "int board, unsigned char* image, int wait_for_trigger, int flip_immediate, int output_pulse,"
+            " unsigned int trigger_timeout_ms",
+            (1, "image", 0, 0, 0, 5000),
+        ),
+    ],
+)
+def test_meadowlark_follows_the_header_beside_its_library(sdk, write, expected, monkeypatch, tmp_path):
+    """Declarations of four versions of the SDK; another number of arguments ends in a crash."""
+    library = tmp_path / "Blink_C_wrapper.dll"
+    library.write_bytes(b"")
+    (tmp_path / "Blink_C_wrapper.h").write_text(f"extern int Write_image({write}); /* int Write_image(int other); */\n")
+    blink, seen = Blink(sdk), []
+    blink.Write_image = lambda *given: seen.append(given) or 1
+    monkeypatch.setattr(makers.ctypes, "CDLL", lambda path: blink)
+    modulator = instruments.MeadowlarkModulator(library, 9.2e-6, sdk=sdk, settling_time=0)
+    modulator.show(np.arange(48).reshape(6, 8))
+    plain = [getattr(one, "value", one) for one in seen[0]]
+    place = expected.index("image")
+    assert (np.ctypeslib.as_array(plain.pop(place), (6, 8)).ravel() == np.arange(48)).all()
+    assert tuple(plain) == expected[:place] + expected[place + 1 :]
+    (tmp_path / "Blink_C_wrapper.h").write_text("int Write_image(int board, unsigned char* image, int colour);")
+    with pytest.raises(OSError, match="has a parameter 'colour' that this driver does not know"):
+        instruments.MeadowlarkModulator(library, 9.2e-6, sdk=sdk, settling_time=0).show(np.zeros((6, 8), int))
+
+
 def test_meadowlark_without_a_card(monkeypatch, tmp_path):
     library = tmp_path / "Blink_C_wrapper.dll"
     with pytest.raises(ValueError, match="library must be a file that exists"):
