@@ -13,8 +13,9 @@ from odak.cli.job import image_path, pitch_pair
 from odak.cli.options import InputError
 from odak.cli.report import find_device, picture_panel, progress, psnr, sheet, versions
 from odak.cli.settings import EyeboxSettings
-from odak.cli.target import fit, fitting_size, light_of, on_screen
+from odak.cli.target import light_of, on_screen
 from odak.learn import wave
+from odak.learn.wave.pictures import fitting_size, on_frame
 from odak.learn.wave.training import best_scale
 
 DEFINITIONS = {
@@ -112,7 +113,7 @@ def run(job: EyeboxSettings, notices: files.Notices = files.SILENT) -> dict:
 
 def _target(path: Path, job: EyeboxSettings) -> torch.Tensor:
     picture = light_of(path, (job.wavelength,), True, job.linear)[0]
-    frame, _ = fit(
+    frame, _ = on_frame(
         picture, job.resolution, fitting_size(picture.shape[-2:], job.resolution, pitch_pair(job.pixel_pitch))
     )
     if not frame.any():

@@ -25,6 +25,7 @@ from odak._warnings import ArgumentWarning, warn
 from odak.cli.job import Job, depth_map_path, find_preset, image_path
 from odak.cli.options import InputError, option_name
 from odak.tools import check_directory
+from odak.tools.file import file_depth, save_levels
 from odak.tools.paths import replacing, validate_path
 
 if TYPE_CHECKING:
@@ -572,11 +573,6 @@ def _close(one: Any, other: Any) -> bool:
 _LONGEST_LUT = 1 << 24
 
 
-def file_depth(bits: int) -> int:
-    """Return the bit depth of the file for a pattern of so many bits: 8 or 16."""
-    return 8 if bits <= 8 else 16
-
-
 def stored_bits(path: Path | str) -> int:
     """Return the bit depth of a grey picture: 16 or 8."""
     from PIL import Image
@@ -633,11 +629,8 @@ def save_pattern(path: Path, levels: "torch.Tensor", bits: int) -> None:
     OSError
         If the file cannot be written.
     """
-    from odak.learn.tools import save_image
-
-    grey = levels.cpu().double() * 2 ** (file_depth(bits) - bits)
     try:
-        save_image(str(path), grey, cmin=0, cmax=2 ** file_depth(bits) - 1, color_depth=file_depth(bits))
+        save_levels(path, levels.cpu().numpy(), bits)
     except ValueError as error:
         # A full disk is reported as such, not as a wrong option.
         raise OSError(str(error)) from error

@@ -21,10 +21,11 @@ from PIL import Image, ImageDraw, ImageFont
 from tqdm import tqdm
 
 from odak._warnings import OdakWarning
-from odak.cli.files import file_depth, response_of
+from odak.cli.files import response_of
 from odak.cli.job import Job
 from odak.cli.options import InputError
 from odak.cli.target import Target
+from odak.tools.file import file_depth
 
 LIT = 0.1
 # Nothing is gained any more where the loss falls by less than this share (0.1 dB) over so many iterations.

@@ -15,6 +15,7 @@ from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, Job, depth_map_pat
 from odak.cli.options import InputError
 from odak.learn import wave
 from odak.learn.wave import multiplane_loss
+from odak.learn.wave.pictures import fitting_size, on_frame
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 BLUR_RATIO, BLUR_SIZE = 1.0, 5
@@ -75,7 +76,7 @@ def load_target(job: Job) -> Target:
         wavelengths = (GREY_WAVELENGTH,) if job.grey or len(read_picture(path)) == 1 else COLOUR_WAVELENGTHS
     picture, source, outside = light_of(path, wavelengths, job.grey, job.linear)
     size = fitting_size(picture.shape[-2:], job.resolution, image_pitches(job))
-    intensity, window = fit(picture, job.resolution, size)
+    intensity, window = on_frame(picture, job.resolution, size)
     if min(part.stop - part.start for part in window) < WINDOW:
         rows, columns = (part.stop - part.start for part in window)
         raise InputError(
@@ -131,60 +132,6 @@ def on_screen(images: torch.Tensor, wavelengths: Sequence[float], linear: bool) 
     if linear or not mixed_sources(wavelengths):
         return images.clamp(0, 1)
     return wave.picture_of(images.float(), mixed_sources(wavelengths))[: len(wavelengths)]
-
-
-def fit(
-    picture: torch.Tensor,
-    resolution: tuple[int, int],
-    size: tuple[int, int],
-    mode: str = "bicubic",
-) -> tuple[torch.Tensor, tuple[slice, slice]]:
-    """Resize a picture, and place it in the middle of a black frame.
-
-    Parameters
-    ----------
-    picture : torch.Tensor
-        ``[channels, rows, columns]``, 0 … 1.
-    resolution : tuple of int
-        Rows and columns of the frame.
-    size : tuple of int
-        Rows and columns to resize to, from :func:`fitting_size`.
-    mode : str
-        "bicubic", or "nearest-exact" for values that must not be mixed.
-
-    Returns
-    -------
-    tuple
-        Frame ``[channels, *resolution]``, and the rows and columns (slices) of the picture in it.
-    """
-    if size != tuple(picture.shape[-2:]) and mode == "bicubic":
-        picture = torch.nn.functional.interpolate(picture[None], size, mode=mode, antialias=True)[0].clamp_min(0)
-    elif size != tuple(picture.shape[-2:]):
-        picture = torch.nn.functional.interpolate(picture[None], size, mode=mode)[0]
-    rows, columns = (slice((f - s) // 2, (f - s) // 2 + s) for f, s in zip(resolution, size, strict=True))
-    frame = torch.zeros(len(picture), *resolution)
-    frame[:, rows, columns] = picture
-    return frame, (rows, columns)
-
-
-def fitting_size(shape: Sequence[int], resolution: tuple[int, int], pitches: tuple[float, float]) -> tuple[int, int]:
-    """Return the largest rows and columns within a frame that show a picture of square samples undistorted.
-
-    Parameters
-    ----------
-    shape : sequence of int
-        Rows and columns of the picture.
-    resolution : tuple of int
-        Rows and columns of the frame.
-    pitches : tuple of float
-        Pixel pitch of the frame along rows and columns.
-    """
-    dy, dx = pitches
-    # In pixels of the frame, whose rows are farther apart than its columns where dy is above dx.
-    sides = (shape[0] * (dx / dy), shape[1])
-    ratio = min(frame / side for frame, side in zip(resolution, sides, strict=True))
-    rows, columns = (min(frame, max(1, round(n * ratio))) for frame, n in zip(resolution, sides, strict=True))
-    return rows, columns
 
 
 def read_picture(path: Path, name: str = "IMAGE") -> torch.Tensor:
@@ -306,5 +253,5 @@ def _fitted_depth(job: Job, target: Target) -> torch.Tensor:
             f"{rows} x {columns}"
         )
     # Depths are not averaged across an edge: no surface lies at the mean of a near and a far depth.
-    fitted, _ = fit(depth - 1, job.resolution, (rows, columns), mode="nearest-exact")
+    fitted, _ = on_frame(depth - 1, job.resolution, (rows, columns), mode="nearest-exact")
     return fitted[0] + 1

@@ -18,7 +18,9 @@ from PIL import Image
 from odak.cli import files, hologram, report
 from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, SMALLEST_SIDE, Job, image_path, pattern_name
 from odak.cli.options import InputError
-from odak.cli.target import Target, fitting_size, light_of, on_screen, read_picture
+from odak.cli.target import Target, light_of, on_screen, read_picture
+from odak.learn.wave.pictures import fitting_size
+from odak.tools.file import file_depth
 from odak.wave import hologram_in_chunks, propagate_beam
 from odak.wave.methods import find_method
 
@@ -191,12 +193,12 @@ def _grey(phase: np.ndarray, bits: int) -> np.ndarray:
     """Return the grey values that represent a phase in a file of so many bits."""
     values = torch.from_numpy(phase)
     levels = files.quantise(torch.polar(torch.ones_like(values), values), bits)
-    return (levels * 2 ** (files.file_depth(bits) - bits)).numpy().astype(_kind(bits))
+    return (levels * 2 ** (file_depth(bits) - bits)).numpy().astype(_kind(bits))
 
 
 def _kind(bits: int) -> type[np.unsignedinteger]:
     """Return the type of the grey values in a file."""
-    return np.uint8 if files.file_depth(bits) == 8 else np.uint16
+    return np.uint8 if file_depth(bits) == 8 else np.uint16
 
 
 def _write_zarr(array: Any, path: Path) -> None:
@@ -251,7 +253,7 @@ def _write_pictures(job: Job, target: Target, folder: Path, stems: list[str], ch
 
     greys = [stored(channel["file"]) for channel in channels]
     for stem, grey in zip(stems, greys, strict=True):
-        levels = grey.to(torch.int32) // 2 ** (files.file_depth(job.bits) - job.bits)
+        levels = grey.to(torch.int32) // 2 ** (file_depth(job.bits) - job.bits)
         files.save_pattern(folder / f"{stem}.png", levels, job.bits)
     images = torch.stack([channel["scale"] * stored(channel["reconstruction"]) for channel in channels])
     whole = Target(target.path, torch.from_numpy(target.intensity.compute()), target.window, target.wavelengths)

@@ -711,6 +711,27 @@ def save_image(
     return True
 
 
+def file_depth(bits: int) -> int:
+    """Return the bit depth of the file for a pattern of so many bits: 8 or 16."""
+    return 8 if bits <= 8 else 16
+
+
+def save_levels(path: str | os.PathLike[str], levels: np.ndarray, bits: int) -> None:
+    """Write levels ``[rows, columns]`` of 0 … 2^bits − 1 as a grey image, by whose upper bits they are read.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        As of :func:`save_image`.
+    levels : numpy.ndarray
+        Whole numbers.
+    bits : int
+        Bits of a level, 1 to 16.
+    """
+    depth = file_depth(bits)
+    save_image(path, levels * 2.0 ** (depth - bits), cmin=0, cmax=2**depth - 1, color_depth=depth)
+
+
 def load_image(
     fn: str | os.PathLike[str],
     normalizeby: float = 0.0,

@@ -11,7 +11,6 @@ from odak.wave.bench import ThinLens as ThinLens
 from odak.wave.bench import WavePlate as WavePlate
 from odak.wave.bench import filter_in_focal_plane as filter_in_focal_plane
 from odak.wave.bench import lens_fourier_transform as lens_fourier_transform
-from odak.wave.bench import optical_bench as optical_bench
 from odak.wave.bench import propagate_abcd as propagate_abcd
 from odak.wave.fields import PowerLoss as PowerLoss
 from odak.wave.fields import add_phase as add_phase
@@ -64,6 +63,7 @@ from odak.wave.tilted import propagate_to_tilted_plane as propagate_to_tilted_pl
 from odak.wave.viewing import eye_image as eye_image
 from odak.wave.windows import propagate_to_window as propagate_to_window
 
+from .bench import optical_bench as optical_bench
 from .camera import simulated_camera as simulated_camera
 from .devices import across_devices as across_devices
 from .devices import across_ranks as across_ranks
@@ -173,6 +173,7 @@ from .older.single_plane import shift_w_double_phase as shift_w_double_phase
 from .older.single_plane import stochastic_gradient_descent as stochastic_gradient_descent
 from .older.volume import holographic_display as holographic_display
 from .pictures import PictureLight as PictureLight
+from .pictures import fitted as fitted
 from .pictures import light_of as light_of
 from .pictures import picture_of as picture_of
 from .propagation import disk_source as disk_source

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from odak import _show, _validate
-from odak.learn._tensors import as_pictures, floating
+from odak.learn._tensors import as_pictures, floating, floating_tensor
 from odak.learn.perception.color import (
     IEC_WHITE,
     adapt_chromatically,
@@ -234,6 +234,108 @@ def picture_of(images: torch.Tensor, display: Display | Sequence[float] | float)
     luminances = rgb_to_xyz_matrix()[1]
     encoded = srgb_encoded(_inside(light, luminances, "desaturate").clamp(0, 1))
     return encoded.reshape(*images.shape[:-3], 3, *images.shape[-2:])
+
+
+def fitted(picture: torch.Tensor, display: Display, how: str = "pad") -> torch.Tensor:
+    """Return a picture at the size of a display's images.
+
+    Parameters
+    ----------
+    picture : torch.Tensor
+        Light ``[..., rows, columns]`` with square samples, such as :attr:`PictureLight.targets`, or a depth map.
+    display : Display
+        The display. Behind a lens, samples of the image of the first wavelength count.
+    how : {"pad", "crop", "scale"}
+        Whether all of the picture is shown, in the middle of black; or the frame is filled, and what does not fit is
+        cut off on both sides; or the frame is filled by all of the picture, which distorts it.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., rows, columns]`` of the display, by bicubic interpolation, averaged where the picture has more samples
+        than the display; not negative. Differentiable.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the picture is no tensor of real floats with rows and columns, or the way is not known.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import Display, Modulator, fitted
+    >>> display = Display(Modulator((48, 64), 8e-6), 532e-9, 2e-3)
+    >>> square = torch.ones(100, 100)
+    >>> [round(fitted(square, display, how).mean().item(), 2) for how in ("pad", "crop", "scale")]
+    [0.75, 1.0, 1.0]
+    """
+    picture = _validate.image("picture", floating_tensor("picture", picture))
+    _validate.instance("display", display, Display, "a Display")
+    how = _validate.one_of("how", how, ("pad", "crop", "scale"))
+    resolution = display.shape[2:]
+    pitches = display.path.image_pitches(0)
+    size = resolution if how == "scale" else fitting_size(picture.shape[-2:], resolution, pitches, how == "crop")
+    leading = picture.shape[:-2]
+    frame, _ = on_frame(picture.reshape(-1, *picture.shape[-2:]), resolution, size)
+    return frame.reshape(*leading, *resolution)
+
+
+def on_frame(
+    picture: torch.Tensor, resolution: tuple[int, int], size: tuple[int, int], mode: str = "bicubic"
+) -> tuple[torch.Tensor, tuple[slice, slice]]:
+    """Resize a picture, and place it in the middle of a black frame, or cut the frame out of its middle.
+
+    Parameters
+    ----------
+    picture : torch.Tensor
+        ``[channels, rows, columns]``, 0 … 1.
+    resolution : tuple of int
+        Rows and columns of the frame.
+    size : tuple of int
+        Rows and columns to resize to, from :func:`fitting_size`.
+    mode : str
+        "bicubic", or "nearest-exact" for values that must not be mixed.
+
+    Returns
+    -------
+    tuple
+        Frame ``[channels, *resolution]``, and the rows and columns (slices) of the picture in it.
+    """
+    if size != tuple(picture.shape[-2:]) and mode == "bicubic":
+        picture = torch.nn.functional.interpolate(picture[None], size, mode=mode, antialias=True)[0].clamp_min(0)
+    elif size != tuple(picture.shape[-2:]):
+        picture = torch.nn.functional.interpolate(picture[None], size, mode=mode)[0]
+    kept = [min(f, s) for f, s in zip(resolution, size, strict=True)]
+    top, left = ((s - k) // 2 for s, k in zip(size, kept, strict=True))
+    rows, columns = (slice((f - k) // 2, (f - k) // 2 + k) for f, k in zip(resolution, kept, strict=True))
+    frame = picture.new_zeros(len(picture), *resolution)
+    frame[:, rows, columns] = picture[:, top : top + kept[0], left : left + kept[1]]
+    return frame, (rows, columns)
+
+
+def fitting_size(
+    shape: Sequence[int], resolution: tuple[int, int], pitches: tuple[float, float], covering: bool = False
+) -> tuple[int, int]:
+    """Return the largest rows and columns within a frame that show a picture of square samples undistorted.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns of the picture.
+    resolution : tuple of int
+        Rows and columns of the frame.
+    pitches : tuple of float
+        Pixel pitch of the frame along rows and columns.
+    covering : bool
+        The smallest that cover the frame instead.
+    """
+    dy, dx = pitches
+    # In pixels of the frame, whose rows are farther apart than its columns where dy is above dx.
+    sides = (shape[0] * (dx / dy), shape[1])
+    ratios = [frame / side for frame, side in zip(resolution, sides, strict=True)]
+    ratio, bound = (max(ratios), max) if covering else (min(ratios), min)
+    rows, columns = (bound(frame, max(1, round(n * ratio))) for frame, n in zip(resolution, sides, strict=True))
+    return rows, columns
 
 
 def shown_on_a_screen(images: torch.Tensor, display: Display) -> torch.Tensor:

@@ -1,7 +1,9 @@
+import json
 import math
 import struct
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +12,8 @@ from PIL import Image
 
 import odak
 from odak.learn.perception import color_matching_functions, rgb_to_xyz_matrix
-from odak.learn.wave import Display, Modulator, Run, light_of, optimise, picture_of
-from odak.tools import save_image
+from odak.learn.wave import AmplitudePanel, Display, Modulator, Run, fitted, light_of, optimise, picture_of
+from odak.tools import load_image, save_image
 
 SOURCES = (638e-9, 520e-9, 450e-9)
 
@@ -265,3 +267,71 @@ def test_holograms_show_their_images_as_screens_do():
     assert float((shown[0] - shown[2]).abs().max()) < 1e-6
     grey = decoded(shown[0].double().numpy())
     assert np.abs(grey - hologram.images[0].mean(0).clamp(0, 1).numpy()).max() < 1e-5
+
+
+@pytest.mark.parametrize("pitch", [8e-6, (16e-6, 8e-6)])
+def test_a_circle_fitted_to_a_panel_is_one_in_metres(pitch):
+    display = Display(Modulator((60, 100), pitch, fill=1.0), 532e-9, 2e-3)
+    y, x = torch.meshgrid(torch.arange(301.0) - 150, torch.arange(301.0) - 150, indexing="ij")
+    disc = (y**2 + x**2 < 100**2).double()
+    down, across = display.path.pitches
+    sides = (60 * down, 100 * across)
+    for how, side in (("pad", min(sides)), ("crop", max(sides))):
+        frame = fitted(disc, display, how)
+        assert frame.shape == (60, 100) and frame.min() >= 0
+        # Area and, where it is whole, the second moments of a disc of a third of the side of the square.
+        radius = side / 3
+        if 2 * radius < min(sides):
+            area = float(frame.sum()) * down * across
+            assert area == pytest.approx(torch.pi * radius**2, rel=0.02)
+        rows, columns = ((torch.arange(n) - (n - 1) / 2) * p for n, p in ((60, down), (100, across)))
+        if how == "pad":
+            spread = [float((frame.sum(k) * w**2).sum() / frame.sum()) for k, w in ((1, rows), (0, columns))]
+            assert spread == pytest.approx([radius**2 / 4] * 2, rel=0.03)
+    assert (fitted(torch.ones(2, 3, 50, 50), display, "crop") - 1).abs().max() < 1e-5
+    scaled = fitted(disc, display, "scale")
+    assert float(scaled.mean()) == pytest.approx(float(disc.mean()), rel=5e-3)
+    assert fitted(disc[:60, :100], display, "scale").equal(disc[:60, :100])
+
+
+def test_what_cannot_be_fitted_is_named():
+    display = Display(Modulator((16, 24), 8e-6), 532e-9, 2e-3)
+    with pytest.raises(ValueError, match="how must be one of 'pad', 'crop', 'scale'"):
+        fitted(torch.ones(8, 8), display, "fill")
+    with pytest.raises(TypeError, match="display must be a Display"):
+        fitted(torch.ones(8, 8), (16, 24))
+
+
+@pytest.mark.parametrize("bits", [1, 8, 10])
+def test_a_saved_hologram_is_read_back(tmp_path, bits):
+    display = Display(Modulator((16, 24), 8e-6, bits=bits), SOURCES, 2e-3)
+    target = torch.rand(3, 16, 24, generator=torch.Generator().manual_seed(0))
+    hologram = optimise(display, target, run=Run(iterations=2, progress=False))
+    files = hologram.save(tmp_path / "new" / "folder")
+    assert [Path(file).name for file in files] == [
+        *(f"pattern_{k}.png" for k in (1, 2, 3)),
+        "image_1.png",
+        "report.json",
+    ]
+    depth = 8 if bits <= 8 else 16
+    for file, levels in zip(files[:3], hologram.levels(), strict=True):
+        with Image.open(file) as stored:
+            assert stored.mode == ("L" if depth == 8 else "I;16")
+            grey = np.asarray(stored).astype(int)
+        np.testing.assert_array_equal(grey >> (depth - bits), levels.numpy())
+    image = load_image(files[3]) / 255
+    np.testing.assert_allclose(image, hologram.pictures(0).movedim(0, -1).clamp(0, 1).numpy(), atol=0.51 / 255)
+    report = json.loads(Path(files[-1]).read_text())
+    assert [row["psnr_db"] for row in report["table"]] == pytest.approx(hologram.psnr.flatten().tolist())
+    assert report["files"] == [Path(file).name for file in files[:-1]]
+    assert report["patterns"] == {"pattern": {"bits": bits}}
+
+
+def test_a_saved_hologram_of_two_panels_has_its_amplitudes(tmp_path):
+    first = AmplitudePanel(1e-3, bits=4)
+    display = Display(Modulator((16, 24), 8e-6, lit_through=first), 532e-9, 2e-3)
+    hologram = optimise(display, torch.ones(16, 24), run=Run(iterations=2, progress=False))
+    files = hologram.save(tmp_path)
+    assert [Path(file).name for file in files][:2] == ["pattern_1.png", "amplitude_1.png"]
+    grey = load_image(files[1]).astype(int)
+    np.testing.assert_array_equal(grey >> 4, first.levels(hologram.amplitudes)[0].numpy())

@@ -1,5 +1,7 @@
 """Holograms that were computed for a display, with their quality. Touches a display by its places and levels."""
 
+import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,6 +14,8 @@ from odak.learn.wave.displays.judge import Comparison, judged
 from odak.learn.wave.displays.observers import ANYWHERE, Observer, brightest, decibels, squared_errors
 from odak.learn.wave.pictures import shown_on_a_screen
 from odak.learn.wave.slm import TURN
+from odak.tools.file import save_dictionary, save_image, save_levels
+from odak.tools.paths import validate_path
 
 
 @dataclass(frozen=True)
@@ -113,6 +117,64 @@ class DisplayedHologram:
         if plane is None:
             return shown_on_a_screen(self.images, self.display)
         return shown_on_a_screen(self.images[_validate.place_in("plane", plane, len(self.images))], self.display)
+
+    def save(self, folder: str | os.PathLike[str]) -> list[str]:
+        """Write the patterns, the images and a report to a folder, which is made if there is none.
+
+        Parameters
+        ----------
+        folder : str or os.PathLike
+            The folder. Files of the same names are replaced.
+
+        Returns
+        -------
+        list of str
+            Paths of the files: ``pattern_1.png`` … of each frame, grey levels in the upper bits as `odak hologram`
+            writes them; of two panels also ``amplitude_1.png`` …; ``image_1.png`` … as each plane or eye looks on a
+            screen; and ``report.json``, the :meth:`table` with the display in words.
+
+        Raises
+        ------
+        ValueError, OSError
+            If the folder cannot be made or written to.
+
+        Examples
+        --------
+        >>> import os, tempfile
+        >>> import torch
+        >>> from odak.learn.wave import Display, Modulator, Run, optimise
+        >>> display = Display(Modulator((48, 64), 8e-6), 532e-9, 2e-3)
+        >>> hologram = optimise(display, torch.ones(48, 64), run=Run(iterations=2, progress=False))
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     [os.path.basename(path) for path in hologram.save(folder)]
+        ['pattern_1.png', 'image_1.png', 'report.json']
+        """
+        folder = validate_path(folder)
+        os.makedirs(folder, exist_ok=True)
+        panel, first = self.display.modulator, self.display.modulator.lit_through
+        stacks = {"pattern": (self.levels(), panel.bits)}
+        if self.amplitudes is not None and first is not None:
+            stacks["amplitude"] = (first.levels(self.amplitudes), first.bits)
+        files = []
+        for kind, (levels, bits) in stacks.items():
+            for number, one in enumerate(levels.cpu().numpy(), 1):
+                files.append(os.path.join(folder, f"{kind}_{number}.png"))
+                save_levels(files[-1], one, 8 if bits is None else bits)
+        for number, image in enumerate(self.pictures().detach().cpu(), 1):
+            files.append(os.path.join(folder, f"image_{number}.png"))
+            save_image(files[-1], image.movedim(0, -1).numpy(), cmin=0, cmax=1)
+        report = {
+            "display": self.display.extra_repr(),
+            "observer": self.observer.in_words(),
+            "files": [os.path.basename(file) for file in files],
+            "patterns": {kind: {"bits": 8 if bits is None else bits} for kind, (_, bits) in stacks.items()},
+            "powers": self.display.powers.tolist(),
+            # A number without end is none in JSON.
+            "table": [{k: None if v in (math.inf, -math.inf) else v for k, v in row.items()} for row in self.table()],
+        }
+        files.append(os.path.join(folder, "report.json"))
+        save_dictionary(report, files[-1])
+        return files
 
     def table(self) -> list[dict[Any, Any]]:
         """Return one row of numbers for each plane or eye and colour: lengths in metres, ratios in decibels."""
