@@ -72,6 +72,7 @@ from .display_color import individual_cone_fundamentals as individual_cone_funda
 from .display_color import metameric_failure as metameric_failure
 from .display_color import read_spectra as read_spectra
 from .display_color import sample_observers as sample_observers
+from .display_color import spectra_to_xyz_matrix as spectra_to_xyz_matrix
 from .display_color import spectrum_to_xyz as spectrum_to_xyz
 from .eyesight import Viewer as Viewer
 from .eyesight import ocular_modulation_transfer as ocular_modulation_transfer
@@ -125,3 +126,7 @@ from .quality import ring_masks as ring_masks
 from .quality import structural_similarity as structural_similarity
 from .quality import weber_contrast as weber_contrast
 from .sight import Viewing as Viewing
+from .rendition import ColorFidelity as ColorFidelity
+from .rendition import ColorRendering as ColorRendering
+from .rendition import color_fidelity as color_fidelity
+from .rendition import color_rendering_index as color_rendering_index

@@ -32,6 +32,9 @@ _TABLES = {
     "CIE 1931": "observer_cie_1931_2_degree.csv",
     "CIE 1964": "observer_cie_1964_10_degree.csv",
     "D65": "illuminant_cie_d65.csv",
+    "daylight": "illuminant_cie_daylight.csv",
+    "CIE 1995": "samples_cie_1995.csv",
+    "CIE 2017": "samples_cie_2017.csv",
 }
 
 
@@ -130,8 +133,10 @@ def illuminant_d65(wavelengths: torch.Tensor | Sequence[float]) -> torch.Tensor:
     return _from_table("D65", wavelengths)[0]
 
 
-def spectrum_to_xyz(spectrum: torch.Tensor, wavelengths: torch.Tensor | Sequence[float]) -> torch.Tensor:
-    """Return CIE 1931 XYZ of spectra of light, by the trapezium rule.
+def spectrum_to_xyz(
+    spectrum: torch.Tensor, wavelengths: torch.Tensor | Sequence[float], observer: str = "CIE 1931"
+) -> torch.Tensor:
+    """Return CIE XYZ of spectra of light, by the trapezium rule.
 
     Parameters
     ----------
@@ -139,6 +144,8 @@ def spectrum_to_xyz(spectrum: torch.Tensor, wavelengths: torch.Tensor | Sequence
         Power per nanometre ``[..., S]``.
     wavelengths : torch.Tensor or sequence of float
         In nanometres, rising, S of them.
+    observer : {"CIE 1931", "CIE 1964"}
+        The standard observer for fields of 2°, or for fields of 10°.
 
     Returns
     -------
@@ -148,7 +155,7 @@ def spectrum_to_xyz(spectrum: torch.Tensor, wavelengths: torch.Tensor | Sequence
     Raises
     ------
     ValueError, TypeError
-        If the numbers of samples differ or the wavelengths do not rise.
+        If the numbers of samples differ, the wavelengths do not rise, or the observer is not known.
 
     Examples
     --------
@@ -167,7 +174,50 @@ def spectrum_to_xyz(spectrum: torch.Tensor, wavelengths: torch.Tensor | Sequence
         raise ValueError(
             f"wavelengths must rise, one for each sample of the spectrum, got {len(axis)} for {tuple(spectrum.shape)}"
         )
-    return torch.trapezoid(spectrum[..., None, :] * color_matching_functions(axis), axis)
+    return torch.trapezoid(spectrum[..., None, :] * color_matching_functions(axis, observer), axis)
+
+
+def spectra_to_xyz_matrix(
+    spectra: torch.Tensor, wavelengths: torch.Tensor | Sequence[float], observer: str = "CIE 1931"
+) -> torch.Tensor:
+    """Return the matrix from linear amounts of primaries to CIE XYZ, of the spectra of the primaries.
+
+    Parameters
+    ----------
+    spectra : torch.Tensor
+        Power per nanometre of each primary at full drive ``[..., P, S]``, of any unit common to all.
+    wavelengths : torch.Tensor or sequence of float
+        In nanometres, rising, S of them.
+    observer : {"CIE 1931", "CIE 1964"}
+        The standard observer for fields of 2°, or for fields of 10°.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., 3, P]``, scaled to Y = 1 of all primaries together; their sum is XYZ of the display's white.
+        Differentiable in the spectra.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the numbers of samples differ, the wavelengths do not rise, or the observer is not known.
+
+    Examples
+    --------
+    Three laser lines, each in the middle of three samples:
+
+    >>> import torch
+    >>> from odak.learn.perception import spectra_to_xyz_matrix
+    >>> axis = torch.arange(400.0, 701.0, dtype=torch.float64)
+    >>> lines = torch.stack([(axis - nm).abs().lt(1.5).double() for nm in (638, 520, 450)])
+    >>> matrix = spectra_to_xyz_matrix(lines, axis)
+    >>> [round(value, 4) for value in matrix[1].tolist()]
+    [0.2037, 0.7558, 0.0405]
+    """
+    xyz = spectrum_to_xyz(spectra, wavelengths, observer)
+    if xyz.ndim < 2:
+        raise ValueError(f"spectra must be [..., primaries, samples], got {tuple(spectra.shape)}")
+    return xyz.mT / xyz[..., 1].sum(-1)[..., None, None]
 
 
 def read_spectra(
