@@ -319,6 +319,15 @@ def test_stubs_are_part_of_the_package():
     assert {path.with_suffix(".pyi") for path in ROOT.rglob("__init__.py")} <= shipped
 
 
+# Code lines of the package: what is new takes the place of what it is better than.
+MOST_LINES = 60_000
+
+
+def test_the_package_does_not_grow():
+    lines = sum(structure.code_lines(path.read_text(encoding="utf-8")) for path in MODULES.values())
+    assert lines <= MOST_LINES, "delete what a better way has replaced, before the limit is raised"
+
+
 # Modules whose tests stand in a file of another name; those of internal modules are the tests of what uses them.
 TESTED_IN = {
     "odak.cli.eyebox_views": "cli/test_eyebox.py",
