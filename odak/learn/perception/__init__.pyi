@@ -125,8 +125,8 @@ from .quality import multi_scale_structural_similarity as multi_scale_structural
 from .quality import ring_masks as ring_masks
 from .quality import structural_similarity as structural_similarity
 from .quality import weber_contrast as weber_contrast
-from .sight import Viewing as Viewing
 from .rendition import ColorFidelity as ColorFidelity
 from .rendition import ColorRendering as ColorRendering
 from .rendition import color_fidelity as color_fidelity
 from .rendition import color_rendering_index as color_rendering_index
+from .sight import Viewing as Viewing
