@@ -214,9 +214,11 @@ def spectra_to_xyz_matrix(
     >>> [round(value, 4) for value in matrix[1].tolist()]
     [0.2037, 0.7558, 0.0405]
     """
+    count = len(_checked_axis("wavelengths", wavelengths))
+    if floating_tensor("spectra", spectra).ndim < 2 or spectra.shape[-1] != count:
+        got = tuple(spectra.shape)
+        raise ValueError(f"spectra must be [..., primaries, {count}], a value for each of wavelengths, got {got}")
     xyz = spectrum_to_xyz(spectra, wavelengths, observer)
-    if xyz.ndim < 2:
-        raise ValueError(f"spectra must be [..., primaries, samples], got {tuple(spectra.shape)}")
     return xyz.mT / xyz[..., 1].sum(-1)[..., None, None]
 
 

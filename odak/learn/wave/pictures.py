@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from odak import _show, _validate
-from odak.learn._tensors import as_pictures, floating, floating_tensor
+from odak.learn._tensors import as_pictures, floating, floating_tensor, in_float32
 from odak.learn.perception.color import (
     IEC_WHITE,
     adapt_chromatically,
@@ -276,8 +276,8 @@ def fitted(picture: torch.Tensor, display: Display, how: str = "pad") -> torch.T
     pitches = display.path.image_pitches(0)
     size = resolution if how == "scale" else fitting_size(picture.shape[-2:], resolution, pitches, how == "crop")
     leading = picture.shape[:-2]
-    frame, _ = on_frame(picture.reshape(-1, *picture.shape[-2:]), resolution, size)
-    return frame.reshape(*leading, *resolution)
+    frame, _ = on_frame(in_float32(picture).reshape(-1, *picture.shape[-2:]), resolution, size)
+    return frame.reshape(*leading, *resolution).to(picture)
 
 
 def on_frame(

@@ -273,6 +273,7 @@ BY_CALL = {
     "odak.wave.thin_film_transfer": {"dx": 4e-7},
     "odak.wave.axicon_phase": {"index": 1.5},
     "odak.wave.optical_bench.draw": {"height": 300.0, "width": 400},
+    "odak.learn.wave.optical_bench.draw": {"height": 300.0, "width": 400},
     "odak.wave.point_spread_function": {"pupil": field(16, 16)},
     "odak.wave.propagate_abcd": {"matrix": numpy.array([[1.0, 0.05], [0.0, 1.0]])},
     "odak.wave.aspheric_lens_phase": {"radius": 1e-3, "index": 1.5, "conic": -1.0, "coefficients": [1e3]},

@@ -125,6 +125,11 @@ BY_CALL = {
     f"{HERE}.display_color_hvs": {"primaries_spectrum": tensor(3, 301)},
     f"{HERE}.read_spectra": {"path": Build(_spectra)},
     f"{HERE}.spectrum_to_xyz": {"spectrum": tensor(2, 3)},
+    f"{HERE}.spectra_to_xyz_matrix": {"spectra": tensor(2, 3)},
+    **{
+        f"{HERE}.{name}": {"spectrum": 1 + tensor(41), "wavelengths": [float(nm) for nm in range(380, 781, 10)]}
+        for name in ("color_rendering_index", "color_fidelity")
+    },
     f"{HERE}.slice_rgbd_targets": {
         "target": tensor(3, 8, 8),
         "depth": tensor(8, 8, seed=9),
