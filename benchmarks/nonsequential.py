@@ -46,7 +46,7 @@ print(json.dumps([(found.irradiance * area).tolist(), seconds]))
 
 def ours(split: bool) -> tuple[np.ndarray, float]:
     """Return the power in each bin of the screen, and seconds, of this library: all ways followed, or one drawn."""
-    from odak.learn.raytracing import Conic, Element, Interface, Plane, Scene, light_source
+    from odak.learn.raytracing import Conic, Element, Interface, Plane, RayScene, light_source
 
     faces = [
         Element(Conic(1 / RADIUS), (1.0, INDEX), center=(0, 0, PLACE), aperture=REACH),
@@ -55,7 +55,7 @@ def ours(split: bool) -> tuple[np.ndarray, float]:
     screen = Element(Plane(), interface=Interface(0, 0), center=(0, 0, SCREEN), detects=True, name="screen")
     light = light_source("point", RAYS, half_angle=HALF_ANGLE)
     begin = time.perf_counter()
-    found = Scene([*faces, screen]).trace(light, 550e-6, split=split)
+    found = RayScene([*faces, screen]).trace(light, 550e-6, split=split)
     seconds = time.perf_counter() - begin
     held = found.received["screen"]
     # Whole rays to bins, as the other program counts them; `irradiance` shares each among the four bins about it.

@@ -188,6 +188,8 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
 # Names that were exposed in a package unintentionally, with the package they belong to, or that are others now, with
 # package:name; they come with a DeprecationWarning.
 MOVED_NAMES: dict[str, dict[str, str]] = {
+    "odak.learn.raytracing": {"Scene": "odak.learn.raytracing:RayScene"},
+    "odak.learn.raytracing.system": {"Stage": "odak.learn.raytracing.system:DesignStage"},
     "odak.learn.tools": {"read_PLY": "odak.tools"},
     "odak.learn.wave": {
         "circular_binary_mask": "odak.learn.tools",

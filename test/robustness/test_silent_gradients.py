@@ -21,7 +21,7 @@ WITHOUT_EFFECT = {
     "odak.wave.fraunhofer_equal_size_adjust: wavelength",
     "odak.wave.scattered_field: tolerance",
     # Its media have given indices; through a glass it flows: see test_nonsequential.py.
-    "odak.learn.raytracing.Scene.trace: wavelength",
+    "odak.learn.raytracing.RayScene.trace: wavelength",
     # The result is a system, whose surfaces hold the gradients: see test_environment.py.
     "odak.learn.raytracing.system.in_environment: pressure",
     "odak.learn.raytracing.system.in_environment: temperature",

@@ -11,12 +11,12 @@ import matplotlib.pyplot as plt
 import torch
 from matplotlib.collections import LineCollection
 
-from odak.learn.raytracing import Conic, Element, Light, Scene
+from odak.learn.raytracing import Conic, Element, Light, RayScene
 
 # %%
 # Two half spheres form the ball; the light is a row of rays.
 radius, index, count = 5.0, 1.5, 41
-ball = Scene(
+ball = RayScene(
     [
         Element(Conic(1 / radius), (1.0, index), center=(0, 0, -radius)),
         Element(Conic(-1 / radius), (index, 1.0), center=(0, 0, radius)),

@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import torch
 from matplotlib.collections import LineCollection
 
-from odak.learn.raytracing import Element, Interface, Plane, Scene, light_source
+from odak.learn.raytracing import Element, Interface, Plane, RayScene, light_source
 from odak.raytracing.apertures import RectangularAperture
 from odak.raytracing.interfaces import LinearGrating
 
@@ -55,7 +55,7 @@ for angle, colour in ((-4.0, "tab:blue"), (0.0, "tab:green"), (4.0, "tab:red")):
     light = light_source(
         "collimated", 12, (0.01, 1.0), center=(0, 0, -4), angles=(angle, 0, 0)
     )
-    found = Scene(plate).trace(
+    found = RayScene(plate).trace(
         light, wavelength, split=True, threshold=0.02, paths=True
     )
     pieces = LineCollection(found.segments[..., [1, 2]].numpy(), color=colour)

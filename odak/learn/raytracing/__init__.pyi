@@ -25,8 +25,8 @@ from .nonsequential import Interface as Interface
 from .nonsequential import LambertianScatter as LambertianScatter
 from .nonsequential import Light as Light
 from .nonsequential import MeasuredScatter as MeasuredScatter
+from .nonsequential import RayScene as RayScene
 from .nonsequential import Received as Received
-from .nonsequential import Scene as Scene
 from .nonsequential import SceneLight as SceneLight
 from .nonsequential import light_source as light_source
 from .nonsequential import system_elements as system_elements

@@ -75,7 +75,7 @@ class Scatter:
     def __post_init__(self) -> None:
         _checked_share("share", self.share)
 
-    def _draw(self, along: Any, across: Any, first: Any, second: Any) -> tuple:
+    def _draw(self, along: Any, across: Any, first: Any, second: Any) -> tuple[Any, ...]:
         """Return components of scattered directions along the surface.
 
         Parameters
@@ -105,7 +105,7 @@ class LambertianScatter(Scatter):
     1.0
     """
 
-    def _draw(self, along: Any, across: Any, first: Any, second: Any) -> tuple:
+    def _draw(self, along: Any, across: Any, first: Any, second: Any) -> tuple[Any, ...]:
         """Return points of equal density on the unit disc."""
         radius, angle = first.sqrt(), 2 * math.pi * second
         return radius * angle.cos(), radius * angle.sin()
@@ -132,7 +132,7 @@ class GaussianScatter(Scatter):
 
     sigma: Any = 0.1
 
-    def _draw(self, along: Any, across: Any, first: Any, second: Any) -> tuple:
+    def _draw(self, along: Any, across: Any, first: Any, second: Any) -> tuple[Any, ...]:
         """Return points about the given ones, by the transform of Box and Muller."""
         radius, angle = self.sigma * (-2 * (1 - first).log()).sqrt(), 2 * math.pi * second
         return along + radius * angle.cos(), across + radius * angle.sin()
@@ -228,7 +228,7 @@ class MeasuredScatter(Scatter):
         offsets = _offsets(peak.device)
         return cls(offsets, peak * (1 + (offsets / shoulder) ** 2) ** (slope / 2))
 
-    def _draw(self, along: Any, across: Any, first: Any, second: Any) -> tuple:
+    def _draw(self, along: Any, across: Any, first: Any, second: Any) -> tuple[Any, ...]:
         """Return points about the given ones, by the inverse of the distribution's sum over the radius."""
         sums, squares = (value.to(first) for value in self._table)  # type: ignore[attr-defined]
         place = torch.searchsorted(sums, first.contiguous()).clamp(1, len(sums) - 1)
@@ -386,8 +386,8 @@ class Element:
             raise ValueError(f"media must be two, one on each side, got {media!r:.80}")
         _validate.instance("interface", interface, (Interface, type(None)), "an Interface")
         self.shape = shape
-        self.media = tuple(_checked_medium(value) for value in media)
-        self.interface = BARE if interface is None else interface
+        self.media: Any = tuple(_checked_medium(value) for value in media)
+        self.interface: Interface = BARE if interface is None else interface
         self.center, self.rotation = None, None
         if center is not None:
             (found,) = _doubles(center=center)
@@ -402,8 +402,8 @@ class Element:
         if aperture is not None and isinstance(shape, triangle_mesh):
             raise ValueError("aperture belongs to surfaces, not to meshes, which end where their triangles end")
         self.aperture = aperture
-        self.detects = _validate.flag("detects", detects)
-        self.name = None if name is None else _validate.text("name", name)
+        self.detects: bool = _validate.flag("detects", detects)
+        self.name: str | None = None if name is None else _validate.text("name", name)
 
     @property
     def _reach(self) -> float:
@@ -419,7 +419,7 @@ class Element:
             else self.aperture
         )
 
-    def _enter(self, point: tuple, direction: tuple, place: bool = True) -> tuple:
+    def _enter(self, point: tuple[Any, ...], direction: tuple[Any, ...], place: bool = True) -> tuple[Any, ...]:
         """Return points and directions in the element's frame; of two directions with `place` False."""
         if place and self.center is not None:
             point = vec.minus(point, self.center.to(point[0]).unbind())
@@ -428,7 +428,7 @@ class Element:
             point, direction = (tuple(vec.dot(column, v) for column in columns) for v in (point, direction))
         return point, direction
 
-    def _leave(self, vector: tuple, place: bool = False) -> tuple:
+    def _leave(self, vector: tuple[Any, ...], place: bool = False) -> tuple[Any, ...]:
         """Return a direction, or a place, of the element's frame in the scene's frame."""
         if self.rotation is not None:
             vector = tuple(vec.dot(row.unbind(), vector) for row in self.rotation.to(vector[0]).unbind(0))
@@ -436,7 +436,7 @@ class Element:
             vector = tuple(a + b for a, b in zip(vector, self.center.to(vector[0]).unbind(), strict=True))
         return vector
 
-    def _meet(self, point: tuple, direction: tuple, left: Any, face: Any, margin: float) -> tuple:
+    def _meet(self, point: tuple, direction: tuple[Any, ...], left: Any, face: Any, margin: float) -> tuple[Any, ...]:
         """Return where rays meet the element, in its frame.
 
         Parameters
@@ -722,9 +722,9 @@ class Received(NamedTuple):
 
     Examples
     --------
-    >>> from odak.learn.raytracing import Element, Interface, Plane, Scene, light_source
+    >>> from odak.learn.raytracing import Element, Interface, Plane, RayScene, light_source
     >>> screen = Element(Plane(), interface=Interface(0, 0), center=(0, 0, 5), detects=True, name="screen")
-    >>> found = Scene([screen]).trace(light_source("collimated", 1000, (2.0, 2.0)), 550e-6)
+    >>> found = RayScene([screen]).trace(light_source("collimated", 1000, (2.0, 2.0)), 550e-6)
     >>> pixels = found.received["screen"].irradiance((2.0, 2.0), (4, 4))
     >>> round(float(pixels.mean()), 6)  # a power of 1 on an area of 4
     0.25
@@ -780,7 +780,7 @@ class Received(NamedTuple):
         return found * cosine / (4 * reach * reach / (rows * columns))
 
 
-def binned(x, y, power, rows: int, columns: int) -> torch.Tensor:
+def binned(x: Any, y: Any, power: Any, rows: int, columns: int) -> torch.Tensor:
     """Return the power in pixels of places within ±½, shared out bilinearly."""
     inside = (x.abs() <= 0.5) & (y.abs() <= 0.5)
     total = power.new_zeros(rows * columns)
@@ -822,9 +822,9 @@ class SceneLight(NamedTuple):
 
     Examples
     --------
-    >>> from odak.learn.raytracing import Element, Plane, Scene, light_source
+    >>> from odak.learn.raytracing import Element, Plane, RayScene, light_source
     >>> plate = [Element(Plane(), (1.0, 1.5)), Element(Plane(), (1.5, 1.0), center=(0, 0, 3))]
-    >>> found = Scene(plate).trace(light_source("collimated", 10, center=(0, 0, -1)), 550e-6, split=True)
+    >>> found = RayScene(plate).trace(light_source("collimated", 10, center=(0, 0, -1)), 550e-6, split=True)
     >>> total = found.absorbed.sum() + found.in_media + found.escaped + found.cut
     >>> bool(abs(total - found.emitted) < 1e-12)
     True
@@ -873,7 +873,7 @@ def _joined(states: list[_State]) -> _State:
     return _State(*found, *map(torch.cat, rest))
 
 
-class Scene:
+class RayScene:
     """Surfaces and meshes in space, through which light finds its own way.
 
     Parameters
@@ -900,11 +900,11 @@ class Scene:
     --------
     A plate of index 1.5 lets (1 − R)/(1 + R) of the light pass, all reflections between its faces included:
 
-    >>> from odak.learn.raytracing import Element, Interface, Plane, Scene, light_source
+    >>> from odak.learn.raytracing import Element, Interface, Plane, RayScene, light_source
     >>> screen = Element(Plane(), interface=Interface(0, 0), center=(0, 0, 9), detects=True, name="screen")
     >>> plate = [Element(Plane(), (1.0, 1.5)), Element(Plane(), (1.5, 1.0), center=(0, 0, 3))]
     >>> light = light_source("collimated", 10, size=1.0, center=(0, 0, -1))
-    >>> found = Scene([*plate, screen]).trace(light, 550e-6, split=True, threshold=1e-12)
+    >>> found = RayScene([*plate, screen]).trace(light, 550e-6, split=True, threshold=1e-12)
     >>> round(float(found.absorbed[2]), 9), round((1 - 0.04) / (1 + 0.04), 9)
     (0.923076923, 0.923076923)
     """
@@ -912,15 +912,15 @@ class Scene:
     def __init__(self, elements: Iterable[Element], unit: str = "mm") -> None:
         if isinstance(elements, Element) or not isinstance(elements, Iterable):
             raise TypeError(f"elements must be a sequence of Elements, got {type(elements).__name__}")
-        self.elements = tuple(elements)
+        self.elements: tuple[Element, ...] = tuple(elements)
         for item in self.elements:
             _validate.instance("elements", item, Element, "Elements")
         if not self.elements:
             raise ValueError("elements must hold one at least, got none")
-        self.names = [str(i) if item.name is None else item.name for i, item in enumerate(self.elements)]
+        self.names: list[str] = [str(i) if item.name is None else item.name for i, item in enumerate(self.elements)]
         if len(set(self.names)) < len(self.names):
             raise ValueError(f"elements must have different names, got {self.names}")
-        self.unit = _validate.one_of("unit", unit, MICROMETRES)
+        self.unit: str = _validate.one_of("unit", unit, MICROMETRES)
 
     def trace(
         self,
@@ -1001,7 +1001,7 @@ class Scene:
 
     def _may_need_gradient(self, *numbers) -> bool:
         """Return whether derivatives may be asked for: functions of the caller's own may hold what is not seen here."""
-        found: list = list(numbers)
+        found: list[Any] = list(numbers)
         for item in self.elements:
             shape, interface = item.shape, item.interface
             found += [item.center, item.rotation, *item.media, interface.reflectance, interface.transmittance]
@@ -1027,7 +1027,7 @@ def _checked_light(light) -> Light:
     return Light(torch.stack((rays[:, 0], unit(rays[:, 1])), 1), power, field)
 
 
-def _perpendicular(way: tuple, normal: tuple, otherwise: tuple) -> tuple:
+def _perpendicular(way: tuple[Any, ...], normal: tuple[Any, ...], otherwise: tuple[Any, ...]) -> tuple[Any, ...]:
     """Return unit vectors across the plane of incidence; others at normal incidence, where there is none."""
     found = vec.cross(way, normal)
     squared = vec.dot(found, found)
@@ -1041,7 +1041,7 @@ class _Walk:
 
     random: torch.Generator
 
-    def __init__(self, scene: Scene, wavelength, split: bool, size: float, paths: bool, least):
+    def __init__(self, scene: RayScene, wavelength, split: bool, size: float, paths: bool, least):
         self.scene, self.wavelength, self.split, self.size, self.least = scene, wavelength, split, size, least
         self.margin = 4096 * torch.finfo(wavelength.dtype).eps * size
         self.index = [[self._index(m) for m in item.media] for item in scene.elements]
@@ -1052,8 +1052,8 @@ class _Walk:
         self.media = self.escaped = self.cut = zero
         # Power that meets an element from another medium than the one that it came through.
         self.mixed = [zero for _ in scene.elements]
-        self.arrived: dict[int, list] = {i: [] for i, item in enumerate(scene.elements) if item.detects}
-        self.pieces: list | None = [] if paths else None
+        self.arrived: dict[int, list[Any]] = {i: [] for i, item in enumerate(scene.elements) if item.detects}
+        self.pieces: list[Any] | None = [] if paths else None
 
     def begin(self, rays, power, number, field, seed: int, bounces: int) -> "_Walk":
         """Return a walk of its own that has followed a block of rays to their ends."""
@@ -1116,7 +1116,7 @@ class _Walk:
             gone = state.take(group)
             self._keep(gone, vec.along(gone.point, self.size, gone.direction))
 
-    def _keep(self, state: _State, end: tuple) -> None:
+    def _keep(self, state: _State, end: tuple[Any, ...]) -> None:
         if self.pieces is not None:
             ends = torch.stack([torch.stack(part, -1) for part in (state.point, end)], 1)
             self.pieces.append((ends.detach(), state.ray, state.power.detach()))
@@ -1182,14 +1182,14 @@ class _Walk:
             )
         return following
 
-    def _spread(self, i: int, like) -> tuple:
+    def _spread(self, i: int, like) -> tuple[Any, ...]:
         return tuple(torch.as_tensor(value, dtype=like.dtype, device=like.device) + 0 * like for value in self.index[i])
 
-    def _options(self, i: int, interface: Interface, ray: tuple, numbers, power, path) -> list[tuple]:
+    def _options(self, i: int, interface: Interface, ray: tuple, numbers, power, path) -> list[tuple[Any, ...]]:
         """Return directions, powers, fields and paths of the rays into which light is divided, before scattering."""
         place, way, normal, field = ray
         n1, n2, cosine = numbers
-        axes: tuple = ()
+        axes: tuple[Any, ...] = ()
         if field:
             s = _perpendicular(way, normal, axes_across(way)[0])
             p = vec.cross(way, s)
@@ -1238,7 +1238,7 @@ class _Walk:
             found.append(divided(bent, through, *given[1]))
         return found
 
-    def _shares(self, i: int, interface: Interface, numbers) -> tuple:
+    def _shares(self, i: int, interface: Interface, numbers) -> tuple[Any, ...]:
         """Return the fractions of the power that are reflected and transmitted; None for one that is always 0."""
         n1, n2, cosine = numbers
         incidence = cosine.abs().clamp(max=1.0)
@@ -1255,7 +1255,7 @@ class _Walk:
         through = 1 - (n1 / n2) ** 2 * (1 - incidence * incidence) > 0
         return torch.where(through, back + 0 * incidence, back + behind), torch.where(through, behind, 0 * cosine)
 
-    def _amplitudes(self, i: int, interface: Interface, numbers) -> tuple:
+    def _amplitudes(self, i: int, interface: Interface, numbers) -> tuple[Any, ...]:
         """Return the amplitudes of both polarisations, reflected and transmitted, of bare interfaces and films."""
         n1, n2, cosine = numbers
         incidence = cosine.abs().clamp(max=1.0)
@@ -1274,7 +1274,7 @@ class _Walk:
     def _uniform(self, like) -> torch.Tensor:
         return torch.rand(len(like), generator=self.random, dtype=like.dtype, device=like.device)
 
-    def _drawn(self, options: list[tuple]) -> tuple:
+    def _drawn(self, options: list[tuple[Any, ...]]) -> tuple[Any, ...]:
         """Return one of several rays, drawn by its share of the power, with the power of all."""
         shares = [share.detach() for _, share, _, _ in options]
         total = sum(shares)
@@ -1293,7 +1293,7 @@ class _Walk:
             return out, power * torch.where(held > 0, total / torch.where(held > 0, held, 1.0), 0.0), field, path
         return out, torch.where(held > 0, total, 0.0), field, path
 
-    def _scattered(self, scatter: Scatter, normal, out, power, field, path) -> list[tuple]:
+    def _scattered(self, scatter: Scatter, normal, out, power, field, path) -> list[tuple[Any, ...]]:
         """Return what is scattered of light that leaves a surface, and what is not."""
         first, second = axes_across(normal)
         along, across = scatter._draw(

@@ -308,7 +308,7 @@ BY_CALL = {
     f"{HERE}.system.spots_figure": {"found": Build(lambda _: spot_diagram(_lens(), count=2))},
     f"{HERE}.system.transfer_figure": {"samples": 16},
     f"{HERE}.Element": {"name": "a screen"},
-    f"{HERE}.Scene.trace": {
+    f"{HERE}.RayScene.trace": {
         "light": Build(lambda _: light_source("point", 8, half_angle=60.0, center=(0.0, 0.0, -3.0))),
         "wavelength": 550e-6,
     },

@@ -23,7 +23,7 @@ SCENES = [
     "Light",
     "MeasuredScatter",
     "Received",
-    "Scene",
+    "RayScene",
     "SceneLight",
     "light_source",
     "system_elements",

@@ -18,7 +18,7 @@ from odak.learn.raytracing import (
     Light,
     MeasuredScatter,
     Plane,
-    Scene,
+    RayScene,
     light_source,
     triangle_mesh,
 )
@@ -59,7 +59,7 @@ def test_shares_are_the_means_of_fresnels_equations():
 @pytest.mark.parametrize("split", [True, False])
 def test_a_plate_passes_the_incoherent_sum_of_its_reflections(split):
     light = light_source("collimated", 40 if split else 40_000, size=1.0, center=(0, 0, -1))
-    found = Scene([*plate(), screen(9)]).trace(light, WAVE, split=split, threshold=1e-12)
+    found = RayScene([*plate(), screen(9)]).trace(light, WAVE, split=split, threshold=1e-12)
     one = 0.04
     assert float(found.absorbed[2]) == pytest.approx((1 - one) / (1 + one), abs=1e-9 if split else 6e-3)
     assert float(found.escaped) == pytest.approx(2 * one / (1 + one), abs=1e-9 if split else 6e-3)
@@ -71,7 +71,7 @@ def test_a_coated_plate_reflects_as_its_films_from_both_sides():
     front = Element(Plane(), (1.0, 1.5), Interface(coating=films))
     for angle, side in ((0.0, 1), (40.0, 1), (25.0, -1)):
         light = light_source("collimated", 5, center=(0, 0, -side), angles=(angle + 90 - 90 * side, 0, 0))
-        found = Scene([front, screen(side * 9)]).trace(light, WAVE, split=True, threshold=0)
+        found = RayScene([front, screen(side * 9)]).trace(light, WAVE, split=True, threshold=0)
         n1, n2 = (1.0, 1.5)[::side]
         cosine = tensor(math.cos(math.radians(angle)))
         behind = (1 - (n1 / n2) ** 2 * (1 - cosine**2)).sqrt()
@@ -84,7 +84,7 @@ def test_a_coated_plate_reflects_as_its_films_from_both_sides():
 def test_glass_absorbs_along_the_way():
     glass = "SF6"
     light = light_source("collimated", 5, center=(0, 0, -1))
-    found = Scene([*plate(glass, 25.0), screen(99)]).trace(light, 400e-6, split=True, threshold=0, bounces=3)
+    found = RayScene([*plate(glass, 25.0), screen(99)]).trace(light, 400e-6, split=True, threshold=0, bounces=3)
     index = refractive_index(glass, 400e-6, "mm", medium="air")
     surface = 1 - ((index - 1) / (index + 1)) ** 2
     assert float(found.absorbed[2]) == pytest.approx(
@@ -100,7 +100,7 @@ def test_polarised_light_through_a_tilted_plate():
     found = fresnel(tensor([0.0, math.sin(math.pi / 3), 0.5]), tensor([0.0, 0.0, 1.0]), 1.0, index)
     shares = [(1 - r) / (1 + r) for r in (float(found.reflectance_s), float(found.reflectance_p))]
     light = light_source("collimated", 3, center=(0, 0, -1), angles=(-angle, 0, 0))
-    scene = Scene([*plate(index), screen(9)])
+    scene = RayScene([*plate(index), screen(9)])
     states = {None: sum(shares) / 2, (1, 0): shares[0], (0, 1): shares[1], (1, 1j): sum(shares) / 2}
     for jones, expected in states.items():
         held = scene.trace(light.polarized(jones), WAVE, split=True, threshold=1e-13)
@@ -118,7 +118,7 @@ def test_a_fresnel_rhomb_makes_circular_light():
     start = tensor([0.0, 0.0, 2.0])
     end = Element(Plane(), interface=BLACK, center=(0, 12, 2), angles=(90, 0, 0), detects=True, name="end")
     light = Light(torch.stack((start, way))[None], torch.ones(1, dtype=torch.float64)).polarized((1, 1))
-    held = Scene([*faces, end]).trace(light, WAVE, split=True).received["end"]
+    held = RayScene([*faces, end]).trace(light, WAVE, split=True).received["end"]
     sine = math.sin(angle) ** 2
     delta = 2 * math.atan(math.cos(angle) * math.sqrt(sine - 1 / index**2) / sine)
     # Of equal parts s and p with a phase of 2δ between them, |E·E| is |cos 2δ|.
@@ -139,7 +139,7 @@ def test_polarised_light_has_its_gradients():
             Element(Conic(-0.02), (index, 1.0), scatter, center=place),
             screen(9.0),
         ]
-        found = Scene(parts).trace(light, WAVE, split=True, threshold=1e-2, bounces=3)
+        found = RayScene(parts).trace(light, WAVE, split=True, threshold=1e-2, bounces=3)
         return found.absorbed, found.received["screen"].field.abs()
 
     given = [tensor(1.5), tensor([0.1, 0.0, 3.0])]
@@ -162,7 +162,7 @@ def test_an_integrating_sphere_multiplies_the_irradiance():
         Plane(), interface=BLACK, center=(0, 0, 2 * radius - height), aperture=port + 1e-9, detects=True, name="port"
     )
     wall = Interface(white, 0.0, scatter=LambertianScatter())
-    scene = Scene([*sphere(radius, wall, port), exit_plane])
+    scene = RayScene([*sphere(radius, wall, port), exit_plane])
     light = light_source("point", 2_000, half_angle=20, center=(0, 0, 6.0), angles=(90, 0, 0))
     found = scene.trace(light, WAVE, threshold=1e-9)
     share = height / (2 * radius)
@@ -176,7 +176,7 @@ def test_a_lambertian_disc_illuminates_its_axis():
     # E = power/area * sin^2 of the half angle that the disc subtends.
     light = light_source("lambertian", 200_000, size=5.0)
     target = screen(5.0, aperture=0.5)
-    found = Scene([target]).trace(light, WAVE)
+    found = RayScene([target]).trace(light, WAVE)
     expected = 1 / (math.pi * 25) * 0.5 * math.pi * 0.25
     assert float(found.absorbed[0]) == pytest.approx(expected, rel=0.02)
 
@@ -198,7 +198,7 @@ def guide(core, cladding, side, length):
 def test_a_light_guide_accepts_its_numerical_aperture():
     core, cladding = 1.5, 1.45
     aperture = math.sqrt(core**2 - cladding**2)
-    scene = Scene(
+    scene = RayScene(
         [
             *guide(core, cladding, 1.0, 60.0),
             screen(60.001, aperture=RectangularAperture(half_width=0.5, half_height=0.5)),
@@ -226,7 +226,7 @@ def test_a_corner_cube_returns_rays_the_way_they_came():
     way = way / way.norm()
     start = tensor([2.0, 2.0, 2.0]) - 20 * way + 0.3 * torch.rand(50, 3, dtype=torch.float64)
     light = Light(torch.stack((start, way.expand(50, 3)), 1), torch.ones(50, dtype=torch.float64))
-    found = Scene([Element(corner(), interface=MIRROR)]).trace(light, WAVE, paths=True)
+    found = RayScene([Element(corner(), interface=MIRROR)]).trace(light, WAVE, paths=True)
     last = found.segments[found.segment_rays.argsort(stable=True)].reshape(50, 4, 2, 3)[:, 3]
     ways = last[:, 1] - last[:, 0]
     assert (ways / ways.norm(dim=1, keepdim=True) + way).abs().max() < 1e-12
@@ -241,7 +241,7 @@ def test_a_mesh_and_planes_make_the_same_cube_of_glass():
     light = light_source("lambertian", 50, (0.8, 0.8), half_angle=30, center=(0.02, 0.01, -0.1))
     both = []
     for parts in ([Element(mesh, (1.6, 1.0))], guide(1.6, 1.0, 1.0, 6.0)):
-        scene = Scene([*parts, screen(6.2, aperture=1.0)])
+        scene = RayScene([*parts, screen(6.2, aperture=1.0)])
         both.append(scene.trace(light, WAVE, split=True, threshold=1e-2))
     assert float(both[0].absorbed[-1]) == pytest.approx(float(both[1].absorbed[-1]), abs=1e-10)
     assert 0.7 < float(both[0].absorbed[-1]) < 1
@@ -254,7 +254,7 @@ def test_etendue_is_kept_by_a_lens():
         Element(EvenAsphere(0.05, 0.0, (1e-5,)), (1.0, 1.7), aperture=8.0),
         Element(Conic(-0.02), (1.7, 1.0), center=(0, 0, 4), angles=(3.0, -2.0, 0.0), aperture=8.0),
     ]
-    scene = Scene([Element(Plane(), interface=Interface(0, 1), center=(0, 0, -4)), *lens, screen(30)])
+    scene = RayScene([Element(Plane(), interface=Interface(0, 1), center=(0, 0, -4)), *lens, screen(30)])
 
     def through(state):
         x, y, p, q = state
@@ -278,7 +278,7 @@ def test_gradients_are_those_of_finite_differences():
             Element(Plane(), (index, 1.0), wall, center=place, angles=(2.0, 1.0, 0.0)),
             screen(15.0),
         ]
-        found = Scene(parts).trace(light, WAVE, split=True, threshold=1e-3, bounces=4)
+        found = RayScene(parts).trace(light, WAVE, split=True, threshold=1e-3, bounces=4)
         held = found.received["screen"]
         return found.absorbed, (held.power * held.point[:, 0] * held.path).sum(), held.irradiance((4.0, 4.0), (3, 3))
 
@@ -290,7 +290,7 @@ def test_the_gradient_of_the_wavelength_goes_through_glass():
     """At normal incidence a surface passes 4n/(n + 1)² of the light; a micrometre of glass absorbs none."""
     wave = tensor(WAVE).requires_grad_()
     light = light_source("collimated", 4, center=(0, 0, -1))
-    scene = Scene([Element(Plane(), (1.0, "N-BK7")), screen(1e-3, media=("N-BK7", "N-BK7"))])
+    scene = RayScene([Element(Plane(), (1.0, "N-BK7")), screen(1e-3, media=("N-BK7", "N-BK7"))])
     power = scene.trace(light, wave, split=True, threshold=1e-12).received["screen"].power.sum()
     index = refractive_index("N-BK7", wave, "mm")
     (found,), (wanted,) = (
@@ -304,7 +304,7 @@ def test_drawn_ways_have_the_gradient_of_their_mean():
     share = tensor(0.3).requires_grad_()
     mirror = Element(Plane(), interface=Interface(share, 1 - share))
     light = light_source("collimated", 40_000, center=(0, 0, -1))
-    found = Scene([mirror, screen(5)]).trace(light, WAVE, seed=3)
+    found = RayScene([mirror, screen(5)]).trace(light, WAVE, seed=3)
     (slope,) = torch.autograd.grad(found.absorbed[1], share)
     assert float(found.absorbed[1].detach()) == pytest.approx(0.7, abs=0.01)
     assert float(slope) == pytest.approx(-1, abs=0.01)
@@ -316,7 +316,7 @@ def scattered(scatter, angle=0.0, count=100_000, interface=None):
     dome = Element(Plane(), interface=BLACK, center=(0, 0, -1e-3), detects=True, name="dome")
     way = light.rays[:, 1]
     start = way * (-5e-4)
-    return Scene([wall, dome]).trace(Light(torch.stack((start, way), 1), light.power), WAVE, split=True)
+    return RayScene([wall, dome]).trace(Light(torch.stack((start, way), 1), light.power), WAVE, split=True)
 
 
 def test_lambertian_walls_send_out_the_cosine():
@@ -361,7 +361,7 @@ def test_a_grating_divides_light_among_its_orders():
     # The first reflected order of 2000 lines does not exist at this angle: its share is absorbed.
     grating = Interface({0: 0.05}, efficiencies, phase=LinearGrating(0.0, lines))
     light = light_source("collimated", 3, center=(0, 0, -1), angles=(-angle, 0, 0))
-    found = Scene([Element(Plane(), (1.0, index), grating), screen(3)]).trace(light, WAVE, split=True)
+    found = RayScene([Element(Plane(), (1.0, index), grating), screen(3)]).trace(light, WAVE, split=True)
     held = found.received["screen"]
     sines = held.direction[:, 1].reshape(3, 3)[:, 0] * index
     start = math.sin(math.radians(angle))
@@ -384,7 +384,7 @@ def expander(coupling, length=30.0):
     out = lambda place, way: coupling(place)  # noqa: E731
     edge = RectangularAperture(half_width=9.0, half_height=THICKNESS)
     end = {"center": (0, 0.5 + length, THICKNESS / 2), "angles": (-90, 0, 0), "aperture": edge}
-    return Scene(
+    return RayScene(
         [
             Element(Plane(), interface=BLACK, name="end", **end),
             Element(Plane(), (1.0, INDEX), Interface({}, {1: 1.0}, phase=lines), aperture=inner, name="in"),
@@ -459,7 +459,7 @@ def test_an_expander_in_two_directions_fills_a_lattice():
     light = light_source("collimated", 10, (0.2, 0.2), center=(0, 0, -0.01), angles=(-1.0, 2.0, 0.0))
     # Light that is guided to the ends of the gratings passes the screen by.
     eye = screen(-5.0, aperture=RectangularAperture(center=(8.35, 5.35), half_width=8.6, half_height=7.5))
-    found = Scene([*parts, rear, eye]).trace(light, WAVE, split=True, threshold=1e-9)
+    found = RayScene([*parts, rear, eye]).trace(light, WAVE, split=True, threshold=1e-9)
     held, way = found.received["screen"], light.rays[0, 1]
     assert len(held.power) > 500 and (held.direction - way * tensor([1.0, 1.0, -1.0])).abs().max() < 1e-12
     hops = []
@@ -486,14 +486,14 @@ def test_a_hologram_couples_light_as_its_lines_do():
     ways = []
     for phase in (HologramPhase(ramp.expand(n, n), pitch), LinearGrating(100.0)):
         parts = [Element(Plane(), interface=Interface({}, shares, phase=phase)), screen(2)]
-        ways.append(Scene(parts).trace(light, WAVE, split=True).received["screen"].direction)
+        ways.append(RayScene(parts).trace(light, WAVE, split=True).received["screen"].direction)
     assert (ways[0] - ways[1]).abs().max() < 1e-9
 
 
 def test_orders_that_do_not_propagate_are_absorbed():
     grating = Interface({}, {0: 0.5, 1: 0.5}, phase=LinearGrating(2500.0))
     light = light_source("collimated", 3, center=(0, 0, -1))
-    found = Scene([Element(Plane(), interface=grating), screen(3)]).trace(light, WAVE)
+    found = RayScene([Element(Plane(), interface=grating), screen(3)]).trace(light, WAVE)
     assert float(found.absorbed[0]) == pytest.approx(0.5)
 
 
@@ -507,7 +507,7 @@ def test_a_plane_wave_behind_a_grating_is_plane(split):
         center = (0, distance * sine, distance * math.sqrt(1 - sine * sine))
         across = Element(Plane(), interface=BLACK, center=center, angles=(-math.degrees(math.asin(sine)), 0, 0))
         across.detects, across.name, across.aperture = True, "across", 3.0
-        found = Scene([Element(Plane(), interface=grating), across]).trace(light, WAVE, split=split)
+        found = RayScene([Element(Plane(), interface=grating), across]).trace(light, WAVE, split=split)
         assert (found.received["across"].path - (1 + distance)).abs().max() < 1e-12
 
 
@@ -515,7 +515,7 @@ def test_light_beside_a_hologram_is_absorbed():
     phase = HologramPhase(torch.zeros(16, 16, dtype=torch.float64), 0.1)
     parts = [Element(Plane(), interface=Interface({}, {0: 1.0}, phase=phase)), screen(2)]
     rays = tensor([[[0, 0.3, -1], [0, 0, 1]], [[0, 5.0, -1], [0, 0, 1]]])
-    found = Scene(parts).trace(Light(rays, tensor([1.0, 1.0])), WAVE)
+    found = RayScene(parts).trace(Light(rays, tensor([1.0, 1.0])), WAVE)
     assert found.received["screen"].ray.tolist() == [0] and found.absorbed.tolist() == [1, 1]
 
 
@@ -525,7 +525,7 @@ def test_a_tilted_board_does_not_stop_the_light_of_its_own_source(dtype):
     light = light_source("lambertian", 5_000, size=(1.0, 1.0), center=center, angles=angles)
     corners = torch.tensor([[-3, -3, 0], [3, -3, 0], [-3, 3, 0], [3, 3, 0]], dtype=dtype)
     for board in (Plane(), triangle_mesh(corners, torch.tensor([[0, 1, 2], [1, 3, 2]]))):
-        found = Scene([Element(board, interface=BLACK, center=center, angles=angles)]).trace(light, WAVE)
+        found = RayScene([Element(board, interface=BLACK, center=center, angles=angles)]).trace(light, WAVE)
         assert float(found.absorbed[0]) == 0
 
 
@@ -534,7 +534,7 @@ def test_thin_films_of_glass_end_at_their_second_face(dtype):
     faces = [Element(Conic(0.02), (1.0, 1.5), aperture=9.0)]
     faces.append(Element(Conic(0.02), (1.5, 1.0), BLACK, center=(0, 0, 0.01), aperture=9.0))
     light = light_source("collimated", 50, size=5.0, center=tensor([0, 0, -100.0]).to(dtype))
-    found = Scene(faces).trace(light, WAVE, split=True)
+    found = RayScene(faces).trace(light, WAVE, split=True)
     assert float(found.absorbed[1]) == pytest.approx(0.96, abs=1e-3)
 
 
@@ -543,9 +543,9 @@ def test_media_that_do_not_agree_are_told(split, recwarn):
     light = light_source("collimated", 100, size=1.0, center=(0, 0, -1))
     parts = [Element(Plane(), (1.0, 1.5)), Element(Plane(), (1.0, 1.5), center=(0, 0, 3), name="rear"), screen(9)]
     with pytest.warns(AccuracyWarning, match=r"meets 'rear' \(9\d % of the light\)"):
-        Scene(parts).trace(light, WAVE, split=split, seed=5)
+        RayScene(parts).trace(light, WAVE, split=split, seed=5)
     recwarn.clear()
-    Scene([*plate(), screen(9)]).trace(light, WAVE, split=split)
+    RayScene([*plate(), screen(9)]).trace(light, WAVE, split=split)
     assert not recwarn.list
 
 
@@ -554,7 +554,7 @@ def test_directions_may_be_of_any_length():
     longer = light.rays * tensor([1.0, 3.0])[:, None]
     parts = [*plate(angles=(30.0, 0.0, 0.0)), screen(9)]
     given, found = (
-        Scene(parts).trace(Light(rays, light.power), WAVE, split=True).received["screen"]
+        RayScene(parts).trace(Light(rays, light.power), WAVE, split=True).received["screen"]
         for rays in (light.rays, longer)
     )
     for name in ("point", "direction", "power", "path"):
@@ -563,7 +563,7 @@ def test_directions_may_be_of_any_length():
 
 def test_a_seed_repeats_a_trace():
     light = light_source("point", 500, center=(0, 0, 8.0))
-    scene = Scene(sphere(10.0, Interface(0.5, 0.3, scatter=LambertianScatter(0.7))))
+    scene = RayScene(sphere(10.0, Interface(0.5, 0.3, scatter=LambertianScatter(0.7))))
     one, two, other = (scene.trace(light, WAVE, seed=seed) for seed in (1, 1, 2))
     assert torch.equal(one.absorbed, two.absorbed) and not torch.equal(one.absorbed, other.absorbed)
 
@@ -577,9 +577,9 @@ def test_a_seed_repeats_a_trace():
         (lambda: Element(Plane(), media=(1.0,)), "media must be two"),
         (lambda: Element(Plane(), media=(1.0, -1.0)), "media must be"),
         (lambda: Element(corner(), aperture=1.0), "aperture belongs"),
-        (lambda: Scene([]), "one at least"),
+        (lambda: RayScene([]), "one at least"),
         (lambda: light_source("point", 5).polarized((0, 0)), "jones must be"),
-        (lambda: Scene([Element(Plane(), name="a"), Element(Plane(), name="a")]), "different names"),
+        (lambda: RayScene([Element(Plane(), name="a"), Element(Plane(), name="a")]), "different names"),
         (lambda: light_source("point", 5, size=1.0), "size must be"),
         (lambda: light_source("lambertian", 5, half_angle=120), "at most 90"),
         (lambda: MeasuredScatter([0.0, 1.0], [1.0, 1.0]), "at most 1"),
@@ -612,7 +612,7 @@ def test_the_edge_of_a_cone_behind_a_lens_is_that_of_snells_law():
         Element(Plane(), interface=Interface(0, 0), center=(0, 0, 120.0), detects=True, name="screen"),
     ]
     ray = torch.tensor([[[0, 0, 0], [0, math.sin(angle), math.cos(angle)]]], dtype=torch.float64)
-    found = Scene(faces).trace(Light(ray, torch.ones(1, dtype=torch.float64)), 550e-6, split=True).received["screen"]
+    found = RayScene(faces).trace(Light(ray, torch.ones(1, dtype=torch.float64)), 550e-6, split=True).received["screen"]
     assert float(found.point[0, 1]) == pytest.approx(y + (120 - z) * math.tan(way), rel=1e-13)
     assert float(found.point[0, 1]) == pytest.approx(6.02189, abs=5e-6)
     assert float(found.power[0]) == pytest.approx(power, rel=1e-12)
@@ -624,7 +624,7 @@ def test_two_sides_may_be_an_array(as_sides):
     # Of two rays, which an array of two numbers would broadcast with.
     light = light_source("collimated", 2, as_sides([2.0, 3.0]))
     assert torch.equal(light.rays, light_source("collimated", 2, (2.0, 3.0)).rays)
-    received = Scene([screen]).trace(light, 550e-6).received["screen"]
+    received = RayScene([screen]).trace(light, 550e-6).received["screen"]
     found = received.irradiance(as_sides([2.0, 3.0]), (3, 2))
     assert torch.equal(found, received.irradiance((2.0, 3.0), (3, 2)))
     assert float(found.sum()) == pytest.approx(1.0)  # a power of 1 in pixels of an area of 1

@@ -23,9 +23,9 @@ from .analysis import wavefront as wavefront
 from .analysis import zernike_fit as zernike_fit
 from .automatic import AutomaticResult as AutomaticResult
 from .automatic import DesignSearch as DesignSearch
+from .automatic import DesignStage as DesignStage
 from .automatic import LensDimensions as LensDimensions
 from .automatic import LensRequirements as LensRequirements
-from .automatic import Stage as Stage
 from .automatic import automatic_design as automatic_design
 from .automatic import standard_design as standard_design
 from .coatings import CoatingDesign as CoatingDesign

@@ -86,7 +86,7 @@ ACCEPTED_SPOT = 1 / 400
 SPOILT = 100.0
 
 
-class Stage(NamedTuple):
+class DesignStage(NamedTuple):
     """A stage of the curriculum.
 
     Attributes
@@ -121,7 +121,7 @@ class AutomaticResult(NamedTuple):
     ----------
     system : optical_system
         The lens.
-    stages : tuple of Stage
+    stages : tuple of DesignStage
         Stages of the curriculum; the last one is the lens.
     start : optical_system
         The flat plates that the design began with.
@@ -136,7 +136,7 @@ class AutomaticResult(NamedTuple):
     """
 
     system: optical_system
-    stages: tuple[Stage, ...]
+    stages: tuple[DesignStage, ...]
     start: optical_system
 
     def __repr__(self) -> str:
@@ -294,7 +294,7 @@ class DesignSearch:
     seed : int
         Seed of the random bendings: the same seed gives the same lens.
     callback : callable, optional
-        Called with each :class:`Stage` as it is finished.
+        Called with each :class:`DesignStage` as it is finished.
 
     Raises
     ------
@@ -313,7 +313,7 @@ class DesignSearch:
     iterations: int | None = None
     polish: int = 6
     seed: int = 0
-    callback: Callable[[Stage], Any] | None = None
+    callback: Callable[[DesignStage], Any] | None = None
 
     def __post_init__(self) -> None:
         for name, least in (("starts", 1), ("stages", 1), ("iterations", 1), ("polish", 0), ("seed", 0)):
@@ -608,7 +608,7 @@ class _Problem:
         self.last = len(system.surfaces) - 1
         self.first = min(curved)
         self.free_glasses = bool(makers)
-        self.stages: list[Stage] = []
+        self.stages: list[DesignStage] = []
         self.thicknesses = [
             Variable("thickness", [i for i in spaces if i in curved[::2]], *dimensions.glass),
             Variable("thickness", [i for i in spaces if i not in curved[::2]], *dimensions.air),
@@ -646,7 +646,7 @@ class _Problem:
     def record(self, aperture: float, field: float) -> None:
         """Append a copy of the system to the stages, and call back."""
         rms = rms_spot(self.system, "rings", 6, vignetting=False).detach()
-        self.stages.append(Stage(aperture, field, float(rms.square().mean().sqrt()), copy.deepcopy(self.system)))
+        self.stages.append(DesignStage(aperture, field, float(rms.square().mean().sqrt()), copy.deepcopy(self.system)))
         if self.callback is not None:
             self.callback(self.stages[-1])
 
@@ -916,7 +916,7 @@ class _Growth:
             # Where even the shortest step leaves larger spots, the next steps are measured by these.
             self.accepted = max(self.accepted, least / MERIT_FACTOR)
 
-    def _step(self, progress: float, step: float, values: torch.Tensor) -> tuple:
+    def _step(self, progress: float, step: float, values: torch.Tensor) -> tuple[Any, ...]:
         """Advance by a step, which is halved until the merit is small enough.
 
         Returns
@@ -964,7 +964,7 @@ def _slope_limit(f: float, curved: list[int], shares: Sequence[float]) -> Operan
     return Operand("slope", None, 0.044 * f, -LARGEST_SLOPE, LARGEST_SLOPE, options)
 
 
-def _relative_power(f: float) -> Callable:
+def _relative_power(f: float) -> Callable[..., Any]:
     """Return the operand that is a system's power times a focal length."""
 
     def power(system, prescription) -> torch.Tensor:

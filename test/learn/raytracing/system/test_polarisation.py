@@ -9,7 +9,7 @@ import torch
 
 from odak.catalog import internal_transmittance
 from odak.jones import thin_film_stack
-from odak.learn.raytracing import Light, Scene, system_elements
+from odak.learn.raytracing import Light, RayScene, system_elements
 from odak.learn.raytracing.system import (
     Rays,
     coordinate_break,
@@ -246,7 +246,9 @@ def test_ghosts_agree_with_light_that_finds_its_own_way():
     rays = launch(lens, "grid", 21).to_tensor().reshape(-1, 2, 3)
     rays = torch.stack((rays[:, 0] - rays[:, 1], rays[:, 1]), 1)
     light = Light(rays, torch.full((len(rays),), 1 / len(rays), dtype=torch.float64))
-    held = Scene(system_elements(lens)).trace(light, lens.wavelengths[0], split=True, threshold=1e-9).received["image"]
+    held = (
+        RayScene(system_elements(lens)).trace(light, lens.wavelengths[0], split=True, threshold=1e-9).received["image"]
+    )
     order = (held.power * len(rays)).log10()
     assert float(held.power[order > -1].sum()) == pytest.approx(float(found.direct[0]), rel=1e-6)
     weak = (order < -1) & (order > -4)
@@ -277,7 +279,7 @@ def test_a_system_and_its_elements_agree():
         given = rays.to_tensor().reshape(-1, 2, 3)
         given = torch.stack((given[:, 0] - 9 * given[:, 1], given[:, 1]), 1)
         light = Light(given, torch.ones(len(given), dtype=F64)).polarized()
-        held = Scene(system_elements(lens)).trace(light, wave, split=True, threshold=0.2).received["image"]
+        held = RayScene(system_elements(lens)).trace(light, wave, split=True, threshold=0.2).received["image"]
         half = held.ray < len(given)
         assert torch.equal(held.ray[half], torch.arange(len(given)))
         for axis, place in enumerate((traced.traced.x, traced.traced.y)):
