@@ -127,7 +127,7 @@ def _known_name(word: str, own: list[str]) -> str:
     return word if word in own or len(same) != 1 else same[0]
 
 
-def unknown_argument(function: Callable, word: str, own: Iterable[str]) -> TypeError:
+def unknown_argument(function: Callable[..., Any], word: str, own: Iterable[str]) -> TypeError:
     """Return the error of a keyword that a function does not have, with what to give in its place."""
     callee, own = function.__qualname__.removesuffix(".__init__"), list(own)
     places = [entry for entry in _ELSEWHERE if word in entry[1] and (entry[0] in own or not entry[0])]
@@ -150,7 +150,7 @@ def _by_known_names(function, own: list[str], options) -> dict[str, Any]:
     return found
 
 
-def takes_fields(older: str, **kinds: type) -> Callable[[Callable[P, R]], Callable[P, R]]:
+def takes_fields(older: str, **kinds: type[Any]) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator by which fields of dataclasses may be arguments of their own, which is the older form.
 
     Fields that are given beside an object of the class replace those of the object. Where None is the default of an

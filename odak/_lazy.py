@@ -9,13 +9,14 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from odak._moved import MOVED_MODULES, MOVED_NAMES, OTHER_WORDS
 
 _IMPORT_FROM = opcode.opmap["IMPORT_FROM"]
 
 
-def attach(package: str, file: str) -> tuple[Callable, Callable, list[str]]:
+def attach(package: str, file: str) -> tuple[Callable[..., Any], Callable[..., Any], list[str]]:
     """Return ``__getattr__``, ``__dir__`` and ``__all__`` for a package whose public names are listed in its stub file.
 
     The stub ``__init__.pyi`` beside the package's ``__init__.py`` holds one line for each public name, which type

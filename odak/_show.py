@@ -44,7 +44,7 @@ class View(NamedTuple):
 
     title: str
     pictures: Sequence[tuple[str, bytes | str]] = ()
-    table: Sequence[Sequence] = ()
+    table: Sequence[Sequence[Any]] = ()
     warnings: Sequence[str] = ()
 
 
@@ -154,7 +154,7 @@ def numbers_of(described: Any, **more: Any) -> str:
         What is said besides.
     """
     kind, given = type(described), object()
-    names: Iterable = getattr(kind, "_fields", None) or getattr(kind, "__dataclass_fields__", None) or ()
+    names: Iterable[Any] = getattr(kind, "_fields", None) or getattr(kind, "__dataclass_fields__", None) or ()
     if not names:
         names = [name for name in inspect.signature(kind.__init__).parameters if name != "self"]
         if not hasattr(described, "_modules"):

@@ -40,7 +40,7 @@ def each(work: Callable[..., Any], items: Iterable[Any], parallel: bool = True) 
     return _in_order([_threads(count).submit(quiet, item) for item in items])
 
 
-def _in_order(futures: list[Future]) -> Iterator:
+def _in_order(futures: list[Future]) -> Iterator[Any]:
     """Yield the results; an interrupt leaves none at work, which could write where the next call does."""
     try:
         for future in futures:

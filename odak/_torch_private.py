@@ -69,7 +69,7 @@ def is_transformed(*tensors: torch.Tensor) -> bool:
     return (has_compiler() and torch.compiler.is_compiling()) or in_forward_mode() or is_wrapped(*tensors)
 
 
-def operator(function: type[torch.autograd.Function]) -> Callable:
+def operator(function: type[torch.autograd.Function]) -> Callable[..., Any]:
     """Return ``function.apply``, without what only torch.func and forward mode ask for where neither is running.
 
     There torch looks up the signature of `function.forward` at each call, since its context is set up apart: longer

@@ -102,7 +102,7 @@ def constant(name: str, value, *, positive: bool = False, nonzero: bool = False,
     return float(value)
 
 
-def constants(**values) -> tuple:
+def constants(**values) -> tuple[Any, ...]:
     """Return arguments without their derivatives, in the order given.
 
     Tensors that require a gradient are reported by an AccuracyWarning, in lists and tuples too: the result will not
@@ -245,7 +245,7 @@ def given(name: str, value, *, rows: bool = False):
     return made
 
 
-def reals(**values) -> list:
+def reals(**values) -> list[Any]:
     """Return arguments as real floating arrays of one library, on one device and in one precision.
 
     Numbers must be finite, but for those in nested lists; they take the library, device and precision of
@@ -366,7 +366,7 @@ def function_or_none(name: str, value):
     raise TypeError(f"{name} must be a function, got {value!r:.80}")
 
 
-def several(name: str, value, count: int | None = None, *, positive: bool = False) -> tuple:
+def several(name: str, value, count: int | None = None, *, positive: bool = False) -> tuple[Any, ...]:
     """Return a sequence of real numbers, or of arrays of them, as a tuple; `count` of them where that is given."""
     listed = isinstance(value, Iterable) and not isinstance(value, (str, bytes, dict))
     if not listed or getattr(value, "ndim", 1) == 0:
@@ -377,7 +377,7 @@ def several(name: str, value, count: int | None = None, *, positive: bool = Fals
     return tuple(real(name, v, positive=positive) for v in values)
 
 
-def pair(name: str, value, *, positive: bool = False) -> tuple:
+def pair(name: str, value, *, positive: bool = False) -> tuple[Any, ...]:
     """Return one real number twice, or the two of a tuple, list or array (rows, columns) as a tuple."""
     if is_array(value) and math.prod(value.shape) != 1:
         if tuple(value.shape) != (2,):

@@ -16,7 +16,7 @@ logger.setLevel(logging.DEBUG)
 
 def create_logger(
     logger_name: str,
-    logger_filename: str | os.PathLike,
+    logger_filename: str | os.PathLike[str],
     logger_fmt: str = "%(asctime)s - %(message)s",
     logger_datefmt: str = "%d-%b-%y %H:%M:%S",
     logger_level: int = logging.DEBUG,

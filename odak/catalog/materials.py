@@ -112,53 +112,53 @@ class Material:
 class Formula:
     """A dispersion formula: its function of the squared wavelength, and the lists of coefficients it takes."""
 
-    compute: Callable
+    compute: Callable[..., Any]
     lists: tuple[str, ...]
     numbers: tuple[str, ...] = ()
 
 
-def sellmeier(squared, coefficients):
+def sellmeier(squared: Array | float, coefficients: dict[str, Any]) -> Array | complex | float:
     """Return sqrt(A + Σ B·λ²/(λ² − C)), A = 1 unless given (W. Sellmeier, Ann. Phys. 219, 272 (1871))."""
     terms = zip(coefficients["B"], coefficients["C"], strict=True)
     total = coefficients.get("A", 1.0) + sum(b * squared / (squared - c) for b, c in terms)
     return _array.namespace(total).sqrt(total) if _array.is_array(total) else total**0.5
 
 
-def cauchy(squared, coefficients):
+def cauchy(squared: Array | float, coefficients: dict[str, Any]) -> Array | float:
     """Return A₀ + A₁/λ² + A₂/λ⁴ + …, for all coefficients A."""
     return sum((a / squared**k for k, a in enumerate(coefficients["A"])), 0 * squared)
 
 
-def gas(squared, coefficients):
+def gas(squared: Array | float, coefficients: dict[str, Any]) -> Array | float:
     """Return 1 + Σ B/(C − 1/λ²), the form of Edlén and Ciddor."""
     return 1 + sum(b / (c - 1 / squared) for b, c in zip(coefficients["B"], coefficients["C"], strict=True))
 
 
-def polynomial(squared, coefficients):
+def polynomial(squared: float, coefficients: dict[str, Any]) -> float:
     """Return sqrt(Σ A·λ^P): the formula of Schott's older catalogues and its extensions."""
     total = conrady(squared, coefficients)
     return _array.namespace(total).sqrt(total) if _array.is_array(total) else total**0.5
 
 
-def conrady(squared, coefficients):
+def conrady(squared: float, coefficients: dict[str, Any]) -> float:
     """Return Σ A·λ^P, n itself, as in Conrady's n = A + B/λ + C/λ^3.5."""
     return sum(a * squared ** (p / 2) for a, p in zip(coefficients["A"], coefficients["P"], strict=True))
 
 
-def handbook(squared, coefficients):
+def handbook(squared: float, coefficients: dict[str, Any]) -> float:
     """Return sqrt(Σ A·λ^P + Σ B/(λ² − C)), the form of the Handbook of Optics."""
     poles = sum(b / (squared - c) for b, c in zip(coefficients["B"], coefficients["C"], strict=True))
     total = conrady(squared, coefficients) + poles
     return _array.namespace(total).sqrt(total) if _array.is_array(total) else total**0.5
 
 
-def herzberger(squared, coefficients):
+def herzberger(squared: Any, coefficients: Any) -> Any:
     """Return Σ A·λ^P + B₀·L + B₁·L² and so on, L = 1/(λ² − 0.028): M. Herzberger, Opt. Acta 6, 197 (1959)."""
     pole = 1 / (squared - HERZBERGER_POLE)
     return conrady(squared, coefficients) + sum(b * pole ** (k + 1) for k, b in enumerate(coefficients["B"]))
 
 
-def table(squared, coefficients):
+def table(squared: Array | float, coefficients: dict[str, Any]) -> Array | float:
     """Return the index between tabulated values: cubic polynomials in 1/λ² through the four nearest of them."""
     places, values = coefficients["W"], coefficients["N"]
     count, found = min(4, len(places)), 0 * squared
@@ -257,7 +257,7 @@ FORMULAS["herzberger"] = Formula(herzberger, ("A", "P", "B"))
 _KNOWN = {"formula", "A", "B", "C", "range", "relative_to", "nd", "vd", "source"}
 
 
-def read_materials(path) -> tuple[list[Material], dict[str, str]]:
+def read_materials(path: Path | str) -> tuple[list[Material], dict[str, str]]:
     """Return the materials and aliases of a JSON file.
 
     Parameters
@@ -322,7 +322,7 @@ def _material(where: str, name: str, entry) -> Material:
     return made
 
 
-def _coefficients(where: str, formula: str, entry) -> dict:
+def _coefficients(where: str, formula: str, entry) -> dict[Any, Any]:
     kind = FORMULAS[formula]
     found: dict[str, Any] = {}
     for key in kind.lists:
@@ -390,7 +390,7 @@ _AGF_POWERS = {
 }
 
 
-def read_agf(path) -> list[Material]:
+def read_agf(path: Path) -> list[Material]:
     """Return the materials of a glass catalogue in the AGF format.
 
     Parameters
@@ -476,7 +476,7 @@ def _catalogue_text(path: Path) -> str:
     raise ValueError(f"{path.name}: not a text file")
 
 
-def _from_agf(path: Path, head: list[str], c: list[float], limits: list[float], passed: list) -> Material | None:
+def _from_agf(path: Path, head: list[str], c: list[float], limits: list[float], passed: list[Any]) -> Material | None:
     """Return a glass of an AGF file, None for an unknown formula.
 
     `head` are the words of its line NM, then come coefficients, range, and the lines of internal transmission.
@@ -514,7 +514,7 @@ def _from_agf(path: Path, head: list[str], c: list[float], limits: list[float], 
     return Material(name, formula, made, glass.range, "air", glass.source, nd or None, vd or None, extinction)
 
 
-def _extinction(passed: list) -> tuple | None:
+def _extinction(passed: list[Any]) -> tuple[Any, ...] | None:
     """Return wavelengths and κ = −λ·ln τ/(4πd) of internal transmittances τ through thicknesses d in millimetres."""
     rows = {w: (max(t, 1e-10), d) for w, t, d in passed if w > 0 and d > 0 and 0 <= t <= 1}
     if len(rows) < 2:
@@ -523,7 +523,7 @@ def _extinction(passed: list) -> tuple | None:
     return places, tuple(-math.log(rows[w][0]) * w * 1e-3 / (4 * math.pi * rows[w][1]) for w in places)
 
 
-def read_entry(path) -> Material:
+def read_entry(path: Path) -> Material:
     """Return the material of an entry of refractiveindex.info.
 
     Parameters
@@ -574,7 +574,7 @@ def read_entry(path) -> Material:
     return Material(path.stem, formula, made, (limits[0], limits[1]), medium, source, extinction=extinction)
 
 
-def _tabulated(lines: list[str]) -> tuple | None:
+def _tabulated(lines: list[str]) -> tuple[Any, ...] | None:
     """Return wavelengths and values of the table of κ in an entry."""
     rows, inside = [], False
     for text in lines:
@@ -943,7 +943,7 @@ def extinction_of(found: Material) -> tuple[Any, ...] | None:
 
 
 @cache
-def _extinctions() -> dict:
+def _extinctions() -> dict[Any, Any]:
     held = json.loads(_ABSORPTION.read_text(encoding="utf-8"))
     makers = {maker: {_key(name): entry for name, entry in found.items()} for maker, found in held["makers"].items()}
     return {"grids": held["grids"], "makers": makers}
@@ -1156,7 +1156,7 @@ def _catalogue() -> dict[str, Material]:
 
 
 @cache
-def _glass_data() -> dict:
+def _glass_data() -> dict[Any, Any]:
     return json.loads(_GLASSES.read_text(encoding="utf-8"))
 
 

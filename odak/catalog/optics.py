@@ -76,7 +76,7 @@ class plane_detector:
         angles: Sequence[float] = NO_SHIFT,
         name: str = "detector",
     ):
-        self.settings = {
+        self.settings: dict[str, Any] = {
             "name": _validate.text("name", name),
             "resolution": list(_validate.size("resolution", resolution)),
             "center": three("center", center),
@@ -84,7 +84,7 @@ class plane_detector:
             "rotation mode": "XYZ",
             "shape": two_positive("shape", shape),
         }
-        self.plane = define_plane(self.settings["center"], self.settings["angles"])
+        self.plane: Array = define_plane(self.settings["center"], self.settings["angles"])
         size = tuple(self.settings["resolution"])
         field = np.zeros((*size, 1)) if field is None else np.asarray(_validate.array("field", field))
         if field.ndim not in (2, 3) or field.shape[:2] != size or 0 in field.shape:
@@ -269,13 +269,13 @@ class thin_diffuser:
             "diffusion angle": diffusion_angle,
             "number of diffusion rays": list(_validate.size("diffusion_no", diffusion_no)),
         }
-        self.plane = define_plane(self.settings["center"], self.settings["angles"])
-        self.k = 2 * np.pi / 0.05
+        self.plane: Array = define_plane(self.settings["center"], self.settings["angles"])
+        self.k: float = 2 * np.pi / 0.05
         self.phase = phase
         if phase is None:
             self.surface_points = self._grid(100).reshape(-1, 3)
         radius = np.tan(np.radians(diffusion_angle) / 2)
-        self.diffusion_points = _ring_points(self.settings["number of diffusion rays"], radius)
+        self.diffusion_points: np.ndarray = _ring_points(self.settings["number of diffusion rays"], radius)
 
     def raytrace(self, ray: Array) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Scatter rays.
@@ -400,17 +400,17 @@ class plano_convex_lens:
         medium: str | None = None,
     ):
         self.item = item
-        self.location = three("location", location)
-        self.rotation = three("rotation", rotation)
+        self.location: list[float] = three("location", location)
+        self.rotation: list[float] = three("rotation", rotation)
         self.wavelength = _validate.real("wavelength", wavelength, positive=True)
         meduium = _medium("meduium", meduium)
         self.medium = self.meduium = meduium if medium is None else _medium("medium", medium)
-        self.path_to_catalog = str(_DATA)
+        self.path_to_catalog: str = str(_DATA)
         if item not in _catalogue():
             near = difflib.get_close_matches(str(item), _catalogue(), n=1)
             hint = f" Did you mean {near[0]!r}?" if near else ""
             raise ValueError(f"item must be one of {', '.join(_catalogue())}; got {item!r}.{hint}")
-        self.settings = dict(_catalogue()[item])
+        self.settings: dict[Any, Any] = dict(_catalogue()[item])
         self.set_variables()
         self.define_geometry()
 
@@ -427,9 +427,9 @@ class plano_convex_lens:
         """Set the faces from diameter, thickness, radius, location and rotation."""
         self.center = place(np.asarray([0.0, 0.0, self.radius - self.thickness]), self.location, self.rotation)
         self.plane_center = np.asarray(self.location)
-        self.convex_point = place(np.asarray([0.0, 0.0, -self.thickness]), self.location, self.rotation)
-        self.convex_surface = define_sphere(self.center, self.radius)
-        self.plane_surface = define_circle(self.plane_center, self.diameter / 2, self.rotation)
+        self.convex_point: np.ndarray = place(np.asarray([0.0, 0.0, -self.thickness]), self.location, self.rotation)
+        self.convex_surface: Array = define_sphere(self.center, self.radius)
+        self.plane_surface: list[Any] = define_circle(self.plane_center, self.diameter / 2, self.rotation)
 
     def index(self) -> float:
         """Return the index of the glass relative to the medium, at the lens' wavelength."""
@@ -527,7 +527,7 @@ def _sphere_hits(rays, sphere):
 
 
 @cache
-def _catalogue() -> dict:
+def _catalogue() -> dict[Any, Any]:
     return json.loads(_DATA.read_text(encoding="utf-8"))
 
 
@@ -538,12 +538,12 @@ def grid_over(count: Sequence[int], shape: Sequence[float], center, angles) -> n
     return place(flat, center, angles)
 
 
-def place(points: np.ndarray, location, angles) -> np.ndarray:
+def place(points: np.ndarray, location: Sequence[float], angles: Sequence[float]) -> np.ndarray:
     """Return points of an object's own frame in space: R·p + location."""
     return apply_matrix(rotation_matrix(np.asarray(angles, dtype=np.float64)), points) + np.asarray(location)
 
 
-def within_frame(points: np.ndarray, location, angles) -> np.ndarray:
+def within_frame(points: np.ndarray, location: Any, angles: Any) -> np.ndarray:
     """Return points ``[m, 3]`` in an object's own frame."""
     moved = bring_plane_to_origin(points, None, center=location, angles=angles)
     return arguments.batch(moved, 1)
@@ -554,7 +554,7 @@ def is_ahead(rays: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.sum((points - rays[..., 0, :]) * rays[..., 1, :], axis=-1) > 0
 
 
-def check_figure(figure) -> None:
+def check_figure(figure: Any) -> None:
     """Raise TypeError unless surfaces can be added to a figure."""
     if not callable(getattr(figure, "add_surface", None)):
         raise TypeError(f"figure must have a method add_surface, got {type(figure).__name__}")

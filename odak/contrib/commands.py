@@ -35,7 +35,7 @@ class Session:
     """
 
     def __init__(self, start_from: str | None = None):
-        self.scene = scene(unit="m", resolution=(1080, 1920))
+        self.scene: scene = scene(unit="m", resolution=(1080, 1920))
         self.scene.start_from = start_from
         self.depth = False
 
@@ -354,7 +354,7 @@ def create_circle(objname: str, location: Sequence[float], radius: float = 1.0) 
     return current().scene.add_disc(radius, location=location, name=objname)
 
 
-def intersect_a_ray(p0: Sequence[float], p1: Sequence[float], ob: Item):
+def intersect_a_ray(p0: Sequence[float], p1: Sequence[float], ob: Item) -> Any:
     """Intersect an object with the ray from one point towards another, and beyond it.
 
     Parameters
@@ -539,7 +539,7 @@ LONGEST = 4096
 _waiting: queue.Queue = queue.Queue(maxsize=100)
 
 
-def parse_function_call_safely(cmd_str: str, expected_func_name: str) -> tuple[str | None, list, dict]:
+def parse_function_call_safely(cmd_str: str, expected_func_name: str) -> tuple[str | None, list[Any], dict[Any, Any]]:
     """Parse the text of a call.
 
     Parameters
@@ -555,7 +555,7 @@ def parse_function_call_safely(cmd_str: str, expected_func_name: str) -> tuple[s
     tuple
         Name, positional and named arguments; (None, [], {}) for any other text.
     """
-    refused: tuple = (None, [], {})
+    refused: tuple[Any, ...] = (None, [], {})
     if not isinstance(cmd_str, str) or len(cmd_str) > LONGEST:
         return refused
     try:
@@ -594,7 +594,7 @@ def validate_and_queue_command(cmd_str: str) -> bool:
     return False
 
 
-def run_in_main_thread(function_tuple) -> bool:
+def run_in_main_thread(function_tuple: Any) -> bool:
     """Queue a call.
 
     Parameters

@@ -21,17 +21,17 @@ class LabelledText:
         Their labels.
     """
 
-    def __init__(self, filename: str | os.PathLike):
+    def __init__(self, filename: str | os.PathLike[str]):
         self.filename = filename
-        self.content = [line.lstrip(" ") for line in read_text_file(filename)]
-        self.content_type = self._labels()
+        self.content: list[str] = [line.lstrip(" ") for line in read_text_file(filename)]
+        self.content_type: list[str] = self._labels()
 
     def _labels(self) -> list[str]:
         raise NotImplementedError(f"{type(self).__name__} must define _labels()")
 
     def get_line_count(self) -> int:
         """Return the number of lines, which is also stored in ``line_count``."""
-        self.line_count = len(self.content)
+        self.line_count: int = len(self.content)
         return self.line_count
 
     def get_line(self, line_id: int = 0) -> tuple[str, str]:

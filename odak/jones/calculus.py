@@ -490,21 +490,21 @@ def reverse(matrix: ArrayT) -> ArrayT:
     return stack_matrix(xp, ((a, -c), (-b, d)), matrix.dtype)
 
 
-def matrix_on_axes(xp, first, second, angle, dtype):
+def matrix_on_axes(xp: Any, first: Any, second: Any, angle: Any, dtype: Any) -> Any:
     """Return R(angle)·diag(first, second)·R(−angle), where R rotates from x towards y by degrees."""
     c, s = xp.cos(DEGREE * angle), xp.sin(DEGREE * angle)
     cross = (first - second) * (c * s)
     return stack_matrix(xp, ((first * c**2 + second * s**2, cross), (cross, first * s**2 + second * c**2)), dtype)
 
 
-def stack_matrix(xp, rows, dtype):
+def stack_matrix(xp: Any, rows: Any, dtype: Any) -> Any:
     """Return ``[..., n, n]`` from rows of arrays ``[...]`` that broadcast."""
     flat = xp.broadcast_arrays(*(xp.astype(entry, dtype) for row in rows for entry in row))
     size = len(rows)
     return xp.reshape(xp.stack(flat, axis=-1), (*flat[0].shape, size, size))
 
 
-def common(xp=None, device=None, dtype=None, **values):
+def common(xp: ModuleType | None = None, device: Any = None, dtype: Any = None, **values: Any) -> Any:
     """Return the namespace, the complex dtype of the result, and the values in double precision on one device."""
     given = {name: _validate.given(name, value) for name, value in values.items()}
     xp, device, real = _array.placement(*values.values(), xp=xp, device=device)
@@ -520,7 +520,7 @@ def common(xp=None, device=None, dtype=None, **values):
     return xp, dtype, list(wide.values())
 
 
-def jones_vector(field):
+def jones_vector(field: ArrayT) -> Any:
     """Return `field` as a complex array after checking that it is ``[2]`` or ``[..., 2, k]``."""
     field = _validate.array("field", field)
     axis = -1 if field.ndim == 1 else -2
@@ -529,20 +529,20 @@ def jones_vector(field):
     return _array.to_complex(field)
 
 
-def square_matrix(name: str, matrix, size: int):
+def square_matrix(name: str, matrix: ArrayT, size: int) -> Any:
     """Return `matrix` as a complex array after checking that it is ``[..., size, size]``."""
     matrix = _validate.array(name, matrix)
     square_shape(name, matrix, size)
     return _array.to_complex(matrix)
 
 
-def square_shape(name: str, matrix, size: int) -> None:
+def square_shape(name: str, matrix: ArrayT, size: int) -> None:
     """Raise ValueError unless `matrix` is ``[..., size, size]``."""
     if tuple(matrix.shape[-2:]) != (size, size):
         raise ValueError(f"{name} must be [..., {size}, {size}], got {tuple(matrix.shape)}")
 
 
-def check_angle(name: str, value):
+def check_angle(name: str, value: Any) -> Any:
     """Return angles after checking that they are real; arrays are checked for their type alone."""
     value = _validate.given(name, value)
     if _is_complex(value):
@@ -806,7 +806,7 @@ def stokes_ellipse(vector: Array) -> PolarizationEllipse:
     return PolarizationEllipse(azimuth, chi / DEGREE, xp.sign(s3), radius * xp.cos(chi), radius * xp.abs(xp.sin(chi)))
 
 
-def stokes_vector(vector):
+def stokes_vector(vector: ArrayT) -> Any:
     """Return a Stokes vector as a real array and the axis of its four components."""
     vector = _validate.array("vector", vector)
     axis = -1 if vector.ndim == 1 else -2

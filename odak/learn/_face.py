@@ -51,7 +51,7 @@ def torch_face(
     *,
     tensors: Iterable[str] = (),
     defaults: Mapping[str, Any] | None = None,
-    through: Callable | None = None,
+    through: Callable[..., Any] | None = None,
     describe: Mapping[str, str] | str | None = None,
     name: str | None = None,
 ) -> Callable[P, torch.Tensor]: ...
@@ -63,7 +63,7 @@ def torch_face(
     *,
     tensors: Iterable[str] = (),
     defaults: Mapping[str, Any] | None = None,
-    through: Callable | None = None,
+    through: Callable[..., Any] | None = None,
     describe: Mapping[str, str] | str | None = None,
     name: str | None = None,
 ) -> Callable[P, R]: ...

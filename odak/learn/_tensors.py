@@ -175,7 +175,7 @@ def shaped(name: str, value, *shape: int | str) -> torch.Tensor:
     return _validate.shaped(name, floating(name, value), *shape)
 
 
-def rows_of(**given: tuple) -> list[torch.Tensor]:
+def rows_of(**given: tuple[Any, ...]) -> list[torch.Tensor]:
     """Return real tensors that have a row for each of the same things, in their widest precision, float32 at least.
 
     Parameters

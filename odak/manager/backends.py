@@ -56,7 +56,7 @@ class Backend(Protocol):
     def slots(self) -> int:
         """Return how many tasks run at once."""
 
-    def load(self, compute: Callable) -> None:
+    def load(self, compute: Callable[..., Any]) -> None:
         """Set the function that the tasks of the next run call."""
 
     def start(self, groups: list[tuple[Group, list[Job]]]) -> None:
@@ -75,7 +75,7 @@ class Backend(Protocol):
         """Disconnect from the cluster."""
 
 
-def choose(cluster: Any, depends: Sequence, server: bool, **settings: Any) -> Backend:
+def choose(cluster: Any, depends: Sequence[Any], server: bool, **settings: Any) -> Backend:
     """Return the backend selected by `cluster`; parameters as in :class:`odak.manager.agent`."""
     here = cluster is None or cluster is True or cluster == "local"
     if settings.get("workers") is not None and not here and not server:
@@ -107,7 +107,7 @@ class Serial:
     client = None
 
     def __init__(self) -> None:
-        self._compute: Callable | None = None
+        self._compute: Callable[..., Any] | None = None
         self._started: deque[tuple[Group, list[Job]]] = deque()
 
     def connect(self) -> None:
@@ -117,7 +117,7 @@ class Serial:
         """Return 1."""
         return 1
 
-    def load(self, compute: Callable) -> None:
+    def load(self, compute: Callable[..., Any]) -> None:
         """Set the function that the tasks of the next run call."""
         self._compute = compute
 
@@ -151,7 +151,7 @@ class Cluster:
     def __init__(
         self,
         cluster: Any,
-        depends: Sequence,
+        depends: Sequence[Any],
         server: bool,
         *,
         workers: int | None,
@@ -230,7 +230,7 @@ class Cluster:
                 )
             time.sleep(_LOOK / 5)
 
-    def _workers(self) -> dict[str, dict]:
+    def _workers(self) -> dict[str, dict[Any, Any]]:
         # scheduler_info() of the client hides that a scheduler does not answer.
         every = "n_workers" in inspect.signature(self.client.scheduler_info).parameters
         return self._ask("identity", **({"n_workers": -1} if every else {}))["workers"]
@@ -244,11 +244,11 @@ class Cluster:
         except (Exception, asyncio.CancelledError) as error:
             raise ConnectionError(f"no answer within {limit:g} s: {type(error).__name__} {error}") from error
 
-    def _fits(self, worker: dict) -> bool:
+    def _fits(self, worker: dict[Any, Any]) -> bool:
         offered = worker.get("resources") or {}
         return all(offered.get(name, 0) >= count for name, count in (self._resources or {}).items())
 
-    def load(self, compute: Callable) -> None:
+    def load(self, compute: Callable[..., Any]) -> None:
         """Send the function that the tasks of the next run call."""
         # Dask learns how long tasks take by the first word of their keys.
         name = re.sub(r"\W+", "_", getattr(getattr(compute, "func", compute), "__name__", "task"))
@@ -267,7 +267,7 @@ class Cluster:
         with suppress(Exception, asyncio.CancelledError):
             self.client.sync(self.client._replicate, [self._code], callback_timeout=_PATIENCE[0])
 
-    def _map(self, function: Callable, values: list, keys: list[str], **options: Any) -> list:
+    def _map(self, function: Callable[..., Any], values: list[Any], keys: list[str], **options: Any) -> list[Any]:
         with warnings.catch_warnings():
             # The warning is about data sent with every task; here each argument is used once.
             warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
@@ -299,7 +299,7 @@ class Cluster:
     def wait(self) -> list[tuple[Group, list[tasks.Outcome] | BaseException]]:
         """Return groups that are done; none after :meth:`wake`."""
         while True:
-            arrived: list = []
+            arrived: list[Any] = []
             with contextlib.suppress(queue.Empty):
                 arrived.append(self._events.get(timeout=_LOOK))
                 # Results are fetched together: one by one, thousands of them would cost more than their scheduling.
@@ -309,7 +309,7 @@ class Cluster:
             client = self.client
             if _WAKE in arrived or client is None:  # closed by another thread
                 return []
-            back: list = []
+            back: list[Any] = []
             done = []
             for item in arrived:
                 if isinstance(item, _Unsent):
@@ -331,7 +331,7 @@ class Cluster:
     def _expects(self, future: Any) -> bool:
         return self._groups.get(future.key, (None, None))[0] is future
 
-    def _result(self, future: Any, results: dict) -> tuple[Group, list[tasks.Outcome] | BaseException]:
+    def _result(self, future: Any, results: dict[Any, Any]) -> tuple[Group, list[tasks.Outcome] | BaseException]:
         """Return a group and its outcomes, or the reason why there are none."""
         _, group = self._groups.pop(future.key)
         outcomes = results.get(future.key)
@@ -392,12 +392,12 @@ class _Unsent:
 class _Fetched:
     """Futures that were done, and the results of those that could be fetched, by their keys."""
 
-    futures: list
-    results: dict
+    futures: list[Any]
+    results: dict[Any, Any]
 
 
-def _fetch(client: Any, futures: list, events: queue.SimpleQueue) -> None:
-    results: dict = {}
+def _fetch(client: Any, futures: list[Any], events: queue.SimpleQueue) -> None:
+    results: dict[Any, Any] = {}
     # After any error, missing results are computed again if the scheduler still answers.
     with suppress(Exception, asyncio.CancelledError, concurrent.futures.CancelledError):
         results = client.gather({future.key: future for future in futures}, errors="skip")

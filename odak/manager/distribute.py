@@ -145,7 +145,7 @@ class agent(Prepared):
             if count is not None:
                 _validate.integer(name, count, minimum=1)
         self._chunk = _validate.integer("chunk", chunk, minimum=1)
-        self.in_flight = None if in_flight is None else _validate.integer("in_flight", in_flight, minimum=1)
+        self.in_flight: int | None = None if in_flight is None else _validate.integer("in_flight", in_flight, minimum=1)
         if timeout is not None:
             _validate.real("timeout", timeout, positive=True)
         self._backend = choose(
@@ -163,7 +163,7 @@ class agent(Prepared):
         )
         self.jobs: list[Job] = []
         self.results: list[Any] = []
-        self.records: list[dict] = []
+        self.records: list[dict[Any, Any]] = []
         self._running: _Run | None = None
         self._closed = False
 
@@ -236,7 +236,7 @@ class agent(Prepared):
         compute: Any = self.compute
         yield from self._compute(compute, list(self.jobs))
 
-    def _compute(self, compute: Callable, jobs: list[Job]) -> Iterator[tuple[int, Any]]:
+    def _compute(self, compute: Callable[..., Any], jobs: list[Job]) -> Iterator[tuple[int, Any]]:
         if self._running is not None:
             raise RuntimeError("the agent is running already")
         self.connect()
@@ -331,7 +331,7 @@ class agent(Prepared):
         compute = functools.partial(function, **shared) if shared else function
         return self._collect(compute, [((item,), {}) for item in items], on_failure)
 
-    def _collect(self, compute: Callable, jobs: list[Job], on_failure: str) -> list[Any]:
+    def _collect(self, compute: Callable[..., Any], jobs: list[Job], on_failure: str) -> list[Any]:
         on_failure = _validate.one_of("on_failure", on_failure, ON_FAILURE)
         missing = set(range(len(jobs)))
         for index, _ in self._compute(compute, jobs):
@@ -361,7 +361,7 @@ class agent(Prepared):
     def __enter__(self) -> "agent":
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: Any) -> None:
         self.close()
 
 
@@ -389,7 +389,7 @@ class _Run:
         backend: Backend,
         jobs: Sequence[Job],
         retries: int,
-        records: list[dict],
+        records: list[dict[Any, Any]],
         chunk: int,
         in_flight: int | None,
     ) -> None:
@@ -581,11 +581,11 @@ def describe(value: Any) -> str:
     return reprlib.repr(value)
 
 
-def _checked_depends(depends: Sequence) -> list[ModuleType | Callable | str]:
+def _checked_depends(depends: Sequence[Any]) -> list[ModuleType | Callable[..., Any] | str]:
     if isinstance(depends, (str, Path, ModuleType)) or callable(depends):
         depends = [depends]
     _validate.instance("depends", depends, Iterable, "modules, functions or paths")
-    checked: list[ModuleType | Callable | str] = []
+    checked: list[ModuleType | Callable[..., Any] | str] = []
     for item in depends:
         if isinstance(item, (str, Path)):
             path = validate_path(item, allowed_extensions=[".py", ".zip"], name="depends")
@@ -599,6 +599,6 @@ def _checked_depends(depends: Sequence) -> list[ModuleType | Callable | str]:
     return checked
 
 
-def _name(compute: Callable) -> str:
+def _name(compute: Callable[..., Any]) -> str:
     function = compute.func if isinstance(compute, functools.partial) else compute
     return getattr(function, "__name__", type(function).__name__)

@@ -169,7 +169,7 @@ class Server:
 
     def __init__(self, cluster: Any, workers: "_Workers") -> None:
         self.cluster, self._workers = cluster, workers
-        self.address = workers.address
+        self.address: str = workers.address
         try:
             self.workers, self.threads, self.gpus = workers.wait_until_joined()
         except BaseException:
@@ -195,7 +195,7 @@ class Server:
     def __enter__(self) -> "Server":
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: Any) -> None:
         self.close()
 
 
@@ -517,7 +517,7 @@ def _hold() -> None:
             raise SystemExit(" ".join(str(error).split())) from None
 
 
-async def _work(address: str, parts: list[dict], security: Any, joined: str) -> None:
+async def _work(address: str, parts: list[dict[Any, Any]], security: Any, joined: str) -> None:
     from distributed import Nanny
     from distributed.comm import get_address_host
     from distributed.utils import get_ip

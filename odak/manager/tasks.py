@@ -279,7 +279,7 @@ def _compute(code: bytes, job: bytes) -> Any:
 
 
 @functools.lru_cache(maxsize=1)
-def _function(code: bytes) -> Callable:
+def _function(code: bytes) -> Callable[..., Any]:
     # Unpickled once and kept, so that the weights of a network, say, are not read again for every task.
     return unpack(code)
 
@@ -365,7 +365,7 @@ def packed_by_value(modules: Iterable[ModuleType]) -> Iterator[None]:
             cloudpickle.unregister_pickle_by_value(module)
 
 
-def modules_of(depends: Iterable[ModuleType | Callable | str]) -> list[ModuleType]:
+def modules_of(depends: Iterable[ModuleType | Callable[..., Any] | str]) -> list[ModuleType]:
     """Return the given modules, and the modules of given functions and classes; paths are skipped."""
     return [
         item if isinstance(item, ModuleType) else importlib.import_module(item.__module__)

@@ -13,7 +13,7 @@ from odak._array import device_of, is_array, is_torch, namespace
 CHUNK = 1 << 15
 
 
-def piece_size(arrays: Sequence) -> int:
+def piece_size(arrays: Sequence[Any]) -> int:
     """Return the number of rays of a piece: that for one thread, times the number of threads of torch."""
     if not any(is_torch(array) for array in arrays):
         return CHUNK
@@ -22,7 +22,7 @@ def piece_size(arrays: Sequence) -> int:
     return CHUNK * torch.get_num_threads()
 
 
-def needs_gradient(*values) -> bool:
+def needs_gradient(*values: Any) -> bool:
     """Return whether derivatives or transforms of the arrays are recorded: NaN must not enter the arithmetic then."""
     if "jax" in sys.modules and any(array_api_compat.is_jax_array(value) for value in values):
         return True
@@ -63,7 +63,7 @@ class Pieces(NamedTuple):
         length = self.shape[self.axis]
         return [slice(a, min(a + self.step, length)) for a in range(0, length, self.step)]
 
-    def take(self, arrays: Sequence, place: slice, ranks: Sequence[int]) -> list[Any]:
+    def take(self, arrays: Sequence[Any], place: slice, ranks: Sequence[int]) -> list[Any]:
         """Return the part of each array that belongs to a piece."""
         behind = len(self.shape) - self.axis
         return [
@@ -72,7 +72,7 @@ class Pieces(NamedTuple):
         ]
 
 
-def pieces(arrays: Sequence, ranks: Sequence[int], size: int | None = None) -> Pieces | None:
+def pieces(arrays: Sequence[Any], ranks: Sequence[int], size: int | None = None) -> Pieces | None:
     """Return how to cut arrays whose last `ranks` axes are no batch axes; None when the batch is small.
 
     The batch is cut along its longest axis, into pieces of `size` elements, by default as many as :func:`piece_size`
@@ -89,7 +89,7 @@ def pieces(arrays: Sequence, ranks: Sequence[int], size: int | None = None) -> P
     return Pieces(shape, axis, step, tuple(len(b) >= behind and b[len(b) - behind] > 1 for b in batches))
 
 
-def in_pieces(function: Callable, ranks: Sequence[int], *arrays, size: int | None = None):
+def in_pieces(function: Callable[..., Any], ranks: Sequence[int], *arrays: Any, size: int | None = None) -> Any:
     """Return ``function(*arrays)``, computed piece by piece where the batch is large.
 
     Where derivatives are recorded, small batches keep their graph, as do all under forward mode, torch.func,

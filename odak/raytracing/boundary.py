@@ -46,7 +46,7 @@ def reflect(input_ray: Array, normal: Array) -> Array:
     return arguments.single(reflected_rays(input_ray, normal))
 
 
-def reflected_rays(input_ray, normal):
+def reflected_rays(input_ray: Array | Sequence[Sequence[Any]], normal: Array | Sequence[Sequence[Any]]) -> Array:
     """Return the rays of :func:`reflect`, ``[m, 2, 3]``."""
 
     def reflected(ray, normal):
@@ -425,7 +425,7 @@ def circle_hits(ray, circle):
     return normal if given.ndim > 2 else normal[0, ...], distance
 
 
-def sphere_hits(ray, sphere):
+def sphere_hits(ray: Any, sphere: Any) -> Any:
     """Return the intersections of rays with spheres.
 
     Returns
@@ -446,7 +446,7 @@ def sphere_hits(ray, sphere):
     return in_pieces(hits, (2, 1), ray, sphere)
 
 
-def cylinder_hits(ray, cylinder):
+def cylinder_hits(ray: Any, cylinder: Any) -> Any:
     """Return the same as :func:`sphere_hits` for cylinders; normals start at projections of points onto the axis."""
     ray, cylinder = _validate.reals(ray=ray, cylinder=cylinder)
     ray, (center, radius, axis) = arguments.rays("ray", ray), split_cylinder(cylinder)
@@ -545,7 +545,7 @@ def propagate_parametric_intersection_error(
     return [x1, abs(x1 - e1 * (x1 - x0) / (e1 - e0))], [e1, e1]
 
 
-def _two(name: str, values) -> tuple:
+def _two(name: str, values) -> tuple[Any, ...]:
     """Return two values: finite numbers, or arrays, in which NaN marks a lost ray."""
     values = tuple(values) if isinstance(values, Iterable) and not isinstance(values, str) else (values,)
     if len(values) != 2:
@@ -623,7 +623,7 @@ def intersect_parametric(
     return distance, arguments.single(normal)
 
 
-def _first_bracket(error_at: Callable, count: int, target: float) -> np.ndarray:
+def _first_bracket(error_at: Callable[..., Any], count: int, target: float) -> np.ndarray:
     """Return distances between which the error first changes its sign, ``[2, m]``; NaN if it never does."""
     found = np.full((2, count), np.nan)
     rows = np.arange(count)
@@ -648,7 +648,7 @@ def _first_bracket(error_at: Callable, count: int, target: float) -> np.ndarray:
     return found
 
 
-def _root_near_minimum(error_at: Callable, low, high, inside, rows) -> np.ndarray:
+def _root_near_minimum(error_at: Callable[..., Any], low, high, inside, rows) -> np.ndarray:
     """Find a change of sign near the smallest error between `low` and `high`; NaN where there is none."""
     low, high, start = low.copy(), high.copy(), low
     sign = np.sign(error_at(inside, rows))
@@ -665,7 +665,7 @@ def _root_near_minimum(error_at: Callable, low, high, inside, rows) -> np.ndarra
     return np.where(np.isnan(crossed), np.nan, np.stack((start, crossed)))
 
 
-def _refine_roots(error_at: Callable, bracket: np.ndarray, target: float, limit: int) -> np.ndarray:
+def _refine_roots(error_at: Callable[..., Any], bracket: np.ndarray, target: float, limit: int) -> np.ndarray:
     """Return the roots within brackets ``[2, m]`` to `target`, NaN where there is no bracket or no convergence."""
     result = np.full(bracket.shape[1], np.nan)
     rows = np.flatnonzero(np.isfinite(bracket[0]))

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from odak._array import broadcast, is_array, is_torch, namespace
+from odak._array import Array, broadcast, is_array, is_torch, namespace
 from odak.raytracing.batches import needs_gradient
 from odak.raytracing.geometry import finite_rays, safe_divide, safe_sqrt
 
@@ -27,7 +27,7 @@ class Lines(NamedTuple):
     differentiable: bool
 
 
-def lines(start, direction, *surface) -> Lines:
+def lines(start: Any, direction: Any, *surface: Any) -> Lines:
     """Return rays, ``[..., 3]`` or tuples of finite components, as components for an intersection with a surface."""
     if isinstance(start, tuple):
         differentiable = needs_gradient(*start, *direction, *surface)
@@ -38,7 +38,7 @@ def lines(start, direction, *surface) -> Lines:
     return Lines(namespace(start, direction), split(start), split(direction), kept, differentiable)
 
 
-def split(vector) -> Vector:
+def split(vector: Any) -> Vector:
     """Return the components of ``[..., 3]``, each contiguous where the library lays out memory by strides."""
     if is_torch(vector):
         x, y, z = vector.unbind(-1)
@@ -49,7 +49,7 @@ def split(vector) -> Vector:
     return x, y, z
 
 
-def join(*vectors: Vector):
+def join(*vectors: Vector) -> Any:
     """Return one vector as ``[..., 3]``, several as ``[..., k, 3]``."""
     parts = broadcast(*(c for vector in vectors for c in vector))
     xp = namespace(*parts)
@@ -64,7 +64,7 @@ def join(*vectors: Vector):
     return out if len(vectors) == 1 else xp.reshape(out, (*shape, len(vectors), 3))
 
 
-def dot(a: Vector, b: Vector):
+def dot(a: Vector, b: Vector) -> Any:
     """Return the scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
@@ -79,12 +79,12 @@ def minus(a: Vector, b: Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-def along(a: Vector, t, b: Vector) -> Vector:
+def along(a: Vector, t: Array | float, b: Vector) -> Vector:
     """Return a + t·b."""
     return a[0] + t * b[0], a[1] + t * b[1], a[2] + t * b[2]
 
 
-def scaled(a: Vector, factor) -> Vector:
+def scaled(a: Vector, factor: Any) -> Vector:
     """Return factor·a."""
     return a[0] * factor, a[1] * factor, a[2] * factor
 
@@ -94,7 +94,7 @@ def without(vector: Vector, axis: Vector) -> Vector:
     return along(vector, -dot(vector, axis), axis)
 
 
-def terms(coefficients) -> tuple[Any, ...]:
+def terms(coefficients: Any) -> tuple[Any, ...]:
     """Return the numbers or arrays along the last axis of coefficients, or of a sequence of them."""
     if is_array(coefficients):
         return tuple(namespace(coefficients).unstack(coefficients, axis=-1))
@@ -110,22 +110,22 @@ def unit(vector: Vector, differentiable: bool) -> Vector:
     return vector[0] / length, vector[1] / length, vector[2] / length
 
 
-def quotient(numerator, denominator, where, differentiable: bool):
+def quotient(numerator: Any, denominator: Any, where: Any, differentiable: bool) -> Any:
     """Return numerator/denominator; 0 instead of NaN and infinity where derivatives are taken."""
     return safe_divide(numerator, denominator, where) if differentiable else numerator / denominator
 
 
-def square_root(value, differentiable: bool):
+def square_root(value: Any, differentiable: bool) -> Any:
     """Return the square root; 0 instead of NaN for negative values where derivatives are taken."""
     return safe_sqrt(value) if differentiable else value**0.5
 
 
-def placeholder(value, where, differentiable: bool):
+def placeholder(value: Array, where: Array, differentiable: bool) -> Array:
     """Return `value`, and where `where` does not hold NaN, or 0 where derivatives are taken."""
     return namespace(value).where(where, value, 0.0 if differentiable else math.nan)
 
 
-def nan_outside(value, where, differentiable: bool):
+def nan_outside(value: Any, where: Any, differentiable: bool) -> Any:
     """Return results made from :func:`placeholder` with NaN where `where` does not hold."""
     if not differentiable:
         return value
@@ -134,5 +134,5 @@ def nan_outside(value, where, differentiable: bool):
     return namespace(value).where(where, value, math.nan)
 
 
-def _place(like) -> dict:
+def _place(like) -> dict[Any, Any]:
     return {"device": like.device} if is_torch(like) else {}

@@ -4,36 +4,37 @@ A missing value is NaN in the result; it is computed from a placeholder, so that
 """
 
 import math
+from typing import Any
 
-from odak._array import namespace
+from odak._array import Array, namespace
 from odak.tools.transformation import cross, dot, on_same_side
 
 
-def safe_sqrt(value):
+def safe_sqrt(value: Any) -> Any:
     """Return the square root of positive values, 0 with a zero gradient elsewhere."""
     xp = namespace(value)
     positive = value > 0
     return xp.where(positive, xp.sqrt(xp.where(positive, value, 1.0)), 0.0)
 
 
-def safe_divide(numerator, denominator, where):
+def safe_divide(numerator: Array, denominator: Array, where: Array) -> Array:
     """Return numerator/denominator where `where` holds, 0 with zero gradients elsewhere."""
     xp = namespace(numerator, denominator)
     return xp.where(where, numerator, 0.0) / xp.where(where, denominator, 1.0)
 
 
-def masked(value, where):
+def masked(value: Array, where: Array) -> Array:
     """Return `value`, ``[...]`` or ``[..., 3]``, with NaN where `where`, ``[...]``, does not hold."""
     xp = namespace(value)
     return xp.where(where if value.ndim == where.ndim else where[..., None], value, math.nan)
 
 
-def epsilon(value) -> float:
+def epsilon(value: Any) -> float:
     """Return the spacing of floats at 1 in the precision of `value`."""
     return float(namespace(value).finfo(value.dtype).eps)
 
 
-def unit(vector):
+def unit(vector: Any) -> Any:
     """Return vector/|vector|, ``[..., 3]``; NaN for a vector of length zero."""
     xp = namespace(vector)
     squared = dot(vector, vector)
@@ -41,7 +42,7 @@ def unit(vector):
     return masked(vector / xp.sqrt(xp.where(exists, squared, 1.0))[..., None], exists)
 
 
-def finite_rays(start, direction):
+def finite_rays(start: Any, direction: Any) -> Any:
     """Return rays with the ones that hold NaN or infinity replaced by zeros, and which were kept.
 
     A ray that was lost at an earlier surface must not make the gradients of later surfaces NaN.
@@ -51,7 +52,7 @@ def finite_rays(start, direction):
     return xp.where(kept[..., None], start, 0.0), xp.where(kept[..., None], direction, 0.0), kept
 
 
-def triangle_normal(triangle):
+def triangle_normal(triangle: Any) -> Any:
     """Return the unit normal (p1 − p0) × (p2 − p0)/|…| of triangles ``[..., 3, 3]``; NaN for collinear corners."""
     p0, p1, p2 = triangle[..., 0, :], triangle[..., 1, :], triangle[..., 2, :]
     edge1, edge2 = p1 - p0, p2 - p0
@@ -62,7 +63,7 @@ def triangle_normal(triangle):
     return masked(area / xp.sqrt(xp.where(exists, squared, 1.0))[..., None], exists)
 
 
-def barycentric(point, triangle):
+def barycentric(point: tuple[Array, ...], triangle: Array) -> tuple[Array, ...]:
     """Return (u, v) with point ≈ p0 + u·(p2 − p0) + v·(p1 − p0), by projection; NaN for collinear corners.
 
     `point` is ``[..., 3]`` or a tuple of its components, `triangle` ``[..., 3, 3]``. Source:
@@ -83,12 +84,12 @@ def barycentric(point, triangle):
     return (d11 * d02 - d01 * d12) / area2, (d00 * d12 - d01 * d02) / area2
 
 
-def is_on_triangle(point, p0, p1, p2):
+def is_on_triangle(point: Array, p0: Array, p1: Array, p2: Array) -> Array:
     """Return whether points, projected onto a triangle, lie within it or on its edges: same-side test of all edges."""
     return on_same_side(point, p0, p1, p2) & on_same_side(point, p1, p0, p2) & on_same_side(point, p2, p0, p1)
 
 
-def nearest_on_lines(start0, direction0, start1, direction1):
+def nearest_on_lines(start0: Array, direction0: Array, start1: Array, direction1: Array) -> tuple[Array, ...]:
     """Return the parameters of the nearest points of two lines, in units of the lengths of the directions, ``[...]``.
 
     For parallel lines the first is 0 and the second belongs to the foot of the perpendicular from `start0`.
@@ -105,7 +106,7 @@ def nearest_on_lines(start0, direction0, start1, direction1):
     return t0, namespace(t1).where(crossing, t1, foot)
 
 
-def crossing_of_lines(start0, direction0, start1, direction1):
+def crossing_of_lines(start0: Array, direction0: Array, start1: Array, direction1: Array) -> tuple[Array, ...]:
     """Return the parameters of the intersection of two lines ``[..., 3]``, and whether they intersect, all ``[...]``.
 
     Lines cross unless they are parallel, or pass each other by more than 1e-5 of the distance between their starts plus
@@ -128,12 +129,12 @@ def crossing_of_lines(start0, direction0, start1, direction1):
 # area is exactly zero, which counts as inside, so that no ray passes through a closed surface.
 
 
-def shear_of(direction):
+def shear_of(direction: Any) -> Any:
     """Return dx/dz and dy/dz of directions (x, y, z) whose largest component is z."""
     return direction[0] / direction[2], direction[1] / direction[2]
 
 
-def sheared(corner, start, shear):
+def sheared(corner: Any, start: Any, shear: Any) -> Any:
     """Return corners in the sheared frame of rays: x, y across the ray and z along it.
 
     Parameters
@@ -152,7 +153,7 @@ def sheared(corner, start, shear):
     return x - shear[0] * z, y - shear[1] * z, z
 
 
-def edge_areas(a, b, c):
+def edge_areas(a: Any, b: Any, c: Any) -> Any:
     """Return twice the signed areas that the ray spans with the edges opposite to corners a, b and c.
 
     Corners are (x, y, …) of :func:`sheared`. Divided by their sum they are the barycentric coordinates.
@@ -160,7 +161,7 @@ def edge_areas(a, b, c):
     return c[0] * b[1] - c[1] * b[0], a[0] * c[1] - a[1] * c[0], b[0] * a[1] - b[1] * a[0]
 
 
-def encloses(u, v, w):
+def encloses(u: Any, v: Any, w: Any) -> Any:
     """Return whether the ray lies within the triangle or on its edges; false for a triangle parallel to the ray."""
     xp = namespace(u, v, w)
     least, most = xp.minimum(xp.minimum(u, v), w), xp.maximum(xp.maximum(u, v), w)
@@ -168,7 +169,7 @@ def encloses(u, v, w):
     return (least >= 0) ^ (most <= 0)
 
 
-def corner_weights(edge1, edge2):
+def corner_weights(edge1: Any, edge2: Any) -> Any:
     """Return the weight of a face in the normal of the corner between two of its edges.
 
     Parameters

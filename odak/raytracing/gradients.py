@@ -1,6 +1,6 @@
 """Media of graded refractive index, and rays through them by an adaptive Runge–Kutta method."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, ClassVar, NamedTuple
@@ -157,7 +157,7 @@ class FunctionGradient(Gradient):
     function: ClassVar[Any] = None
 
     @classmethod
-    def of(cls, function: Callable, parameters: Any = ()) -> "FunctionGradient":
+    def of(cls, function: Callable[..., Any], parameters: Any = ()) -> "FunctionGradient":
         """Return a medium made of a function.
 
         Parameters
@@ -204,7 +204,7 @@ class Path(NamedTuple):
     steps: int
 
 
-def ray_equation(gradient: Gradient, base) -> Callable:
+def ray_equation(gradient: Gradient, base: float) -> Callable[..., Any]:
     """Return the derivative of states ``[7, ...]`` by t: dr/dt = T, dT/dt = ½∇n², dL/dt = n².
 
     Sharma, Kumar and Ghatak, Appl. Opt. 21, 984 (1982).
@@ -226,7 +226,7 @@ def tableau() -> Any:
     return DOP853
 
 
-def step(field: Callable, state, length):
+def step(field: Callable[..., Any], state: Any, length: Any) -> Any:
     """Return states after a step of Dormand and Prince's method of order 8, the derivatives at its stages ``[12, …]``.
 
     Hairer, Nørsett and Wanner, Solving Ordinary Differential Equations I (1993), section II.5.
@@ -237,7 +237,7 @@ def step(field: Callable, state, length):
     return state + length * _combined(tableau().B, stages), stages
 
 
-def stage(state, length, stages, row: int):
+def stage(state: Array, length: Array | float, stages: Sequence[Array], row: int) -> Array:
     """Return states at a stage of a step, from the derivatives at those before."""
     return state + length * _combined(tableau().A[row, :row], stages[:row])
 
@@ -260,7 +260,7 @@ def _error(stages, length, scale):
     return abs(length) * xp.where(whole > 0, fifth / xp.where(whole > 0, whole, 1.0) ** 0.5, 0.0)
 
 
-def integrate(field: Callable, state, scale, remaining: Callable, after: Callable | None = None) -> Path:
+def integrate(field: Callable, state: Any, scale: Any, remaining: Callable, after: Callable | None = None) -> Path:
     """Integrate states to the end of their paths, with steps of adaptive length for each ray.
 
     Parameters
@@ -312,7 +312,7 @@ def integrate(field: Callable, state, scale, remaining: Callable, after: Callabl
     return Path(state, time, done, count)
 
 
-def to_surface(gradient: Gradient, base, state, level: Callable, sign: int) -> Path:
+def to_surface(gradient: Gradient, base: float, state: Array, level: Callable[..., Any], sign: int) -> Path:
     """Integrate rays until they intersect a surface.
 
     Parameters

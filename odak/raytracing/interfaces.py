@@ -42,12 +42,12 @@ class Fresnel(NamedTuple):
     transmittance_p: Any
 
 
-def reflect_directions(direction, normal):
+def reflect_directions(direction: Array, normal: Array) -> Array:
     """Return d − 2(d·n)/(n·n)·n; NaN where the normal is zero or not finite. Neither need be a unit vector."""
     return in_pieces(lambda *a: vec.join(reflected(*a)), (1, 1), direction, normal)
 
 
-def reflected(direction, normal) -> vec.Vector:
+def reflected(direction: Any, normal: Any) -> vec.Vector:
     """Return the components of :func:`reflect_directions`."""
     xp, direction, normal, kept, differentiable = vec.lines(direction, normal)
     squared = vec.dot(normal, normal)
@@ -57,7 +57,7 @@ def reflected(direction, normal) -> vec.Vector:
     return vec.nan_outside(vec.along(direction, -factor, normal), exists, differentiable)
 
 
-def refract_directions(direction, normal, n1, n2):
+def refract_directions(direction: Array, normal: Array, n1: Array | float, n2: Array | float) -> tuple[Array, ...]:
     """Return the refracted directions and their statuses, by Snell's law in vector form.
 
     Parameters
@@ -137,7 +137,7 @@ def diffracted(direction, normal, n1, n2, gradient, reflects: bool = False) -> t
     return vec.nan_outside(vec.scaled(out, 1 / n2), through, True), through
 
 
-def fresnel(direction, normal, n1, n2) -> Fresnel:
+def fresnel(direction: Array, normal: Array, n1: Array | float, n2: Array | complex | float) -> Fresnel:
     """Return the Fresnel coefficients of an interface between indices n1 (real) and n2 (real or complex).
 
     Parameters
@@ -171,7 +171,7 @@ def fresnel(direction, normal, n1, n2) -> Fresnel:
     return Fresnel(*(xp.where(exists, value, float("nan")) for value in (*amplitudes, *powers)))
 
 
-def fresnel_shares(cosine, n1, n2):
+def fresnel_shares(cosine: Any, n1: Any, n2: Any) -> Any:
     """Return the fraction of the power of unpolarised light that an interface of two real indices reflects.
 
     Parameters
@@ -369,7 +369,7 @@ class HologramPhase(Phase):
         scale = self.order / (2 * vec.PI)
         return scale * value, scale * along_x / self.pitch, scale * along_y / self.pitch
 
-    def _samples(self, i, j, x, y) -> list:
+    def _samples(self, i, j, x, y) -> list[Any]:
         """Return the 4 × 4 samples about cells (i, j), unwrapped from the sample (i, j)."""
         columns = self.phase.shape[-1]
         take = grid_reader(self.phase, x + y)

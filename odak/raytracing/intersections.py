@@ -8,7 +8,7 @@ units of the length of its direction. Without an intersection, distance, point a
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-from odak._array import namespace
+from odak._array import Array, namespace
 from odak.raytracing import components as vec
 from odak.raytracing.batches import in_pieces
 from odak.raytracing.components import join
@@ -24,7 +24,7 @@ class Intersection(NamedTuple):
     hit: Any
 
 
-def plane(start, direction, point, normal) -> Intersection:
+def plane(start: Any, direction: Any, point: Any, normal: Any) -> Intersection:
     """Intersect rays with planes through `point` with `normal`; the distance is signed, negative behind the start.
 
     A ray parallel to the plane within two units of rounding is a miss. The normal is returned as given.
@@ -45,7 +45,7 @@ def plane(start, direction, point, normal) -> Intersection:
     )
 
 
-def vertex_plane(start, direction) -> Intersection:
+def vertex_plane(start: Any, direction: Any) -> Intersection:
     """Intersect rays with the plane z = 0, ahead or behind."""
     xp, start, direction, kept, differentiable = vec.lines(start, direction)
     hit = kept & (direction[2] != 0)
@@ -55,12 +55,12 @@ def vertex_plane(start, direction) -> Intersection:
     return _result(distance, (x, y, zero), (zero, zero, zero + 1), hit & (abs(distance) < xp.inf), differentiable)
 
 
-def on_triangle(flat: Intersection, corners):
+def on_triangle(flat: Intersection, corners: Array) -> Array:
     """Return which of the rays that intersect the planes of triangles intersect the triangles."""
     return flat.hit & encloses(*barycentric(flat.point, corners))
 
 
-def encloses(u, v):
+def encloses(u: Array, v: Array) -> Array:
     """Return whether barycentric coordinates lie within their triangle: u ≥ 0, v ≥ 0, u + v < 1."""
     return (u >= 0) & (v >= 0) & (u + v < 1)
 
@@ -70,7 +70,7 @@ def _result(distance, place, normal, hit, differentiable) -> Intersection:
     return Intersection(distance, place, normal, hit)
 
 
-def sphere(start, direction, centre, radius) -> Intersection:
+def sphere(start: Array, direction: Array, centre: Array, radius: Array | float) -> Intersection:
     """Intersect rays with spheres at the nearest point ahead, the exit for a start inside; outward normals.
 
     Notes
@@ -89,7 +89,7 @@ def sphere(start, direction, centre, radius) -> Intersection:
     return _result(distance, place, normal, hit, differentiable)
 
 
-def cylinder(start, direction, centre, radius, axis) -> Intersection:
+def cylinder(start: Array, direction: Array, centre: Array, radius: Array, axis: Array) -> Intersection:
     """Intersect rays with infinite cylinders about lines through `centre` along `axis`; outward normals.
 
     The intersection is the nearest point ahead. A ray along the axis misses.
@@ -277,13 +277,13 @@ class Hit(NamedTuple):
         return self.status == int(RayStatus.HIT)
 
 
-def status_array(hit, otherwise: RayStatus = RayStatus.MISS):
+def status_array(hit: Array, otherwise: RayStatus = RayStatus.MISS) -> Array:
     """Return int8 statuses: HIT where `hit` holds, `otherwise` elsewhere."""
     missed = namespace(hit).astype(~hit, namespace(hit).int8)
     return missed if int(otherwise) == 1 else missed * int(otherwise)
 
 
-def within(point, known, corners):
+def within(point: Any, known: Any, corners: Any) -> Any:
     """Return whether the points that are `known` lie on triangles: u ≥ 0, v ≥ 0, u + v < 1."""
 
     def inside(point, known, corners):
@@ -293,14 +293,14 @@ def within(point, known, corners):
     return in_pieces(inside, (1, 0, 2), point, known, corners)
 
 
-def conic_status(found: Intersection, sheet):
+def conic_status(found: Intersection, sheet: Array) -> Array:
     """Return statuses of :func:`odak.raytracing.intersections.conic`: VIGNETTED on the sheet beyond the aperture."""
     status = status_array(found.hit)
     beyond = int(RayStatus.VIGNETTED) - int(RayStatus.MISS)
     return status + namespace(sheet).astype(sheet & ~found.hit, status.dtype) * beyond
 
 
-def as_hit(found: Intersection, status=None) -> Hit:
+def as_hit(found: Intersection, status: Array | None = None) -> Hit:
     """Return a :class:`Hit` with the components of its vectors joined."""
     distance, point, normal, hit = found
     point, normal = join(point), join(normal)

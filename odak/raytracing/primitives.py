@@ -289,7 +289,7 @@ def cylinder_function(point: Array, cylinder: Array) -> Array:
     return geometry.dot(arm, arm) - radius**2
 
 
-def split_cylinder(cylinder) -> tuple[Any, Any, Any]:
+def split_cylinder(cylinder: Any) -> tuple[Any, Any, Any]:
     """Return centre ``[m, 3]``, radius ``[m]`` and axis ``[m, 3]`` of cylinders ``[..., 7]``."""
     cylinder = arguments.shaped("cylinder", cylinder, (7,), "[7] or [m, 7]")
     return cylinder[..., :3], cylinder[..., 3], cylinder[..., 4:] - cylinder[..., :3]

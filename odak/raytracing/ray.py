@@ -54,7 +54,7 @@ def create_ray(x0y0z0: Array, abg: Array) -> Any:
     return arguments.as_rays(start, cosines)
 
 
-def warn_unless_unit(name: str, cosines) -> None:
+def warn_unless_unit(name: str, cosines: Array) -> None:
     """Warn about direction cosines ``[..., 3]`` of angles whose length is not 1; NaN marks a lost ray."""
     if not is_readable(cosines):
         return

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 
 
-def recomputed(function: Callable, ranks: Sequence[int], plan: Any, evaluate: Callable, arrays: Sequence):
+def recomputed(function: Callable, ranks: Sequence[int], plan: Any, evaluate: Callable, arrays: Sequence[Any]) -> Any:
     """Return ``function(*arrays)``, differentiable, storing only the arguments for the backward pass.
 
     Parameters
@@ -30,7 +30,7 @@ def recomputed(function: Callable, ranks: Sequence[int], plan: Any, evaluate: Ca
             given[place] = tensor
         return function(*given)
 
-    kinds: list[type] = []
+    kinds: list[type[Any]] = []
     plan = plan._replace(cut=tuple(plan.cut[i] for i in places))
     ranks = [ranks[i] for i in places]
     result = _Recomputed.apply(of_tensors, ranks, plan, evaluate, kinds, *(arrays[i] for i in places))
@@ -78,7 +78,7 @@ class _Recomputed(torch.autograd.Function):
         return None, None, None, None, None, *total
 
 
-def _gradients(function, tensors, needed, gradients, create_graph: bool) -> list:
+def _gradients(function, tensors, needed, gradients, create_graph: bool) -> list[Any]:
     """Return the gradients of the arguments needed, None for the others."""
     with torch.enable_grad():
         # Separate views, so that an argument computed from another does not pass its gradient on to it here.

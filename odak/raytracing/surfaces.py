@@ -1,6 +1,6 @@
 """Shapes of surfaces z = sag(x, y) with their vertex at the origin, and intersections of rays with them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, NamedTuple
 
@@ -583,7 +583,7 @@ class ChebyshevFreeform(Conic):
                 along_y = along_y + coefficient * tx[i] * dy[j] / height
         return Sag(base.height + value, base.slope_x + along_x, base.slope_y + along_y, base.defined)
 
-    def _rows(self) -> tuple:
+    def _rows(self) -> tuple[Any, ...]:
         given = self.coefficients
         return tuple(namespace(given).unstack(given, axis=-2)) if is_array(given) else tuple(given)
 
@@ -597,7 +597,7 @@ class ChebyshevFreeform(Conic):
         return (abs(x) <= width) & (abs(y) <= height)
 
 
-def _chebyshev(u, count: int) -> tuple[list, list]:
+def _chebyshev(u, count: int) -> tuple[list[Any], list[Any]]:
     """Return T_0 … T_(count − 1) and their derivatives."""
     values, slopes = [1 + 0 * u, u], [0 * u, 1 + 0 * u]
     for _ in range(2, count):
@@ -667,14 +667,14 @@ class QbfsAsphere(Shape):
         return value, value
 
 
-def _qbfs(v, coefficients) -> tuple:
+def _qbfs(v, coefficients) -> tuple[Any, ...]:
     """Return Σ a_m·Q_m(v) of Forbes' slope-orthogonal polynomials, and the derivative by v."""
     total = derivative = 0 * v
     p = [(2 + 0 * v, 0 * v), (6 - 8 * v, -8 + 0 * v)]
     f: list[float] = [2.0, 19**0.5 / 2]
     g: list[float] = [-0.5]
     h: list[float] = []
-    q: list = []
+    q: list[Any] = []
     for m, coefficient in enumerate(coefficients):
         if m >= len(p):
             (a, da), (b, db) = p[-1], p[-2]
@@ -753,7 +753,7 @@ def _jacobi_derivative(degree: int, m: int, s):
     return sum(((k + m / 2 + 1) * jacobi(k, m + 1, s) for k in range(degree)), start=0 * s)
 
 
-def _curvatures_by_differences(shape: Shape, length) -> tuple:
+def _curvatures_by_differences(shape: Shape, length) -> tuple[Any, ...]:
     """Return the second derivatives at the vertex by central differences of the first ones."""
     step = 1e-5 * length + 0 * sum(shape.base())
     zero = 0 * step
@@ -773,7 +773,7 @@ def radial_sag(squared, curvature, conic, coefficients=()) -> tuple[Any, ...]:
     return height + value, slope + derivative, defined
 
 
-def conic_sag(x, y, curvature=0.0, conic=0.0) -> Sag:
+def conic_sag(x: Array | float, y: Array | float, curvature: Array | float = 0.0, conic: Array | float = 0.0) -> Sag:
     """Return z = cr²/(1 + √(1 − (1 + k)c²r²)): a plane for c = 0, a sphere for k = 0, a paraboloid for k = −1."""
     return even_asphere_sag(x, y, curvature, conic)
 
@@ -821,7 +821,7 @@ def zernike_sag(x, y, curvature=0.0, conic=0.0, coefficients=(), radius=1.0) -> 
     return Sag(height, slope_x, slope_y, base.defined)
 
 
-def spline_sag(x, y, heights, size, curvature=0.0, conic=0.0) -> Sag:
+def spline_sag(x: Any, y: Any, heights: Any, size: Any, curvature: Any = 0.0, conic: Any = 0.0) -> Sag:
     """Return the conic's height plus a uniform cubic B-spline.
 
     `heights` ``[..., n0, n1]`` are its control points, at x and y from −size/2 to size/2 (first axis x); the control
@@ -846,7 +846,7 @@ def spline_sag(x, y, heights, size, curvature=0.0, conic=0.0) -> Sag:
     return Sag(base.height + value, base.slope_x + along_x, base.slope_y + along_y, base.defined)
 
 
-def grid_reader(grid, places):
+def grid_reader(grid: Array, places: Array) -> Callable[..., Any]:
     """Return a function that takes samples of a grid ``[..., n0, n1]`` by flat indices of the shape of `places`.
 
     The grid is one for all places, or a batch of them whose axes stand before the last of the places.
@@ -860,7 +860,7 @@ def grid_reader(grid, places):
     return lambda index: xp.take_along_axis(flat, index, axis=-1)
 
 
-def polynomial_in(s, coefficients):
+def polynomial_in(s: Any, coefficients: Any) -> Any:
     """Return Σ a_i·s^(i + 1) and its derivative, by Horner's rule."""
     value = slope = 0 * s
     for coefficient in reversed(terms(coefficients)):
@@ -870,7 +870,7 @@ def polynomial_in(s, coefficients):
     return value, slope
 
 
-def xy_polynomial(x, y, coefficients) -> tuple[Any, ...]:
+def xy_polynomial(x: Array, y: Array, coefficients: Array | Sequence[float]) -> tuple[Any, ...]:
     """Return Σ a_j·x^p·y^q in the order x, y, x², xy, y², x³, …, and its derivatives by x and by y."""
     given = terms(coefficients)
     value = along_x = along_y = 0.0 * (x + y)

@@ -451,7 +451,7 @@ MOST_BYTES = 160 << 20
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
-def read_npz(path: str | os.PathLike, most: int = MOST_BYTES) -> dict[str, np.ndarray]:
+def read_npz(path: str | os.PathLike[str], most: int = MOST_BYTES) -> dict[str, np.ndarray]:
     """Read the arrays of a ``.npz`` file after checking what its headers promise.
 
     Parameters
@@ -796,7 +796,7 @@ def load_image(
 
 
 def read_levels(
-    fn: str | os.PathLike,
+    fn: str | os.PathLike[str],
     torch_style: bool = False,
     color_managed: bool = False,
     pages: int | Sequence[int] | Literal["all"] | None = None,
@@ -851,7 +851,7 @@ def read_levels(
     return np.ascontiguousarray(found[0] if asked is None or isinstance(asked, int) else np.stack(found))
 
 
-def embedded_profile(fn: str | os.PathLike) -> bytes | None:
+def embedded_profile(fn: str | os.PathLike[str]) -> bytes | None:
     """Return the ICC profile in the file of an image that :func:`read_levels` has read.
 
     Parameters
@@ -871,7 +871,7 @@ def embedded_profile(fn: str | os.PathLike) -> bytes | None:
         return image.info.get("icc_profile") or None
 
 
-def holds_light(fn: str | os.PathLike) -> bool:
+def holds_light(fn: str | os.PathLike[str]) -> bool:
     """Return whether an image's format holds linear light by definition: OpenEXR and Radiance.
 
     Parameters
@@ -1108,7 +1108,7 @@ def _levels(img, cmin, cmax, color_depth):
     return np.nan_to_num(levels, copy=False).astype(np.uint8 if color_depth == 8 else np.uint16)
 
 
-def _encoder(path, levels) -> Callable:
+def _encoder(path, levels) -> Callable[..., Any]:
     """Return the function that writes the levels to a stream, or an error message if the format cannot store them."""
     form = _FORMATS[extension_of(path)]
     deep, colour, alpha = levels.dtype == np.uint16, levels.ndim == 3, levels.shape[2:] == (4,)

@@ -264,7 +264,7 @@ def _gaussian(kernel_length, nsigma, xp, device):
 METHODS = ("center", "left", "left aligned")
 
 
-def frame(field, size: Sequence[int] | None, method: str) -> tuple[int, int, int, int]:
+def frame(field: Array, size: Sequence[int] | None, method: str) -> tuple[int, int, int, int]:
     """Return height and width of the larger field, and the row and column where the smaller one begins in it."""
     rows, columns = _validate.image("field", field).shape[-2:]
     height, width = (2 * rows, 2 * columns) if size is None else last_two(size)
@@ -275,7 +275,7 @@ def frame(field, size: Sequence[int] | None, method: str) -> tuple[int, int, int
     return height, width, height // 2 - rows // 2, width // 2 - columns // 2
 
 
-def last_two(size) -> tuple[int, int]:
+def last_two(size: Sequence[int]) -> tuple[int, int]:
     """Return the last two entries of a size as rows and columns."""
     return _validate.size("size", tuple(size)[-2:] if isinstance(size, Iterable) else size)
 

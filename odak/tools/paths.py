@@ -232,7 +232,7 @@ def _text(name, value):
 
 
 @contextmanager
-def replacing(path: str | os.PathLike) -> Iterator[BinaryIO]:
+def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     """Yield a binary stream whose content takes the place of a file when the block ends without an error.
 
     Parameters

@@ -13,7 +13,7 @@ from odak._array import Array, namespace
 ROTATION_MODES = tuple("".join(order) for order in itertools.permutations("XYZ"))
 
 
-def axis_rotation(axis: str, angle):
+def axis_rotation(axis: str, angle: Any) -> Any:
     """Return the right-handed rotation about one axis, written for any array library.
 
     Parameters
@@ -40,7 +40,7 @@ def axis_rotation(axis: str, angle):
     return xp.reshape(xp.stack(rows, axis=-1), (*angle.shape, 3, 3))
 
 
-def rotation_matrix(angles, mode: str = "XYZ"):
+def rotation_matrix(angles: Any, mode: str = "XYZ") -> Any:
     """Return the product of three axis rotations, written for any array library.
 
     Parameters
@@ -65,7 +65,7 @@ def rotation_matrix(angles, mode: str = "XYZ"):
     return _array.product(_array.product(about[third], about[second]), about[first])
 
 
-def apply_matrix(matrix, vector):
+def apply_matrix(matrix: Any, vector: Any) -> Any:
     """Return matrix · vector for ``[..., 3, 3]`` and ``[..., 3]``, broadcast against each other."""
     if matrix.ndim > 2:
         return _array.product(matrix, vector[..., None])[..., 0]
@@ -291,21 +291,21 @@ def _three(**values):
     return [_array.namespace(value).reshape(value, (3,)) for value in made]
 
 
-def dot(a, b):
+def dot(a: Any, b: Any) -> Any:
     """Return the scalar product over the last axis, ``[...]``, for any array library."""
     xp = namespace(a, b)
     (ax, ay, az), (bx, by, bz) = xp.unstack(a, axis=-1), xp.unstack(b, axis=-1)
     return ax * bx + ay * by + az * bz
 
 
-def cross(a, b):
+def cross(a: Any, b: Any) -> Any:
     """Return the vector product over the last axis, ``[..., 3]``, for any array library."""
     xp = namespace(a, b)
     (ax, ay, az), (bx, by, bz) = xp.unstack(a, axis=-1), xp.unstack(b, axis=-1)
     return xp.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis=-1)
 
 
-def on_same_side(p1, p2, a, b):
+def on_same_side(p1: Any, p2: Any, a: Any, b: Any) -> Any:
     """Return whether p1 and p2 lie on the same side of the line ab, for any library; the line is on both sides."""
     return dot(cross(b - a, p1 - a), cross(b - a, p2 - a)) >= 0
 

@@ -71,7 +71,7 @@ def check_mode(n: int, m: int) -> tuple[int, int]:
     return n, m
 
 
-def jacobi(degree: int, beta: int, x):
+def jacobi(degree: int, beta: int, x: Array | float) -> Array | float:
     """Return the Jacobi polynomial of weights (0, β) by its three-term recurrence (Abramowitz and Stegun, 22.7.1).
 
     Parameters

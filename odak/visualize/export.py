@@ -340,7 +340,7 @@ def _frame(along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return across, np.cross(along, across)
 
 
-def _with_normals(places: np.ndarray, faces: np.ndarray, smooth: bool) -> tuple:
+def _with_normals(places: np.ndarray, faces: np.ndarray, smooth: bool) -> tuple[Any, ...]:
     """Return vertices, faces, None for normals of faces, and unit normals at the vertices.
 
     Flat triangles have vertices of their own; over a smooth surface normals are means weighted by area.

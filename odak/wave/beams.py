@@ -843,7 +843,7 @@ def _laguerre(p: int, size: int, x):
     return now
 
 
-def _pair(name: str, value) -> tuple:
+def _pair(name: str, value) -> tuple[Any, ...]:
     if isinstance(value, (str, bytes)) or not hasattr(value, "__len__") or len(value) != 2:
         raise ValueError(f"{name} must be two numbers (rows, columns), got {value!r:.100}")
     return tuple(value)

@@ -381,7 +381,7 @@ def _along_axis(field, system, pitch, wanted, count: int, wavelength, axis: int,
     return xp.astype(result, field.dtype, copy=False), xp.reshape(out, ())
 
 
-def between_samples(field, like, axis: int):
+def between_samples(field: Array, like: Any, axis: int) -> Any:
     """Return the band-limited interpolation of a field at half its pitch, over twice its width."""
     n = field.shape[axis]
     step = _array.namespace(like).ones_like(like) / (4 * n)
@@ -965,7 +965,7 @@ class optical_bench:
     def __init__(self, elements: Iterable[Any], wavelength: float | Array):
         if isinstance(elements, (str, bytes)) or not isinstance(elements, Iterable):
             raise TypeError(f"elements must be a sequence of elements, got {elements!r:.80}")
-        self.elements = list(elements)
+        self.elements: list[Any] = list(elements)
         for element in self.elements:
             if not callable(getattr(element, "apply", None)):
                 raise TypeError(f"elements must have a method apply(field, pitch, wavelength), got {element!r:.80}")
@@ -983,7 +983,7 @@ class optical_bench:
         except (TypeError, ValueError, RuntimeError) as error:
             failed = [f"the bench cannot be drawn: {error}"]
         wave = ", ".join(f"{1e9 * w:.4g}" for w in (_known_all(self.wavelength) or []))
-        table: list = [("place", "element")]
+        table: list[Any] = [("place", "element")]
         for element in self.elements:
             known = _known_all(_length(element))
             table.append((f"{1e3 * place:.6g} mm", _show.one_line(element)))
@@ -1060,7 +1060,7 @@ class optical_bench:
         """
         totals = []
         for axis in range(2):
-            total: list = [[1.0, 0.0], [0.0, 1.0]]
+            total: list[Any] = [[1.0, 0.0], [0.0, 1.0]]
             for element in self.elements:
                 m = _matrix_along(element, axis)
                 total = [[sum(m[i][k] * total[k][j] for k in range(2)) for j in range(2)] for i in range(2)]
@@ -1143,14 +1143,14 @@ class Light:
     openings: tuple[Any, ...] = ()
     coarse: float = 0.0
 
-    def sampled(self, wavelength):
+    def sampled(self, wavelength: float | Array) -> Any:
         """Return the field with its lenses, at the samples."""
         field = self.field
         for lens in self.lenses:
             field = lens.times(field, self.pitch, wavelength)
         return field
 
-    def through(self, element, wavelength) -> "Light":
+    def through(self, element: Any, wavelength: float | Array) -> "Light":
         """Return the light behind an element."""
         if isinstance(element, ThinLens) and self._is_steep(element, wavelength):
             return replace(self, lenses=(*self.lenses, element))
@@ -1262,7 +1262,7 @@ def _known_all(value) -> list[float] | None:
     return _validate.numbers(value) if _array.is_readable(value) else None
 
 
-def _draw_element(pen, element, at: Callable, tall: float, wing: float) -> None:
+def _draw_element(pen, element, at: Callable[..., Any], tall: float, wing: float) -> None:
     """Draw a lens as an arrow, an aperture as two bars, and a mask as a dashed line."""
     top = 0.95 * tall
     (x, high), (_, low) = at(top), at(-top)

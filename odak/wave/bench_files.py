@@ -92,7 +92,7 @@ KINDS: dict[str, dict[str, Parameter]] = {
     },
 }
 SOURCES = ("plane_wave", "gaussian_beam", "point_source")
-_TYPES: dict[str, dict] = {
+_TYPES: dict[str, dict[Any, Any]] = {
     "length": {"type": ["number", "string"], "description": "metres, or a number with a unit"},
     "positive length": {"type": ["number", "string"], "description": "metres, or a number with a unit; positive"},
     "pitch": {
@@ -254,7 +254,7 @@ def bench_schema() -> dict[str, Any]:
     ['plane_wave', 'gaussian_beam', 'point_source']
     """
 
-    def described(parameters: dict[str, Parameter], **more: dict) -> dict[Any, Any]:
+    def described(parameters: dict[str, Parameter], **more: dict[Any, Any]) -> dict[Any, Any]:
         properties = {
             name: {**_TYPES[parameter.kind], "title": parameter.meaning} for name, parameter in parameters.items()
         }
@@ -361,7 +361,7 @@ def checked(config: Any, folder: Path) -> tuple[dict[Any, Any], list[dict[Any, A
     return bench, elements
 
 
-def _check_names(where: str, given: dict, known, required) -> None:
+def _check_names(where: str, given: dict[Any, Any], known, required) -> None:
     for name in given:
         if name not in known:
             raise ValueError(
@@ -372,7 +372,7 @@ def _check_names(where: str, given: dict, known, required) -> None:
         raise ValueError(f"{where} needs {', '.join(missing)}")
 
 
-def _filled(where: str, given: dict, parameters: dict[str, Parameter], folder: Path) -> dict:
+def _filled(where: str, given: dict[Any, Any], parameters: dict[str, Parameter], folder: Path) -> dict[Any, Any]:
     _check_names(where, given, parameters, [name for name, one in parameters.items() if one.default is REQUIRED])
     values = {}
     for name, parameter in parameters.items():
@@ -448,7 +448,7 @@ def positions(resolution: Sequence[int], pitch: Any, offset: Any = (0.0, 0.0)) -
     return rows[:, None], columns[None, :]
 
 
-def _plane_wave(bench: dict, element: dict) -> np.ndarray:
+def _plane_wave(bench: dict[Any, Any], element: dict[Any, Any]) -> np.ndarray:
     rows, columns = positions(bench["resolution"], bench["pixel_pitch"])
     k = wavenumber(bench["wavelength"])
     for step, angle in zip(pitches(bench["pixel_pitch"]), element["tilt"], strict=True):
@@ -457,7 +457,7 @@ def _plane_wave(bench: dict, element: dict) -> np.ndarray:
     return np.asarray(generate_complex_field(element["amplitude"], k * (tilt[0] * rows + tilt[1] * columns)))
 
 
-def _gaussian_beam(bench: dict, element: dict) -> np.ndarray:
+def _gaussian_beam(bench: dict[Any, Any], element: dict[Any, Any]) -> np.ndarray:
     result = gaussian_beam(
         bench["resolution"],
         bench["pixel_pitch"],
@@ -470,7 +470,7 @@ def _gaussian_beam(bench: dict, element: dict) -> np.ndarray:
     return np.asarray(result)
 
 
-def _point_source(bench: dict, element: dict) -> np.ndarray:
+def _point_source(bench: dict[Any, Any], element: dict[Any, Any]) -> np.ndarray:
     pitch, numbers = bench["pixel_pitch"], (element["distance"], bench["wavelength"])
     axes = sampled_axes(bench["resolution"], pitches(pitch), element["offset"])
     further = Weaker(0, 1, "a distance of at least {:.3g} m")
@@ -481,28 +481,28 @@ def _point_source(bench: dict, element: dict) -> np.ndarray:
     return np.asarray(generate_complex_field(element["amplitude"] * element["distance"] / distance, phase))
 
 
-def _circular_aperture(light: Light, element: dict) -> list:
+def _circular_aperture(light: Light, element: dict[Any, Any]) -> list[Any]:
     return [CircularAperture(element["diameter"] / 2, element["offset"])]
 
 
-def _rectangular_aperture(light: Light, element: dict) -> list:
+def _rectangular_aperture(light: Light, element: dict[Any, Any]) -> list[Any]:
     height, width = element["size"]
     return [RectangularAperture(height, width, element["offset"])]
 
 
-def _lens(light: Light, element: dict) -> list:
+def _lens(light: Light, element: dict[Any, Any]) -> list[Any]:
     lens = ThinLens(element["focal_length"], element["offset"])
     return [lens] if element["diameter"] is None else [lens, *_circular_aperture(light, element)]
 
 
-def _slm(light: Light, element: dict) -> list:
+def _slm(light: Light, element: dict[Any, Any]) -> list[Any]:
     levels = read_levels(element["pattern"])
     grey = _fitting(levels, light, element["pattern"])
     depth = 256 if levels.dtype == np.uint8 else 65536
     return [Mask(generate_complex_field(1.0, np.round(grey * (depth - 1)) * (2 * math.pi / depth)))]
 
 
-def _mask(light: Light, element: dict) -> list:
+def _mask(light: Light, element: dict[Any, Any]) -> list[Any]:
     return [Mask(np.sqrt(_fitting(read_levels(element["picture"]), light, element["picture"])))]
 
 
@@ -518,16 +518,16 @@ def _fitting(levels: np.ndarray, light: Light, path: str) -> np.ndarray:
     return values
 
 
-def _propagate(light: Light, element: dict) -> list:
+def _propagate(light: Light, element: dict[Any, Any]) -> list[Any]:
     return [FreeSpace(element["distance"], element["method"], element["resolution"], element["pixel_pitch"])]
 
 
-SOURCE: dict[str, Callable[[dict, dict], np.ndarray]] = {
+SOURCE: dict[str, Callable[[dict[Any, Any], dict[Any, Any]], np.ndarray]] = {
     "plane_wave": _plane_wave,
     "gaussian_beam": _gaussian_beam,
     "point_source": _point_source,
 }
-PASSAGE: dict[str, Callable[[Light, dict], list]] = {
+PASSAGE: dict[str, Callable[[Light, dict[Any, Any]], list[Any]]] = {
     "circular_aperture": _circular_aperture,
     "rectangular_aperture": _rectangular_aperture,
     "lens": _lens,

@@ -100,7 +100,7 @@ def propagate_partially_coherent(
     )
 
 
-def sum_intensities(run: Callable, field, spectrum, source, memory: int, **geometry):
+def sum_intensities(run: Callable, field: Any, spectrum: Any, source: Any, memory: int, **geometry: Any) -> Any:
     """Return :func:`propagate_partially_coherent`, each share of the sum by ``run(step, field, wavelength, …)``."""
     wavelengths, weights = _spectrum(spectrum)
     _validate.integer("memory", memory, minimum=1)
@@ -119,7 +119,7 @@ def sum_intensities(run: Callable, field, spectrum, source, memory: int, **geome
     return total
 
 
-def _step(geometry: dict) -> Callable:
+def _step(geometry: dict[Any, Any]) -> Callable[..., Any]:
     """Return the function that propagates a field lit from some directions and sums the intensities."""
     geometry = dict(geometry)
     distance, dx = geometry.pop("distance"), geometry.pop("dx")
@@ -148,7 +148,7 @@ def _illuminated(field, wavelength, directions, dx, rank: int):
     return lit
 
 
-def _chunks(field, count: int, memory: int, geometry: dict) -> list[tuple[int, int]]:
+def _chunks(field, count: int, memory: int, geometry: dict[Any, Any]) -> list[tuple[int, int]]:
     """Return (start, stop) of the directions that go together."""
     shape = geometry["window_shape"] or field.shape[-2:]
     box = math.prod(n + m for n, m in zip(field.shape[-2:], shape, strict=True))
@@ -311,6 +311,6 @@ def disk_source(
     return radius * unit + xp.stack([xp.reshape(value, ()) for value in middle]), weights
 
 
-def _converted(xp, device, *values) -> tuple:
+def _converted(xp, device, *values) -> tuple[Any, ...]:
     xp = _validate.library("xp", xp)
     return tuple(_array.converted(value, xp, device, xp.float64) for value in values)

@@ -71,7 +71,7 @@ def lens_phase(
     return _sampled("lens_phase", thin_lens, shape, dx, offset, _LONGER, numbers, xp, device)
 
 
-def thin_lens(y, x, focal, wavelength):
+def thin_lens(y: Any, x: Any, focal: float | Array, wavelength: float | Array) -> Any:
     """Return the phase of a thin lens at points."""
     return -math.pi * (y**2 + x**2) / (wavelength * focal)
 
@@ -585,7 +585,7 @@ def rectangular_aperture(
     return share_in_strip(y, steps[0], height) * share_in_strip(x, steps[1], width)
 
 
-def share_in_strip(position, step, width):
+def share_in_strip(position: Any, step: Any, width: Any) -> Any:
     """Return the part of each pixel, of the pitch `step` along one axis, that lies within a strip about zero."""
     xp = namespace(position)
     low = xp.maximum(position - step / 2, -width / 2)
@@ -593,7 +593,7 @@ def share_in_strip(position, step, width):
     return xp.clip((high - low) / step, 0.0, 1.0)
 
 
-def share_in_disc(y, x, steps, radius):
+def share_in_disc(y: Any, x: Any, steps: Any, radius: float | Array) -> Any:
     """Return the part of the area of each pixel that lies within a disc about zero.
 
     Parameters
@@ -947,7 +947,7 @@ def metalens_phase(
     return _sampled("metalens_phase", hyperbolic_lens, shape, dx, offset, _LONGER, numbers, xp, device)
 
 
-def hyperbolic_lens(y, x, focal, wavelength):
+def hyperbolic_lens(y: Any, x: Any, focal: float | Array, wavelength: float | Array) -> Any:
     """Return the phase at points of a lens without spherical aberration."""
     xp, squared = namespace(y), y**2 + x**2
     # √(r² + f²) − |f| without the difference of nearly equal numbers.
@@ -1121,7 +1121,7 @@ def dammann_grating(
     return (1 - sign * ones) * (math.pi / 2)
 
 
-def single_numbers(xp, device, **numbers):
+def single_numbers(xp: ModuleType | None, device: Any, **numbers: Any) -> Any:
     """Return the namespace, the device and single real numbers in double precision."""
     for name, value in numbers.items():
         _validate.number(name, value)
@@ -1132,7 +1132,7 @@ def single_numbers(xp, device, **numbers):
     return xp, device, [xp.reshape(value, ()) for value in values]
 
 
-def grid_positions(shape, dx, offset, xp, device):
+def grid_positions(shape: Any, dx: Any, offset: Any, xp: Any, device: Any) -> Any:
     """Return the pitches (rows, columns) and the positions of the samples, ``[rows, 1]`` and ``[1, columns]``."""
     shape = _validate.size("shape", shape)
     steps = [_validate.number("dx", step, positive=True) for step in pitches(dx)]
@@ -1311,7 +1311,7 @@ class _ZernikeSum:
         return times * sum(c * z for c, z in zip(self.coefficients, polynomials, strict=True))
 
 
-def _modes(nx, ny, modes, radius, dx, offset, xp, device) -> Iterator:
+def _modes(nx, ny, modes, radius, dx, offset, xp, device) -> Iterator[Any]:
     """Yield the polynomials, formed from ρ²ᵏ and (x + iy)^m: no angle, no square root, smooth at the centre."""
     shape = _validate.size("nx, ny", (nx, ny))
     steps, (y, x) = grid_positions(shape, dx, offset, xp, device)
@@ -1325,7 +1325,7 @@ def _modes(nx, ny, modes, radius, dx, offset, xp, device) -> Iterator:
         yield polynomial * inside
 
 
-def zernike_modes(y, x, modes) -> Iterator:
+def zernike_modes(y: Any, x: Any, modes: Iterable[Any]) -> Iterator[Any]:
     """Yield Zernike polynomials of root mean square 1 at points of the unit disc, and their continuation beyond it."""
     argument = 2 * (x**2 + y**2) - 1
     for n, m in modes:
@@ -1333,7 +1333,7 @@ def zernike_modes(y, x, modes) -> Iterator:
         yield zernike_norm(n, m) * jacobi((n - abs(m)) // 2, abs(m), argument) * spiral_parts(x, y, abs(m))[m < 0]
 
 
-def _pairs(name, modes) -> list[tuple]:
+def _pairs(name, modes) -> list[tuple[Any, ...]]:
     listed = isinstance(modes, Iterable) and not isinstance(modes, str)
     pairs = [tuple(mode) if isinstance(mode, Iterable) else (mode,) for mode in modes] if listed else [()]
     if any(len(pair) != 2 for pair in pairs):
@@ -1344,7 +1344,7 @@ def _pairs(name, modes) -> list[tuple]:
     return pairs
 
 
-def spiral_parts(x, y, charge: int):
+def spiral_parts(x: Any, y: Any, charge: int) -> Any:
     """Return the real and imaginary part of (x ± iy)^|charge|, with the sign of the charge."""
     real, imaginary = 1 + 0 * (x + y), 0 * (x + y)
     y = y if charge >= 0 else -y

@@ -602,11 +602,11 @@ class power_budget:
         self.steps: list[PowerLoss] = []
         self._token: Any = None
 
-    def __enter__(self):
+    def __enter__(self) -> Any:
         self._token = _BUDGETS.set((*_BUDGETS.get(), self))
         return self
 
-    def __exit__(self, *error):
+    def __exit__(self, *error: Any) -> None:
         _BUDGETS.reset(self._token)
 
     def __str__(self) -> str:
@@ -653,7 +653,7 @@ def budgets() -> tuple[Any, ...]:
     return _BUDGETS.get()
 
 
-def note_loss(step: str, before, after, kind: str = "window", ratio: Any = 1.0, **more) -> None:
+def note_loss(step: str, before: Array, after: Array, kind: str = "window", ratio: Any = 1.0, **more: Any) -> None:
     """Add a step to the open budgets: fields before and after it, and how much larger a sample's area is behind.
 
     `more` are shares of other kinds, which do not count for `kind`.
@@ -665,7 +665,7 @@ def note_loss(step: str, before, after, kind: str = "window", ratio: Any = 1.0, 
             budget.steps.append(PowerLoss(step, **{kind: lost}, **more))
 
 
-def power_of(field):
+def power_of(field: Array) -> Any:
     """Return Σ|u|² of a field, without its derivatives, on its device."""
     if _array.is_torch(field):
         field = field.detach()
@@ -750,7 +750,7 @@ def _interleave_columns(first, second):
     return xp.reshape(xp.stack([first, second], axis=-1), (*batch, rows, 2 * columns))
 
 
-def uniform(shape: tuple[int, ...], seed: Any, like):
+def uniform(shape: tuple[int, ...], seed: Any, like: Any) -> Any:
     """Return numbers between 0 and 1, float64, in the library and on the device of an array.
 
     Parameters

@@ -14,10 +14,10 @@ import scipy.fft
 import scipy.sparse
 
 from odak import _array
-from odak._array import phasor_of_cycles
+from odak._array import Array, phasor_of_cycles
 
 
-def fourier_sum(field, step, count: int, sign: int, axis: int):
+def fourier_sum(field: Array, step: Array, count: int, sign: int, axis: int) -> Array:
     """Return Σ_n u_n·exp(sign·i2π·step·(n − N//2)·(k − K//2)) for k = 0 … K − 1, along one axis.
 
     With step = Δf·dx this takes samples of pitch dx to frequencies of pitch Δf (sign −1), or back (sign +1); with
@@ -51,12 +51,12 @@ def fourier_sum(field, step, count: int, sign: int, axis: int):
     return target * convolve_with_chirp(field * source, sign * step, count, axis)
 
 
-def chirp(like, step, count: int, axis: int):
+def chirp(like: Array, step: Array, count: int, axis: int) -> Array:
     """Return exp(iπ·step·n²) for `count` samples n about zero along an axis, in the dtype of the field `like`."""
     return phasor_of_cycles(step * _line(like, -(count // 2), count, axis) ** 2 / 2, like.dtype)
 
 
-def convolve_with_chirp(field, step, count: int, axis: int):
+def convolve_with_chirp(field: Array, step: Array, count: int, axis: int) -> Array:
     """Return Σ_n u_n·exp(−iπ·step·(k − n)²), the convolution that a chirp-z transform has between its two chirps.
 
     Parameters and result are as in :func:`fourier_sum`; the sign is included in the step.
@@ -90,7 +90,7 @@ class Line:
     count: int
     period: int
 
-    def cycles(self, like):
+    def cycles(self, like: Array) -> Array:
         """Return the frequencies in cycles per sample, along the line's axis and in the library of `like`."""
         return (_indices(like, self.count, self.axis) + self.first) / self.period
 
@@ -101,7 +101,7 @@ class Line:
         return Line(self.axis, first, max(1, last - first), self.period)
 
 
-def centred(like, count: int, axis: int):
+def centred(like: Array, count: int, axis: int) -> Array:
     """Return the indices −(count // 2), … along `axis` (-2 or -1), float64 in the library of `like`."""
     return _indices(like, count, axis) - count // 2
 
@@ -112,12 +112,12 @@ def _indices(like, count: int, axis: int):
     return xp.reshape(line, (-1, 1) if axis == -2 else (1, -1))
 
 
-def to_line(field, line: Line):
+def to_line(field: Array, line: Line) -> Array:
     """Return Σ u·exp(−i2πf·x) at the frequencies of `line`, for samples along its axis."""
     return to_line_from_first(field, line) * phase_of_first(field, line, field.shape[line.axis])
 
 
-def to_line_from_first(field, line: Line):
+def to_line_from_first(field: Array, line: Line) -> Array:
     """Return the sums of :func:`to_line` without the phase that counts samples from the one in the middle."""
     xp = _array.namespace(field)
     n = field.shape[line.axis]
@@ -132,12 +132,12 @@ def to_line_from_first(field, line: Line):
     return spectrum[..., : line.count] if line.axis == -1 else spectrum[..., : line.count, :]
 
 
-def phase_of_first(like, line: Line, count: int):
+def phase_of_first(like: Array, line: Line, count: int) -> Array:
     """Return the phase that :func:`to_line_from_first` leaves out for `count` samples, in the dtype of `like`."""
     return phasor_of_cycles(count // 2 / line.period * _indices(like, line.count, line.axis), like.dtype)
 
 
-def from_line(spectrum, line: Line, pitch, count: int):
+def from_line(spectrum: Array, line: Line, pitch: Any, count: int) -> Array:
     """Return Σ U·exp(i2πf·x)/period at `count` samples along the axis of `line`.
 
     `pitch` is in units of the field's; None means the same, which a fast transform serves if `count` is not more than
@@ -169,7 +169,7 @@ def _middle(periodic, count: int, axis: int):
     return _array.namespace(periodic).concat(parts, axis=axis)
 
 
-def _folded(spectrum, line: Line) -> tuple:
+def _folded(spectrum, line: Line) -> tuple[Any, ...]:
     """Return a spectrum and its line, with all that is beyond a period added to the first one."""
     xp = _array.namespace(spectrum)
     parts = []
@@ -197,7 +197,7 @@ _TAPS = {"complex64": 8, "complex128": 14}
 _TAPS_OF_STEPS = {"complex64": 7, "complex128": 12}
 
 
-def spectrum_at(field, cycles_y, cycles_x):
+def spectrum_at(field: Any, cycles_y: Any, cycles_x: Any) -> Any:
     """Return Σ u[n, m]·exp(−i2π(cycles_y·(n − N//2) + cycles_x·(m − M//2))) at frequencies of any place.
 
     Parameters
@@ -230,13 +230,13 @@ def spectrum_at(field, cycles_y, cycles_x):
     return _gather(fine, rows, columns)
 
 
-def compensated(field):
+def compensated(field: Any) -> Any:
     """Return a field divided along its last axis by the transform of the window that interpolates its spectrum."""
     taps = _taps_of_steps(field.dtype)
     return field * _window_compensation(field, -1, _fine_size(field.shape[-1], taps), taps)
 
 
-def spectrum_along(field, cycles):
+def spectrum_along(field: Any, cycles: Any) -> Any:
     """Return Σ u[…, m]·exp(−i2π·cycles·(m − M//2)) along the last axis, at frequencies that differ from row to row.
 
     Parameters
@@ -269,7 +269,7 @@ def spectrum_along(field, cycles):
     return result
 
 
-def spread_along(spectrum, cycles, line: Line, width: int):
+def spread_along(spectrum: Any, cycles: Any, line: Line, width: int) -> Any:
     """Return values on `line` whose sum over its frequencies equals the sum of `spectrum` over its own, along axis -2.
 
     Columns `width` apart are added.
@@ -310,7 +310,7 @@ def spread_along(spectrum, cycles, line: Line, width: int):
     return xp.reshape(result, (*batch, line.count, width))
 
 
-def spreading_line(ends: tuple[float, float], extent: float, whole: bool, dtype) -> Line:
+def spreading_line(ends: tuple[float, float], extent: float, whole: bool, dtype: Any) -> Line:
     """Return the line for sums over frequencies between two, in cycles per sample, at places over `extent` samples.
 
     If the places are `whole` samples, a period of frequencies is enough, in the order of a discrete transform.
@@ -323,7 +323,7 @@ def spreading_line(ends: tuple[float, float], extent: float, whole: bool, dtype)
     return Line(-2, first, last + 1 - first, period)
 
 
-def compensation(like, line: Line, ratio, count: int):
+def compensation(like: Any, line: Line, ratio: Any, count: int) -> Any:
     """Return the factor, along rows, that a sum over values of :func:`spread_along` needs at `count` places.
 
     `ratio` is their distance in samples, a number or an array ``[..., 1, 1]``. The division by the line's period in
@@ -367,19 +367,19 @@ class InterpolatedSpectrum:
         Boolean ``[N, Q]``; if given, the result holds the values that are needed, one after the other.
     """
 
-    def __init__(self, cycles, count: int, dtype, needed: np.ndarray | None = None):
+    def __init__(self, cycles: Any, count: int, dtype: Any, needed: np.ndarray | None = None) -> None:
         size, rows = _fine_size(count, _taps_of_steps(dtype)), len(cycles)
-        self.shape = cycles.shape if needed is None else (int(needed.sum()),)
+        self.shape: Any = cycles.shape if needed is None else (int(needed.sum()),)
         needed = np.ones(cycles.shape, dtype=bool) if needed is None else needed
         starts = np.nonzero(needed)[0] * size
-        self.map = _SparseMap(_matrix_of_taps(cycles[needed] * size, size, starts, 1, rows * size, dtype))
+        self.map: _SparseMap = _SparseMap(_matrix_of_taps(cycles[needed] * size, size, starts, 1, rows * size, dtype))
 
     @property
     def held_bytes(self) -> int:
         """Return the bytes of the matrix."""
         return self.map.held_bytes
 
-    def __call__(self, field):
+    def __call__(self, field: Any) -> Any:
         """Return the spectrum ``[..., N, Q]`` or ``[..., values]`` of compensated fields ``[..., N, samples]``."""
         fine = _fine_spectrum(field)
         flat = _array.namespace(field).reshape(fine, (-1, math.prod(fine.shape[-2:])))
@@ -403,18 +403,18 @@ class SpreadSpectrum:
         Boolean ``[P, Q]``: the frequencies of the values that will be given, one after the other.
     """
 
-    def __init__(self, cycles, line: Line, width: int, dtype, needed: np.ndarray):
-        self.shape = (line.count, width)
+    def __init__(self, cycles: Any, line: Line, width: int, dtype: Any, needed: np.ndarray) -> None:
+        self.shape: tuple[int, int] = (line.count, width)
         places, starts = cycles[needed] * line.period - line.first, np.nonzero(needed)[1] % width
         matrix = _matrix_of_taps(places, line.count, starts, width, line.count * width, dtype)
-        self.map = _SparseMap(matrix.T.tocsr())
+        self.map: _SparseMap = _SparseMap(matrix.T.tocsr())
 
     @property
     def held_bytes(self) -> int:
         """Return the bytes of the matrix."""
         return self.map.held_bytes
 
-    def __call__(self, values):
+    def __call__(self, values: Any) -> Any:
         """Return the spectrum ``[..., frequencies of the line, width]`` of ``[..., values]``."""
         xp = _array.namespace(values)
         flat = xp.reshape(values, (-1, values.shape[-1]))
@@ -443,12 +443,12 @@ def _matrix_of_taps(places, period: int, starts, step: int, width: int, dtype) -
 class _SparseMap:
     """The product of a real sparse matrix with complex arrays ``[batch, columns of the matrix]``."""
 
-    def __init__(self, matrix: scipy.sparse.csr_matrix):
+    def __init__(self, matrix: scipy.sparse.csr_matrix) -> None:
         self.matrix = matrix
         self.held_bytes = matrix.data.nbytes + matrix.indices.nbytes + matrix.indptr.nbytes
         self._operator: Any = None
 
-    def __call__(self, flat):
+    def __call__(self, flat: Any) -> Any:
         if _array.is_torch(flat):
             if self._operator is None:
                 from odak.wave.torch_convolution import sparse_operator
@@ -481,7 +481,7 @@ def _gather(fine, rows, columns):
     return result
 
 
-def _nearby(cycles, size: int, taps: int, field) -> list[tuple]:
+def _nearby(cycles, size: int, taps: int, field) -> list[tuple[Any, ...]]:
     """Return, for each tap, the index of a fine frequency near those asked for and the window's value there."""
     nearest, weights = _taps_around(cycles * size, taps, field)
     return [((nearest + tap) % size, weight) for tap, weight in enumerate(weights)]

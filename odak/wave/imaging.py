@@ -317,7 +317,7 @@ def incoherent_focal_stack_rgbd(
     return stack / xp.where(brightest > 0, brightest, xp.ones_like(brightest))
 
 
-def _composed(planes, distances, spread: Callable, alpha):
+def _composed(planes, distances, spread: Callable[..., Any], alpha):
     """Return the image of planes at these distances from the one in focus, composited front to back."""
     image, transmittance = 0, 1
     for k in reversed(range(planes.shape[0])):

@@ -403,7 +403,7 @@ class _State:
             )
             shutil.rmtree(place)
 
-    def _examined(self, place: Path) -> tuple[dict, list[str]]:
+    def _examined(self, place: Path) -> tuple[dict[Any, Any], list[str]]:
         """Return the numbers stored with an iteration, and the names of what is missing or not as it was written."""
         import dask
 

@@ -8,13 +8,14 @@ propagation itself costs what it did.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
 from odak import _array, _validate
+from odak._array import Array
 from odak._warnings import SamplingWarning, warn
 from odak.wave.quadrature import CLOSED, PATH_NODES, SAFETY, Axis, Rule, plain_rule, rule_for, rules_for
 from odak.wave.transfer_functions import (
@@ -70,7 +71,7 @@ class LinearGrid(Grid):
     axes: tuple[Any, ...] = (-2, -1)
     judged: bool = False
 
-    def evaluate(self, kernel):
+    def evaluate(self, kernel: Any) -> Any:
         """Return the transfer function whose circular convolution on this grid is the linear one on the window."""
         xp, rules = self.xp, self._rules()
         frequencies = tuple(self._indices(rule.count, k) / (rule.count * self.pitch[k]) for k, rule in enumerate(rules))
@@ -132,7 +133,7 @@ class LinearGrid(Grid):
             return False
         return rules_for(axes_of([n // 2 for n in self.shape], *numbers), self.tolerance)[0] == CLOSED
 
-    def evaluate_far(self):
+    def evaluate_far(self) -> Array:
         """Return what :meth:`evaluate` does of free space, where waves at the end of the band land outside the window.
 
         The response of the band is the Rayleigh–Sommerfeld kernel, of all waves, less the waves beyond the band along
@@ -247,7 +248,7 @@ def _phasor(cycles):
     return _array.phasor_of_cycles(xp.real(cycles)) * xp.exp(-2 * xp.pi * xp.imag(cycles))
 
 
-def axes_of(sizes, pitches, wavelength: float, distance: float) -> tuple[Axis, Axis]:
+def axes_of(sizes: Sequence[int], pitches: tuple[float, ...], wavelength: float, distance: float) -> tuple[Axis, Axis]:
     """Return the axes along rows and columns of a propagation."""
     (rows, columns), (dy, dx) = sizes, pitches
     z = abs(distance)
@@ -261,7 +262,7 @@ def _pixel_spectrum(cycles, pixel_fill: float):
     return xp.where(cycles == 0, xp.ones_like(cycles), xp.sin(angle) / angle)
 
 
-def pixel_aperture(field, pixel_fill: float):
+def pixel_aperture(field: Any, pixel_fill: float) -> Any:
     """Return the spectrum of a field's square pixels, centred, on the grid of twice the field's size.
 
     Parameters
@@ -313,7 +314,7 @@ def orders_reaching(
     return min(start, most), min(end, most)
 
 
-def taper(orders, band: tuple[float, float]):
+def taper(orders: Any, band: tuple[float, float]) -> Any:
     """Return 1 below the first of two numbers of orders and 0 above the second, with half a cosine between them."""
     xp, (start, end) = _array.namespace(orders), band
     if end <= start:
@@ -443,7 +444,7 @@ class linear_kernel:
         True if the caller predicts the error for its own field, so that none is predicted here.
     """
 
-    transfer: Callable
+    transfer: Callable[..., Any]
     cutoff: float | None = None
     pixel_fill: float | None = None
     tolerance: float = TOLERANCE
@@ -451,7 +452,7 @@ class linear_kernel:
     axes: tuple[Any, ...] = (-2, -1)
     judged: bool = field(default=False, compare=False)
 
-    def __call__(self, grid: Grid):
+    def __call__(self, grid: Grid) -> Any:
         """Return the transfer function on a padded grid; each geometry of a batch has a rule of its own."""
         xp = grid.xp
         # Sums over thousands of frequencies, with weights that cancel: in double precision.

@@ -129,7 +129,7 @@ class _Step:
         self.kernels: dict[Any, Any] = {}
         self.warned = False
 
-    def through(self, field, slices: Iterable):
+    def through(self, field, slices: Iterable[Any]):
         """Return the field behind some slices; split-step joins the second half of each with the first of the next."""
         behind = None
         for medium in slices:
@@ -245,7 +245,7 @@ def _few_values(values, most: int):
     return found
 
 
-def _slices(index, field) -> Iterable:
+def _slices(index, field) -> Iterable[Any]:
     """Return the slices of a medium, after checking an array's shape."""
     if is_array(index):
         _validate.array("index", index)

@@ -59,9 +59,9 @@ class Method:
 
     name: str
     aliases: tuple[str, ...]
-    apply: Callable
+    apply: Callable[..., Any]
     failure: Callable[[Criteria], str | None]
-    kernel: Callable | None = None
+    kernel: Callable[..., Any] | None = None
     windowed: bool = True
     scalable: bool = False
     needs_distance: bool = False
@@ -81,7 +81,7 @@ class _Filter:
     It does so on twice the field's grid, for a linear convolution, or where the request is for a window of it.
     """
 
-    def __init__(self, build_for: Callable, linear: bool = False):
+    def __init__(self, build_for: Callable[..., Any], linear: bool = False):
         self._build_for, self._linear = build_for, linear
 
     def kernel(self, field, request: Request):
@@ -96,12 +96,12 @@ class _Filter:
         return convolve(field, self.kernel(field, request))
 
 
-def _filter(build: Callable) -> _Filter:
+def _filter(build: Callable[..., Any]) -> _Filter:
     """Return an `apply` that filters by the transfer function `build`."""
     return _Filter(lambda request: build)
 
 
-def spread(field, scale: int):
+def spread(field: Any, scale: int) -> Any:
     """Return the field on a grid `scale` times finer, zeros between its samples."""
     if scale == 1:
         return field
@@ -201,7 +201,7 @@ def _fraunhofer_factor(field, request: Request):
     return grid.unfold(phasor_of_cycles(cycles, grid.dtype) * amplitude)
 
 
-def _extend_band(oversampling: int) -> Callable:
+def _extend_band(oversampling: int) -> Callable[..., Any]:
     """Return an `apply` by the angular spectrum on `oversampling` times as many frequencies as samples.
 
     Beyond the critical distance N·dx²/λ the phase of the transfer function changes by more than π between two
@@ -285,7 +285,7 @@ def _not_paraxial(report: Criteria) -> str | None:
     return f"the Fresnel approximation is off by up to {error:.2g} waves" if error > PARAXIAL_TOLERANCE else None
 
 
-def _first(*criteria: Callable) -> Callable:
+def _first(*criteria: Callable[..., Any]) -> Callable[..., Any]:
     """Return a criterion that fails with the first of several that fails."""
     return lambda report: next(filter(None, (criterion(report) for criterion in criteria)), None)
 
@@ -406,7 +406,7 @@ _BY_NAME = {spelling.casefold(): method for method in METHODS for spelling in (m
 PROPAGATION_TYPES = (*(method.name for method in METHODS), "auto")
 
 
-def kernel_of(method: Method, field, request: Request):
+def kernel_of(method: Method, field: Any, request: Request) -> Any:
     """Return the kernel by which a method filters a field, None where it does more than that."""
     return method.apply.kernel(field, request) if isinstance(method.apply, _Filter) and request.scale == 1 else None
 
@@ -486,7 +486,7 @@ def warnings_outside_range(method: Method, shape: tuple[int, int], request: Requ
             )
 
 
-def _geometries(request: Request) -> list[tuple]:
+def _geometries(request: Request) -> list[tuple[Any, ...]]:
     """Return distance, wavelength and pitches where light spreads least and most; nothing while they are traced."""
     given = (*pitches(request.dx), request.wavelength, request.distance)
     if not all(_array.is_readable(value) for value in given):
@@ -522,7 +522,7 @@ def linear_kernel_of(name: str, cutoff: float | None = None, pixel_fill: float |
     return linear_kernel(transfer, cutoff, pixel_fill)
 
 
-def linear_method(propagation_type: str, shape, dx, wavelength, distance) -> str:
+def linear_method(propagation_type: str, shape: Any, dx: Any, wavelength: Any, distance: Any) -> str:
     """Return the full name of what displays and optimizers compute for a propagation type, with warnings of its error.
 
     They propagate without wrap-around. There the angular spectrum is exact at any distance: it is what "auto" and the
@@ -581,7 +581,7 @@ def linear_method(propagation_type: str, shape, dx, wavelength, distance) -> str
     return method.name
 
 
-def warn_above_tolerance(shape, request: Request) -> None:
+def warn_above_tolerance(shape: Any, request: Request) -> None:
     """Issue a SamplingWarning where the linear angular spectrum misses its tolerance for a field of flat spectrum."""
     geometries = tuple(axes_of(shape, pitch, wavelength, z) for z, wavelength, pitch in _geometries(request))
     error = linear_error(geometries, request.tolerance)

@@ -107,21 +107,21 @@ def gerchberg_saxton(
 
 
 def retrieve(
-    field,
-    turns,
-    distance,
-    dx,
-    wavelength,
-    slm_range,
-    propagation_type,
-    initial_phase,
-    seed,
+    field: Any,
+    turns: Any,
+    distance: Any,
+    dx: Any,
+    wavelength: Any,
+    slm_range: Any,
+    propagation_type: Any,
+    initial_phase: Any,
+    seed: Any,
     *,
-    fill=None,
-    cutoff=None,
-    checked=False,
-    **options,
-):
+    fill: Any = None,
+    cutoff: Any = None,
+    checked: Any = False,
+    **options: Any,
+) -> Any:
     """Return hologram and reconstruction after one iteration for each item of `turns`, for NumPy and PyTorch.
 
     `options` are `callback`, `watch`, `accelerated` and `illumination`: `callback(turn, phase)` is called after each
@@ -451,7 +451,7 @@ def spot_hologram(
     return hologram, fields_of(hologram)
 
 
-def _with_phases(aim, fields_of: Callable, columns, rows, lit, n_iterations: int):
+def _with_phases(aim, fields_of: Callable[..., Any], columns, rows, lit, n_iterations: int):
     """Return the hologram whose spots have the fields `aim`, up to a common factor that is positive.
 
     What misses in each spot is added to the field of the hologram, whose amplitude is then set to one again. The light

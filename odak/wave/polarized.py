@@ -635,12 +635,12 @@ def _check_focus_sampling(size, steps, focal, aperture, wavelength, targets, tar
             )
 
 
-def _steps(name: str, dx) -> list:
+def _steps(name: str, dx) -> list[Any]:
     """Return the pitches (rows, columns), each one number."""
     return [_validate.number(name, step, positive=True) for step in pitches(dx, name)]
 
 
-def polarized_field(name: str, value):
+def polarized_field(name: str, value: Any) -> Any:
     """Return a complex field after checking that it is ``[..., 2, rows, columns]``."""
     value = _array.to_complex(_validate.image(name, value, axes=3))
     if value.shape[-3] != 2:

@@ -1067,7 +1067,7 @@ def _check_method(method, request: Request) -> None:
         raise ValueError(f"distance must not be zero for {method.name!r}")
 
 
-def padding_flags(zero_padding) -> tuple[bool, bool, bool]:
+def padding_flags(zero_padding: Any) -> tuple[bool, bool, bool]:
     """Return the three padding flags (input, spectrum, crop); one bool stands for the spectrum's alone."""
     listed = isinstance(zero_padding, Iterable) and not isinstance(zero_padding, str)
     flags = tuple(zero_padding) if listed else (False, zero_padding, False)

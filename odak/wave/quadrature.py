@@ -14,6 +14,7 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import astuple, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -81,7 +82,7 @@ class Axis:
         """Return the highest frequency of the axis."""
         return 0.5 / self.pitch
 
-    def displacement(self, transverse=0.0):
+    def displacement(self, transverse: Any = 0.0) -> Any:
         """Return how many samples aside the highest frequency lands; infinite for waves that decay."""
         axial = (1 / self.wavelength) ** 2 - np.asarray(transverse, dtype=float) ** 2 - self.band**2
         if self.distance == 0:
@@ -235,7 +236,7 @@ def _reference(axis: Axis):
     return transverse, reference_response(axis, transverse)
 
 
-def response(axis: Axis, transverse, rule: Rule | None) -> np.ndarray:
+def response(axis: Axis, transverse: np.ndarray, rule: Rule | None) -> np.ndarray:
     """Return the response ``[transverse, lags]`` at the lags 0 … samples − 1, times the pitch.
 
     `rule` None means samples of the response of the unlimited band, the Rayleigh–Sommerfeld kernel's.
@@ -283,7 +284,7 @@ def _propagator(distance: float, squared: np.ndarray) -> np.ndarray:
     return found
 
 
-def reference_response(axis: Axis, transverse) -> np.ndarray:
+def reference_response(axis: Axis, transverse: np.ndarray) -> np.ndarray:
     """Return the response to 1e-9: in closed form but for the end of the band, or by a fine rule."""
     found = np.zeros((len(transverse), axis.samples), dtype=np.complex128)
     reach = axis.displacement(transverse)

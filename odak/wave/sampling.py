@@ -254,7 +254,7 @@ def _largest(errors) -> float:
 
 def recommend_for_field(
     field: np.ndarray, axes: tuple[Axis, Axis], tolerance: float, distance: float, step: Callable[[], object]
-):
+) -> Any:
     """Return the method with the smallest error on a field, or the first within tolerance; `step` counts parts."""
     rounding = ROUNDING[str(field.dtype)]
     if distance == 0:
@@ -314,7 +314,7 @@ class Weaker:
 FOCAL = "a focal length of at least {:.3g} m"
 
 
-def sampled_axes(shape, pitch, offset=(0.0, 0.0)) -> tuple[Any, ...]:
+def sampled_axes(shape: Sequence[int], pitch: Any, offset: Any = (0.0, 0.0)) -> tuple[Any, ...]:
     """Return the first and the last middle between two samples, from a point, and the pitch; along rows and columns."""
     return tuple(
         (min(0.5 - n // 2, 0.0) * step - shift, max((n - 1) // 2 - 0.5, 0.0) * step - shift, step if n > 1 else 0.0)
@@ -322,7 +322,7 @@ def sampled_axes(shape, pitch, offset=(0.0, 0.0)) -> tuple[Any, ...]:
     )
 
 
-def plain_numbers(*values) -> tuple[float, ...] | None:
+def plain_numbers(*values: Any) -> tuple[float, ...] | None:
     """Return single numbers as floats, or None where one is a tensor on a GPU, traced or requires a gradient."""
     if all(type(value) in (int, float) for value in values):
         return values
@@ -356,7 +356,7 @@ def warn_beyond_nyquist(name: str, formula: Callable, axes, numbers, weaker: Wea
             warn(message, SamplingWarning)
 
 
-def warn_of_tilt(name: str, step, k, angle) -> None:
+def warn_of_tilt(name: str, step: Callable[[], object], k: Any, angle: Any) -> None:
     """Warn where a plane wave at an angle in degrees has more than half a cycle from one sample to the next."""
     numbers = plain_numbers(step, k, angle)
     if numbers is not None:
@@ -368,7 +368,7 @@ def _tilt(y, x, k, angle):
     return k * np.sin(np.deg2rad(angle)) * x
 
 
-def undersampling(formula: Callable, axes, numbers, disc=None, part: float = 1.0) -> float:
+def undersampling(formula: Callable[..., Any], axes: Any, numbers: Any, disc: Any = None, part: float = 1.0) -> float:
     """Return the largest difference of neighbouring samples, in units of half a cycle; at most 1 can be represented.
 
     Only the share `part` of the window about its middle is examined.
@@ -510,7 +510,7 @@ def warn_of_beam(name: str, orders, axes, pitch, wavelength: float, waists, dist
     warn_of_power(name, product if kept is None else kept, sides)
 
 
-def warn_of_power(name: str, kept: float, sides) -> None:
+def warn_of_power(name: str, kept: float, sides: Any) -> None:
     """Issue a SamplingWarning where a grid holds less than 99 % of the power of a beam; `sides` would do."""
     if kept < 0.99:
         needed = " x ".join(f"{side:.3g} m" for side in (sides if len(set(sides)) > 1 else sides[:1]))

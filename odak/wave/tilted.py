@@ -171,9 +171,9 @@ class _Path:
     grid: Grid
     window: Window
     lines: tuple[Line, Line]
-    spectrum: Callable
+    spectrum: Callable[..., Any]
     transfer: Any
-    spread: Callable | None
+    spread: Callable[..., Any] | None
     factor: Any
     turned: tuple[bool, bool]
     least: float
@@ -194,7 +194,7 @@ class _Path:
         return xp.matrix_transpose(result) if self.turned[1] else result
 
 
-def _key(field, request: Request, window: Window, angles, source_angles) -> tuple | None:
+def _key(field, request: Request, window: Window, angles, source_angles) -> tuple[Any, ...] | None:
     """Return what names a path in the store of kernels, None if it is not known as numbers or the field is traced."""
     turns = [_numbers_of(value) for value in (angles, source_angles)]
     if None in turns or not (request.is_plain() and window.is_plain()) or _array.is_wrapped(field):
@@ -204,7 +204,7 @@ def _key(field, request: Request, window: Window, angles, source_angles) -> tupl
     return ("tilted", tuple(field.shape[-2:]), geometry, xp.__name__, device, str(field.dtype))
 
 
-def _numbers_of(angles) -> tuple | None:
+def _numbers_of(angles) -> tuple[Any, ...] | None:
     """Return angles or a rotation matrix as numbers, None if they must remain arrays."""
     if _array.is_array(angles):
         known = "float" in str(angles.dtype) and not _array.is_traced(angles)
@@ -304,7 +304,7 @@ class _Composed:
     """Transform along the rows' axis, less its phase, and interpolation along the columns'."""
 
     line: Line
-    interpolate: Callable
+    interpolate: Callable[..., Any]
 
     @property
     def held_bytes(self) -> int:
@@ -370,7 +370,7 @@ def _stretch(rays: Rays) -> float | None:
     return float((forward / kept).max())
 
 
-def _rotated_axes(name: str, angles, grid: Grid) -> tuple:
+def _rotated_axes(name: str, angles, grid: Grid) -> tuple[Any, ...]:
     """Return the plane's unit vectors (x, y, z) along its columns, its rows and its normal: the columns of Rz·Ry·Rx."""
     xp = grid.xp
     if _array.is_array(angles) and angles.ndim == 2:

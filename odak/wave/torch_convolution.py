@@ -226,7 +226,7 @@ def _convolve_in_blocks(field, kernel, adjoint, batch, workspace):
 
 def _grouped(triples, which: int):
     """Return lists of the triples that share their field (0) or their result (2)."""
-    groups: dict[int, list] = {}
+    groups: dict[int, list[Any]] = {}
     for triple in triples:
         groups.setdefault(triple[which].data_ptr(), []).append(triple)
     return groups.values()
@@ -347,7 +347,7 @@ class _Pass:
     As many parts for each thread, which take one after another.
     """
 
-    def __init__(self, work: Callable, count: int, length: int, field, at_least: int = 1) -> None:
+    def __init__(self, work: Callable[..., Any], count: int, length: int, field, at_least: int = 1) -> None:
         threads, most = torch.get_num_threads(), max(at_least, _BLOCK_BYTES // (length * field.element_size()))
         step = math.ceil(count / (math.ceil(count / (most * threads)) * threads))
         self._work = work
@@ -422,7 +422,7 @@ def release_memory() -> None:
     _scratch.__dict__.clear()
 
 
-def sparse_operator(matrix: Any) -> Callable:
+def sparse_operator(matrix: Any) -> Callable[..., Any]:
     """Return the linear map of a real sparse matrix for complex tensors.
 
     Parameters

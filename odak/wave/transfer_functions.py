@@ -24,7 +24,7 @@ import numpy as np
 import scipy.fft
 
 from odak import _array, _validate
-from odak._array import convolve_plainly, make_complex, numpy_namespace, phasor_of_cycles
+from odak._array import Array, convolve_plainly, make_complex, numpy_namespace, phasor_of_cycles
 from odak._warnings import ArgumentWarning, warn
 from odak.tools.matrix import zero_pad
 
@@ -83,15 +83,15 @@ class Grid:
         indices = self.xp.arange(n // 2 + 1, dtype=self.xp.float64, device=self.device)
         return self.xp.reshape(indices, (-1, 1) if axis == 0 else (1, -1))
 
-    def frequencies(self):
+    def frequencies(self) -> tuple[Array, ...]:
         """Return the non-negative DFT frequencies (rows as ``[..., r, 1]``, columns as ``[..., 1, c]``) in 1/m."""
         return tuple(self._indices(n, axis) / (n * self.pitch[axis]) for axis, n in enumerate(self.shape))
 
-    def positions(self):
+    def positions(self) -> tuple[np.ndarray, ...]:
         """Return the non-negative sample positions, like :meth:`frequencies`, in metres."""
         return tuple(self._indices(n, axis) * (self.pitch[axis] / self.scale) for axis, n in enumerate(self.shape))
 
-    def evaluate(self, kernel: Callable):
+    def evaluate(self, kernel: Callable[..., Any]) -> Any:
         """Return ``kernel(fy, fx)`` on the whole grid, evaluated on its quarter a slab of rows at a time.
 
         A dozen intermediate results in float64 would otherwise take more memory than the kernel itself.
@@ -100,7 +100,7 @@ class Grid:
         step = max(1, _SLAB // fx.shape[-1])
         return self.unfold(in_slabs(lambda part: kernel(fy[..., part, :], fx), fy.shape[-2], step))
 
-    def unfold(self, quarter):
+    def unfold(self, quarter: Any) -> Any:
         """Return the whole kernel in FFT order from its quarter of non-negative indices."""
         rows, columns = (self._indices_of(axis) for axis in (0, 1))
         if not by_columns(quarter):
@@ -115,12 +115,12 @@ class Grid:
         indices = self.xp.arange(n, device=self.device)
         return self.xp.minimum(indices, n - indices)
 
-    def unfold_axis(self, half, axis: int):
+    def unfold_axis(self, half: np.ndarray, axis: int) -> np.ndarray:
         """Return a one-dimensional even function along `axis` (-1 or -2) in FFT order from its non-negative half."""
         return self.xp.take(half, self._mirror(self.shape[axis]), axis=axis)
 
 
-def in_slabs(function: Callable, count: int, step: int, total: int | None = None):
+def in_slabs(function: Callable[..., Any], count: int, step: int, total: int | None = None) -> Array:
     """Return the rows ``function(slice)`` of `count` rows, computed `step` at a time.
 
     With `total` these are the first ones of so many rows, which are an even function of their index.
@@ -147,7 +147,7 @@ def in_slabs(function: Callable, count: int, step: int, total: int | None = None
     return result
 
 
-def by_columns(values) -> bool:
+def by_columns(values: Array) -> bool:
     """Return whether a kernel made of `values` is laid out column by column.
 
     So is a spectrum on a processor, where torch transforms columns last, whole or in blocks.
@@ -155,12 +155,12 @@ def by_columns(values) -> bool:
     return _array.is_torch(values) and values.device.type == "cpu"
 
 
-def angular_spectrum(grid: Grid):
+def angular_spectrum(grid: Grid) -> Array:
     """Return exp(i2πz·sqrt(1/λ² − f²)), evanescent waves decaying in both directions (Goodman 2005, eq. 3-70)."""
     return grid.evaluate(lambda fy, fx: plane_wave_transfer(grid, fy, fx))
 
 
-def plane_wave_transfer(grid: Grid, fy, fx):
+def plane_wave_transfer(grid: Grid, fy: Array, fx: Array) -> Array:
     """Return the transfer function of free space at the frequencies (fy, fx), travelling or evanescent."""
     xp = grid.xp
     transverse = fx**2 + fy**2
@@ -175,12 +175,12 @@ def plane_wave_transfer(grid: Grid, fy, fx):
     return xp.where(travels, wave, xp.astype(decay, grid.dtype))
 
 
-def axial_cycles(grid: Grid):
+def axial_cycles(grid: Grid) -> Array:
     """Return z/λ less its whole cycles, so that no precision is lost in later sums."""
     return fraction_of_cycles(grid.distance, grid.wavelength)
 
 
-def fraction_of_cycles(distance, wavelength):
+def fraction_of_cycles(distance: Array, wavelength: Array) -> Array:
     """Return distance/wavelength less its whole cycles; the remainder is exact, whatever the number of cycles."""
     return _array.namespace(distance).remainder(distance, wavelength) / wavelength
 
@@ -201,7 +201,7 @@ def band_limits(grid: Grid, distance=None, counts: tuple[int, int] | None = None
     return tuple(1 / (grid.wavelength * grid.xp.sqrt((2 * distance / width) ** 2 + 1)) for width in widths)
 
 
-def band_limited_angular_spectrum(grid: Grid):
+def band_limited_angular_spectrum(grid: Grid) -> np.ndarray:
     """Return the angular-spectrum kernel inside its alias-free band (Matsushima and Shimobaba 2009).
 
     A ray of frequency f lands z·tan θ aside. The band ends where that is half the grid's width; there the kernel falls
@@ -217,7 +217,7 @@ def band_limited_angular_spectrum(grid: Grid):
     return grid.evaluate(limited)
 
 
-def alias_free_weight(grid: Grid, counts: tuple[int, int], fy, fx):
+def alias_free_weight(grid: Grid, counts: tuple[int, int], fy: Any, fx: Any) -> Any:
     """Return the weight of each plane wave that keeps a kernel of `counts` frequencies from folding back, 0 … 1."""
     xp = grid.xp
     distance, weight = xp.abs(grid.distance), 1.0
@@ -234,7 +234,7 @@ def alias_free_weight(grid: Grid, counts: tuple[int, int], fy, fx):
     return weight
 
 
-def normal_tail(deviations):
+def normal_tail(deviations: Array) -> Array:
     """Return the probability that a standard normal variable exceeds `deviations`, to 1e-4, smooth, 0 … 1.
 
     Page's logistic form (Appl. Stat. 26, 75, 1977) needs no error function.
@@ -245,14 +245,14 @@ def normal_tail(deviations):
     return 1 / (1 + xp.exp(1.5976 * deviations * (1 + 0.04417 * deviations**2)))
 
 
-def transfer_function_fresnel(grid: Grid):
+def transfer_function_fresnel(grid: Grid) -> np.ndarray:
     """Return exp(ikz)·exp(−iπλz·f²) (Voelz 2011, eq. 4.20)."""
     axial = axial_cycles(grid)
     bend = grid.distance * grid.wavelength / 2
     return grid.evaluate(lambda fy, fx: phasor_of_cycles(axial - bend * (fx**2 + fy**2), grid.dtype))
 
 
-def impulse_response_factors(grid: Grid):
+def impulse_response_factors(grid: Grid) -> tuple[np.ndarray, ...]:
     """Return the constant and the two one-dimensional factors of the sampled Fresnel impulse response.
 
     The impulse response exp(ikz)/(iλz)·exp(ik(x² + y²)/(2z)) (Voelz 2011, eq. 4.21), averaged over the source pixel
@@ -280,18 +280,18 @@ def impulse_response_factors(grid: Grid):
     return constant, *factors
 
 
-def aperture_points(grid: Grid, count: int):
+def aperture_points(grid: Grid, count: int) -> np.ndarray:
     """Return the midpoints of `count` equal parts of an aperture of width one."""
     return (grid.xp.arange(count, dtype=grid.xp.float64, device=grid.device) + 0.5) / count - 0.5
 
 
-def impulse_response_fresnel(grid: Grid):
+def impulse_response_fresnel(grid: Grid) -> Any:
     """Return the discrete Fourier transform of the sampled Fresnel impulse response times the pixel's area."""
     spectrum_y, spectrum_x = impulse_response_spectra(grid)
     return (spectrum_x.mT * spectrum_y.mT).mT if by_columns(spectrum_x) else spectrum_y * spectrum_x
 
 
-def impulse_response_spectra(grid: Grid):
+def impulse_response_spectra(grid: Grid) -> Any:
     """Return the two factors of :func:`impulse_response_fresnel`: ``[..., rows, 1]`` and ``[..., 1, columns]``."""
     xp = grid.xp
     constant, h_y, h_x = impulse_response_factors(grid)
@@ -300,7 +300,7 @@ def impulse_response_spectra(grid: Grid):
     return xp.astype(spectrum_y, grid.dtype), xp.astype(spectrum_x, grid.dtype)
 
 
-def rayleigh_sommerfeld(grid: Grid):
+def rayleigh_sommerfeld(grid: Grid) -> np.ndarray:
     """Return the transform of the sampled first Rayleigh–Sommerfeld kernel times the pixel's area.
 
     The kernel is z/(2πr²)·(1/r − ik)·exp(ikr) (Goodman 2005, eq. 3-40; Shen and Wang, Appl. Opt. 45, 1102 (2006)). For
@@ -311,7 +311,7 @@ def rayleigh_sommerfeld(grid: Grid):
     return xp.astype(xp.where(grid.distance == 0, xp.ones_like(transfer), transfer), grid.dtype, copy=False)
 
 
-def rayleigh_sommerfeld_samples(grid: Grid):
+def rayleigh_sommerfeld_samples(grid: Grid) -> np.ndarray:
     """Return the sampled first Rayleigh–Sommerfeld kernel times the pixel's area, in FFT order; complex128."""
     xp = grid.xp
     y, x = grid.positions()
@@ -321,7 +321,7 @@ def rayleigh_sommerfeld_samples(grid: Grid):
     return grid.unfold(response * xp.astype(grid.pixel_area, xp.complex128))
 
 
-def rayleigh_sommerfeld_response(distance, squared, wavelength):
+def rayleigh_sommerfeld_response(distance: Array, squared: Array, wavelength: Array) -> Array:
     """Return z/(2πr²)·(1/r − ik)·exp(ikr) at r² = z² + `squared`, its conjugate for z < 0; complex128."""
     xp = _array.namespace(squared)
     z = xp.abs(distance)
@@ -335,12 +335,12 @@ def rayleigh_sommerfeld_response(distance, squared, wavelength):
     return xp.where(distance < 0, xp.conj(wave), wave)
 
 
-def incoherent_angular_spectrum(grid: Grid):
+def incoherent_angular_spectrum(grid: Grid) -> np.ndarray:
     """Return the optical transfer function of free space: the autocorrelation of the coherent one, 1 at f = 0."""
     return autocorrelation(angular_spectrum(grid))
 
 
-def autocorrelation(transfer):
+def autocorrelation(transfer: Any) -> Any:
     """Return the autocorrelation of a coherent transfer function in FFT order, 1 at f = 0: the incoherent one.
 
     It is the transform of |h|², the intensity impulse response (Goodman 2005, eq. 6-28), which is not negative.
@@ -380,7 +380,7 @@ class KernelCache:
         self.maximum_bytes = maximum_bytes
         self.bytes = self._once_bytes = 0
 
-    def get(self, key: Hashable, build: Callable):
+    def get(self, key: Hashable, build: Callable[..., Any]) -> Any:
         """Return the entry of `key`, calling `build` for it when it is not held."""
         with self._lock:
             held = self._again.get(key)
@@ -422,17 +422,17 @@ class KernelCache:
         self.bytes -= size
         return size
 
-    def after_fork(self):
+    def after_fork(self) -> None:
         """Replace the lock: a thread that held it does not exist in this process and would never release it."""
         self._lock = threading.RLock()
 
-    def resize(self, maximum_bytes: int):
+    def resize(self, maximum_bytes: int) -> None:
         """Set the bound and drop the entries above it."""
         with self._lock:
             self.maximum_bytes = maximum_bytes
             self._shrink()
 
-    def clear(self):
+    def clear(self) -> None:
         """Drop every entry."""
         with self._lock:
             for entries in (self._once, self._again, self._dropped):
@@ -450,7 +450,7 @@ class KernelCaches:
         self._caches: dict[str, KernelCache] = {}
         self.maximum_bytes: int | None = None
 
-    def on(self, device) -> KernelCache:
+    def on(self, device: str) -> KernelCache:
         """Return the store of a device."""
         name = str(device)
         if name not in self._caches:
@@ -458,18 +458,18 @@ class KernelCaches:
             self._caches.setdefault(name, KernelCache(bound))
         return self._caches[name]
 
-    def resize(self, maximum_bytes: int | None):
+    def resize(self, maximum_bytes: int | None) -> None:
         """Set the bound of every store, now and later; None is the default."""
         self.maximum_bytes = maximum_bytes
         for name, cache in list(self._caches.items()):
             cache.resize(_default_bound(name) if maximum_bytes is None else maximum_bytes)
 
-    def clear(self):
+    def clear(self) -> None:
         """Drop every entry."""
         for cache in list(self._caches.values()):
             cache.clear()
 
-    def after_fork(self):
+    def after_fork(self) -> None:
         """Make the stores usable in a forked process."""
         for cache in self._caches.values():
             cache.after_fork()
@@ -511,7 +511,7 @@ def _bytes_of(kernel) -> int:
     return math.prod(kernel.shape) * (16 if "128" in str(kernel.dtype) else 8)
 
 
-kernels = KernelCaches()
+kernels: KernelCaches = KernelCaches()
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=kernels.after_fork)
 
@@ -591,10 +591,10 @@ class Request:
         """Return whether the geometry is known as numbers, so that a kernel can be kept."""
         return not any(_array.is_traced(value) for value in self._lengths())
 
-    def _lengths(self) -> tuple:
+    def _lengths(self) -> tuple[Any, ...]:
         return (*pitches(self.dx), self.wavelength, self.distance)
 
-    def grid(self, shape: tuple[int, int], xp, device, dtype) -> Grid:
+    def grid(self, shape: tuple[int, int], xp: Any, device: Any, dtype: Any) -> Grid:
         """Return the grid of `shape` for this geometry."""
         *pitch, wavelength, distance = (_column(value, xp, device) for value in self._lengths())
         evanescent = self._may_be_evanescent()
@@ -614,7 +614,7 @@ class Request:
         lengths = [_numbers(value) for value in self._lengths()]
         return repr([value.shape for value in lengths]).encode() + b"".join(value.tobytes() for value in lengths)
 
-    def transfer_function(self, build: Callable, shape: tuple[int, int], xp, device, dtype):
+    def transfer_function(self, build: Callable, shape: tuple[int, int], xp: Any, device: str, dtype: Any) -> Array:
         """Return `build(grid)`, kept for the next call when the geometry is known as numbers."""
         if self.geometry is None:
             return build(self.grid(shape, xp, device, dtype))
@@ -631,7 +631,7 @@ class Request:
             return _torch_private.kept_constant(kept)
         return kept
 
-    def kernel_for(self, field, build: Callable, shape: tuple[int, int]):
+    def kernel_for(self, field: Array, build: Callable[..., Any], shape: tuple[int, int]) -> Array:
         """Return the transfer function in the field's library, device and precision, and in chunks as the field is."""
         if _array.is_chunked(field):
             return transfer_function_in_chunks(self, build, shape, field.dtype)
@@ -653,7 +653,7 @@ def _column(value, xp, device):
     return xp.reshape(array, (*array.shape, 1, 1))
 
 
-def outside_inference(xp):
+def outside_inference(xp: Any) -> Any:
     """Return a context in which a tensor made may later be used by autograd, whatever mode the caller is in."""
     if "torch" not in xp.__name__:
         return nullcontext()
@@ -662,7 +662,7 @@ def outside_inference(xp):
     return _torch_private.keeping()
 
 
-def pitches(dx, name: str = "dx") -> tuple[Any, Any]:
+def pitches(dx: Any, name: str = "dx") -> tuple[Any, Any]:
     """Return the pixel pitch along rows and columns.
 
     A tuple or list of two holds the pitches (rows, columns). A number serves both axes, and so does an array or a
@@ -675,19 +675,19 @@ def pitches(dx, name: str = "dx") -> tuple[Any, Any]:
     return dx[0], dx[1]
 
 
-def checked_pitch(name: str, dx):
+def checked_pitch(name: str, dx: Any) -> float:
     """Return a pitch, one number or a pair (rows, columns), after checking that it is positive."""
     for pitch in pitches(dx, name):
         _validate.real(name, pitch, positive=True)
     return dx
 
 
-def divided_pitch(dx, samples: int):
+def divided_pitch(dx: Any, samples: int) -> Any:
     """Return the pitch, or the pair of them, of a grid with so many samples per pixel."""
     return tuple(pitch / samples for pitch in dx) if isinstance(dx, (tuple, list)) else dx / samples
 
 
-def check_geometry(k, distance, dx, wavelength, batch: tuple[int, ...] | None = None) -> None:
+def check_geometry(k: Any, distance: Any, dx: Any, wavelength: Any, batch: tuple[int, ...] | None = None) -> None:
     """Raise ValueError or TypeError unless the geometry is physical, fits a batch of fields, and k the wavelength.
 
     `batch` holds the leading axes of the field, None where there is no field.
@@ -752,7 +752,7 @@ def _shape(value) -> tuple[int, ...]:
     return (len(value),) if isinstance(value, (list, tuple)) else tuple(getattr(value, "shape", ()))
 
 
-def sample_counts(samples, name: str = "samples") -> tuple[int, int, int, int]:
+def sample_counts(samples: Any, name: str = "samples") -> tuple[int, int, int, int]:
     """Return the four sample counts of an impulse response as integers."""
     listed = isinstance(samples, Iterable) and not isinstance(samples, str)
     counts = tuple(samples) if listed else (samples,)
@@ -763,7 +763,17 @@ def sample_counts(samples, name: str = "samples") -> tuple[int, int, int, int]:
 
 
 def make_grid(
-    nu, nv, dx, wavelength, distance, scale=1, samples=(1, 1, 1, 1), *, xp=None, device=None, dtype=None
+    nu: Any,
+    nv: Any,
+    dx: Any,
+    wavelength: Any,
+    distance: Any,
+    scale: Any = 1,
+    samples: Any = (1, 1, 1, 1),
+    *,
+    xp: Any = None,
+    device: Any = None,
+    dtype: Any = None,
 ) -> Grid:
     """Return the sampling grid of a kernel after checking its arguments."""
     size = _validate.size("nu, nv", (nu, nv))
@@ -781,7 +791,7 @@ def _complex_dtype(dtype, xp):
     raise TypeError(f"dtype must be complex64 or complex128, got {dtype!r}")
 
 
-def separable_impulse_response(grid: Grid):
+def separable_impulse_response(grid: Grid) -> Any:
     """Return the Fresnel kernel (H, h, h_x, h_y), all centred: transfer function, impulse response and its factors."""
     xp = grid.xp
     constant, h_y, h_x = impulse_response_factors(grid)
@@ -791,7 +801,7 @@ def separable_impulse_response(grid: Grid):
     return kernel, xp.fft.fftshift(response, axes=(-2, -1)), xp.fft.fftshift(h_x), xp.fft.fftshift(h_y)
 
 
-def convolve(field, kernel):
+def convolve(field: Any, kernel: Any) -> Any:
     """Return the field filtered by `kernel`, on the field's own window.
 
     The field ``[..., m, n]`` is continued by zeros to the kernel's size ``[..., M, N]`` (M ≥ m, N ≥ n), transformed,
@@ -836,10 +846,10 @@ def _convolve_arrays(field, kernel):
 
 
 # What computes convolutions of Dask arrays in place of the graph below, see odak.wave.propagate_on_disk.
-by_way_of: ContextVar[Callable | None] = ContextVar("by_way_of", default=None)
+by_way_of: ContextVar[Callable[..., Any] | None] = ContextVar("by_way_of", default=None)
 
 
-def convolve_in_chunks(field, kernel):
+def convolve_in_chunks(field: Any, kernel: Any) -> Any:
     """Return :func:`convolve` of Dask arrays in chunks of any shape, in chunks of whole rows; nothing is computed yet.
 
     The transform along an axis needs whole lines of that axis: the field is laid out in chunks of whole rows, then of
@@ -858,7 +868,7 @@ def convolve_in_chunks(field, kernel):
     return window[..., :columns].astype(field.dtype)
 
 
-def whole_lines(field, axis: int, length: int, dtype=None):
+def whole_lines(field: Any, axis: int, length: int, dtype: Any = None) -> Any:
     """Return a Dask array in chunks of whole lines along `axis`: as many as fill a chunk at this length and dtype."""
     other = -3 - axis
     lines = lines_per_chunk(length, field.dtype if dtype is None else dtype)
@@ -867,7 +877,7 @@ def whole_lines(field, axis: int, length: int, dtype=None):
     return field.rechunk({**layout, axis: -1, other: min(lines, field.shape[other])})
 
 
-def lines_per_chunk(length: int, dtype) -> int:
+def lines_per_chunk(length: int, dtype: Any) -> int:
     """Return how many lines of `length` samples fill a chunk of Dask's setting "array.chunk-size"."""
     from dask import config
     from dask.utils import parse_bytes
@@ -875,7 +885,7 @@ def lines_per_chunk(length: int, dtype) -> int:
     return max(1, parse_bytes(config.get("array.chunk-size")) // (length * np.dtype(dtype).itemsize))
 
 
-def upsample(field):
+def upsample(field: Any) -> Any:
     """Return the band-limited interpolation of a field on twice as many samples (half the pitch), same centre."""
     xp = _array.namespace(field)
     axes = (-2, -1)
@@ -898,12 +908,12 @@ class ColumnGrid(Grid):
         indices = self.xp.arange(self.start, self.stop, dtype=self.xp.float64, device=self.device)
         return self.xp.reshape(self.xp.minimum(indices, n - indices), (1, -1))
 
-    def unfold(self, quarter):
+    def unfold(self, quarter: Any) -> Any:
         """Return all rows of the columns evaluated, in FFT order."""
         return self.xp.take(quarter, self._mirror(self.shape[0]), axis=-2)
 
 
-def transfer_function_in_chunks(request: Request, build: Callable, shape: tuple[int, int], dtype):
+def transfer_function_in_chunks(request: Request, build: Callable[..., Any], shape: tuple[int, int], dtype: Any) -> Any:
     """Return the transfer function of a method as a Dask array, each chunk of columns computed where it is used.
 
     Parameters
@@ -932,7 +942,7 @@ def transfer_function_in_chunks(request: Request, build: Callable, shape: tuple[
     return _evaluate_in_chunks(grid, build)
 
 
-def _evaluate_in_chunks(grid: Grid, build: Callable):
+def _evaluate_in_chunks(grid: Grid, build: Callable[..., Any]):
     """Return `build` of a grid as a Dask array in chunks of whole columns."""
     import dask.array as da
 

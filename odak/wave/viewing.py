@@ -103,7 +103,15 @@ def eye_image(
 
 
 def eye_transfer(
-    like: Array, dx, wavelength, distance, pupil_position, pupil_diameter, focus, rotation=(0.0, 0.0), aberrations=None
+    like: Array,
+    dx: Any,
+    wavelength: Any,
+    distance: Any,
+    pupil_position: Any,
+    pupil_diameter: Any,
+    focus: Any,
+    rotation: Any = (0.0, 0.0),
+    aberrations: Any = None,
 ) -> tuple[Array, Array]:
     """Return the transfer function and the lens for :func:`retinal_field`, the same for all fields of a shape.
 
@@ -230,7 +238,7 @@ def _frequencies(n: int) -> list[float]:
     return [(k if k < n // 2 else k - n) / n for k in range(n)]
 
 
-def covered(xp, down, across, spacing):
+def covered(xp: Any, down: Any, across: Any, spacing: Any) -> Any:
     """Return the share of each sample, `spacing` (rows, columns) wide, that lies within the unit disc."""
     radius = xp.sqrt(down**2 + across**2 + 1e-30)
     along = xp.sqrt((down * spacing[0]) ** 2 + (across * spacing[1]) ** 2 + 1e-60) / radius

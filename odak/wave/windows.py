@@ -57,7 +57,7 @@ class Window:
         return grid.pitch if self.dx is None else tuple(column(value, grid) for value in pitches(self.dx))
 
 
-def make_window(field, window_shape, window_dx, dx, offset, guard: float) -> Window:
+def make_window(field: Any, window_shape: Any, window_dx: Any, dx: Any, offset: Any, guard: float) -> Window:
     """Return the window after checking it; its shape and pitch are the field's unless given."""
     shape = tuple(field.shape[-2:]) if window_shape is None else _validate.size("window_shape", window_shape)
     if window_dx is not None:
@@ -73,13 +73,13 @@ def make_window(field, window_shape, window_dx, dx, offset, guard: float) -> Win
     return Window(shape, window_dx, offset, float(guard))
 
 
-def column(value, grid: Grid):
+def column(value: float | np.ndarray, grid: Grid) -> Array:
     """Return a length as float64 shaped ``[..., 1, 1]``, in the grid's library."""
     value = _array.cast(value, grid.wavelength)
     return grid.xp.reshape(value, (*value.shape, 1, 1))
 
 
-def to_window(spectrum, lines: tuple[Line, Line], window: Window, grid: Grid):
+def to_window(spectrum: Array, lines: tuple[Line, Line], window: Window, grid: Grid) -> Array:
     """Return the field on the window that has this spectrum."""
     ratios = [None if window.dx is None else a / b for a, b in zip(window.pitch(grid), grid.pitch, strict=True)]
     # The axis that becomes shortest first.
@@ -89,7 +89,7 @@ def to_window(spectrum, lines: tuple[Line, Line], window: Window, grid: Grid):
     return spectrum
 
 
-def carry_to_offset(kernel, window: Window, grid: Grid, fy, fx):
+def carry_to_offset(kernel: Array, window: Window, grid: Grid, fy: Array, fx: Array) -> Array:
     """Return a transfer function times the phase that places the window's centre at its offset."""
     for frequency, offset in zip((fy, fx), window.offset, strict=True):
         if _array.is_array(offset) or offset != 0:
@@ -155,7 +155,7 @@ class Rays:
         """Return the rays as NumPy constants, which decide how many frequencies there are."""
         return Rays(*(_constant(value) for value in vars(self).values()))
 
-    def directions(self):
+    def directions(self) -> tuple[np.ndarray, ...]:
         """Return the frequencies (x, y, z) of the rays, in 1/m ``[..., 1, rays]``, as far as the field holds them.
 
         The lengths must be NumPy constants, as :meth:`numbers` returns them.
@@ -174,7 +174,7 @@ class Rays:
         )
         return fx, fy, np.sqrt(np.maximum(1 / self.wavelength**2 - fx**2 - fy**2, 0))
 
-    def waves(self):
+    def waves(self) -> Any:
         """Return the frequencies of :meth:`directions`, and close to the field of waves of all directions."""
         waves = self.directions()
         if not self._is_near().any():
@@ -191,7 +191,7 @@ class Rays:
         count = scipy.fft.next_fast_len(math.ceil(period))
         return rays._line(-2, rays.directions()[1], (0.0, 1.0, 0.0), count).held()
 
-    def trace(self, slope, unit):
+    def trace(self, slope: Any, unit: Any) -> Any:
         """Return the extent on the window's plane, along `unit`, of a plane wave that leaves the field at a slope."""
         normal = self.axes[2]
         return abs(unit[0] - normal[0] * slope) * self.source[1] + abs(unit[1] - normal[1] * slope) * self.source[0]
@@ -246,7 +246,7 @@ class Rays:
         frequency = sum(f * u for f, u in zip(self._band_waves(), unit, strict=True))
         return frequency.min(-1, keepdims=True), frequency.max(-1, keepdims=True)
 
-    def weight(self, guard: float, slopes):
+    def weight(self, guard: float, slopes: Any) -> Any:
         """Return the factor of each plane wave: 1 if its rays lead to the window, 0 beyond the guard, smooth between.
 
         `slopes` are its frequencies along the window's rows and columns over that along the window's normal; `guard`
@@ -271,7 +271,7 @@ def _constant(value):
         raise ValueError("the lengths determine the computation: they must not be vmapped over") from error
 
 
-def roll_off(excess, width, guard: float):
+def roll_off(excess: Array, width: Array, guard: float) -> Array:
     """Return 1 for rays that end inside (excess < 0), 0 from `width` on, and a normal distribution's tail between.
 
     Its deviation, width/(guard·√(2π)), balances the tail that is cut against the diffraction at the roll-off itself.

@@ -52,7 +52,7 @@ class spec_track(nn.Module):
 
     def __init__(self, reduction: str = "sum", device: torch.device | str = "cpu"):
         super().__init__()
-        self.device = torch.device("cpu") if device is None else checked_device("device", device)
+        self.device: torch.device = torch.device("cpu") if device is None else checked_device("device", device)
         self.reduction = reduction
         self.l2, self.l1 = errors(reduction)
         self.train_history: list[float] = []
@@ -74,7 +74,7 @@ class spec_track(nn.Module):
             layers[f"fc_bn{i}"] = nn.BatchNorm1d(_FEATURES[i])
             layers[f"relu_fc{i}"] = nn.ReLU()
         layers[f"fc{last}"] = nn.Linear(_FEATURES[-2], _FEATURES[-1])
-        self.network = nn.Sequential()
+        self.network: nn.Sequential = nn.Sequential()
         for name, layer in layers.items():
             self.network.add_module(name, layer)
         self.to(self.device)

@@ -76,7 +76,7 @@ class gaussian_2d(nn.Module):
 
     def __init__(self, number_of_elements: int = 10):
         super().__init__()
-        self.number_of_elements = _positive_integer("number_of_elements", number_of_elements)
+        self.number_of_elements: int = _positive_integer("number_of_elements", number_of_elements)
         shapes = {"widths": (2, 1), "offsets": (2, 1), "rotations": (1,), "alphas": (1,)}
         for name, shape in shapes.items():
             self.register_parameter(name, nn.Parameter(torch.empty(*shape, self.number_of_elements)))
@@ -412,9 +412,9 @@ class gaussians_2d(nn.Module):
 
     def __init__(self, number_of_elements: int = 10, logger: logging.Logger | None = None):
         super().__init__()
-        self.model = gaussian_2d(number_of_elements)
-        self.number_of_elements = self.model.number_of_elements
-        self.total_params = sum(parameter.numel() for parameter in self.parameters())
+        self.model: gaussian_2d = gaussian_2d(number_of_elements)
+        self.number_of_elements: int = self.model.number_of_elements
+        self.total_params: int = sum(parameter.numel() for parameter in self.parameters())
         if not (logger is None or hasattr(logger, "debug")):
             raise TypeError(f"logger must be a logging.Logger, got {type(logger).__name__}")
         self.logger = _log if logger is None else logger
@@ -788,7 +788,7 @@ def volume_loss(model, estimate, ground_truth, epoch_id: int, epoch_count: int, 
     return loss
 
 
-def complete_weights(weights: Mapping, argument: str = "weights") -> dict:
+def complete_weights(weights: Mapping[Any, Any], argument: str = "weights") -> dict[Any, Any]:
     """Return the weights with the defaults for those left out; raise TypeError or ValueError that names `argument`."""
     if not isinstance(weights, Mapping):
         raise TypeError(f"{argument} must be a dict of {', '.join(DEFAULT_WEIGHTS)}; got {type(weights).__name__}")
@@ -899,7 +899,7 @@ class gaussian_3d_volume(nn.Module):
         initial_alphas: torch.Tensor | None = None,
     ):
         super().__init__()
-        self.number_of_elements = _positive_integer("number_of_elements", number_of_elements)
+        self.number_of_elements: int = _positive_integer("number_of_elements", number_of_elements)
         given = (initial_centers, initial_angles, initial_scales, initial_alphas)
         self._take(dict(zip(_COLUMNS, given, strict=True)), prefix="initial_")
         self.l2_loss, self.l1_loss = nn.MSELoss(), nn.L1Loss()

@@ -94,11 +94,11 @@ class hologram_network(nn.Module):
     def __init__(self, channels: int = 16, refinements: int = 8, pretrained: bool = False, periodic: bool = False):
         super().__init__()
         channels = _validate.integer("channels", channels, minimum=1)
-        self.refinements = _validate.integer("refinements", refinements)
-        self.periodic = _validate.flag("periodic", periodic)
-        self.encoding = _Correction(3, 2, channels)
-        self.refinement = _Correction(5, 2, channels)
-        self.pretrained = _validate.flag("pretrained", pretrained)
+        self.refinements: int = _validate.integer("refinements", refinements)
+        self.periodic: bool = _validate.flag("periodic", periodic)
+        self.encoding: _Correction = _Correction(3, 2, channels)
+        self.refinement: _Correction = _Correction(5, 2, channels)
+        self.pretrained: bool = _validate.flag("pretrained", pretrained)
         if self.pretrained:
             load_weights(self, str(files("odak") / "assets" / "hologram_network.pt"))
 

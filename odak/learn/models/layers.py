@@ -75,7 +75,7 @@ class convolution_layer(nn.Module):
             layers.append(nn.BatchNorm2d(output_channels))
         if activation is not None:
             layers.append(activation)
-        self.model = nn.Sequential(*layers)
+        self.model: nn.Sequential = nn.Sequential(*layers)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the layer's output ``[B, output_channels, H', W']`` for images ``[B, input_channels, H, W]``.
@@ -141,7 +141,7 @@ class double_convolution(nn.Module):
             "activation": activation,
         }
         self.activation = activation
-        self.model = nn.Sequential(
+        self.model: nn.Sequential = nn.Sequential(
             convolution_layer(input_channels, middle, **options), convolution_layer(middle, output_channels, **options)
         )
 
@@ -194,7 +194,7 @@ class residual_layer(nn.Module):
         super().__init__()
         normalization, activation = with_older_form(normalization, activation, default=True)
         self.activation = activation
-        self.convolution = double_convolution(
+        self.convolution: double_convolution = double_convolution(
             channels("input_channels", input_channels),
             mid_channels=mid_channels,
             output_channels=input_channels,
@@ -236,7 +236,7 @@ class normalization(nn.Module):
 
     def __init__(self, dim: int = 1):
         super().__init__()
-        self.k = nn.Parameter(torch.ones(1, channels("dim", dim), 1, 1))
+        self.k: nn.Parameter = nn.Parameter(torch.ones(1, channels("dim", dim), 1, 1))
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return images ``[B, dim, H, W]`` minus their mean over the channels, divided by their standard deviation.
@@ -291,7 +291,7 @@ class downsample_layer(nn.Module):
     ):
         super().__init__()
         normalization, activation = with_older_form(normalization, activation)
-        self.maxpool_conv = nn.Sequential(
+        self.maxpool_conv: nn.Sequential = nn.Sequential(
             nn.MaxPool2d(2),
             double_convolution(
                 input_channels,
@@ -365,7 +365,7 @@ class upsample_layer(nn.Module):
             self.up: Any = nn.Upsample(scale_factor=2, mode="bilinear", align_corners=True)
         else:
             self.up = nn.ConvTranspose2d(input_channels, half, kernel_size=2, stride=2)
-        self.conv = double_convolution(
+        self.conv: double_convolution = double_convolution(
             input_channels + output_channels if bilinear else input_channels,
             mid_channels=half if bilinear else output_channels,
             output_channels=output_channels,
@@ -429,7 +429,7 @@ class upsample_convtranspose2d_layer(nn.Module):
         self, input_channels: int, output_channels: int, kernel_size: int = 2, stride: int = 2, bias: bool = False
     ):
         super().__init__()
-        self.up = nn.ConvTranspose2d(
+        self.up: nn.ConvTranspose2d = nn.ConvTranspose2d(
             channels("input_channels", input_channels),
             channels("output_channels", output_channels),
             kernel_size=kernel(kernel_size),
@@ -489,8 +489,8 @@ class global_transformations(nn.Module):
         super().__init__()
         inner = channels("input_channels", input_channels)
         outer = channels("output_channels", output_channels)
-        self.global_feature_1 = nn.Sequential(nn.Linear(inner, outer), nn.LeakyReLU(0.2))
-        self.global_feature_2 = nn.Sequential(nn.Linear(outer, outer), nn.LeakyReLU(0.2))
+        self.global_feature_1: nn.Sequential = nn.Sequential(nn.Linear(inner, outer), nn.LeakyReLU(0.2))
+        self.global_feature_2: nn.Sequential = nn.Sequential(nn.Linear(outer, outer), nn.LeakyReLU(0.2))
 
     def forward(self, x1: torch.Tensor, x2: torch.Tensor) -> torch.Tensor:
         """Return the transformed image.
@@ -575,10 +575,10 @@ class global_feature_module(nn.Module):
             "normalization": normalization,
             "activation": activation,
         }
-        self.transformations_1 = global_transformations(input_channels, output_channels)
+        self.transformations_1: global_transformations = global_transformations(input_channels, output_channels)
         self.global_features_1 = double_convolution(input_channels, output_channels=output_channels, **options)
         self.global_features_2 = double_convolution(input_channels, output_channels=output_channels, **options)
-        self.transformations_2 = global_transformations(input_channels, output_channels)
+        self.transformations_2: global_transformations = global_transformations(input_channels, output_channels)
 
     def forward(self, x1: torch.Tensor, x2: torch.Tensor) -> torch.Tensor:
         """Return the features of an image.
@@ -645,7 +645,7 @@ class residual_attention_layer(nn.Module):
             raise ValueError(f"output_channels must be 1 or input_channels ({input_channels}), got {output_channels}")
         size = kernel(kernel_size, odd=True)
         options: dict[str, Any] = {"kernel_size": size, "padding": size // 2, "bias": _validate.flag("bias", bias)}
-        self.activation = activation_module(activation)
+        self.activation: nn.Module | None = activation_module(activation)
         self.convolution0, self.convolution1 = (
             nn.Sequential(nn.Conv2d(input_channels, output_channels, **options), nn.BatchNorm2d(output_channels))
             for _ in range(2)
@@ -709,8 +709,8 @@ class non_local_layer(nn.Module):
         options: dict[str, Any] = {"kernel_size": size, "padding": size // 2, "bias": _validate.flag("bias", bias)}
         outer = channels("input_channels", input_channels)
         inner = channels("bottleneck_channels", bottleneck_channels)
-        self.g = nn.Conv2d(outer, inner, **options)
-        self.W_z = nn.Sequential(nn.Conv2d(inner, outer, **options), nn.BatchNorm2d(outer))
+        self.g: nn.Conv2d = nn.Conv2d(outer, inner, **options)
+        self.W_z: nn.Sequential = nn.Sequential(nn.Conv2d(inner, outer, **options), nn.BatchNorm2d(outer))
         last: Any = self.W_z[1]
         nn.init.zeros_(last.weight)
 
@@ -778,10 +778,10 @@ class channel_gate(nn.Module):
         super().__init__()
         hidden = channels("gate_channels", gate_channels) // channels("reduction_ratio", reduction_ratio)
         named = _validate.texts("pool_types", [pool_types] if isinstance(pool_types, str) else pool_types)
-        self.pool_types = [_validate.one_of("pool_types", name, _POOLS) for name in named]
+        self.pool_types: list[str] = [_validate.one_of("pool_types", name, _POOLS) for name in named]
         if not self.pool_types:
             raise ValueError(f"pool_types must name at least one of {', '.join(_POOLS)}")
-        self.mlp = nn.Sequential(
+        self.mlp: nn.Sequential = nn.Sequential(
             nn.Flatten(), nn.Linear(gate_channels, max(1, hidden)), nn.ReLU(), nn.Linear(max(1, hidden), gate_channels)
         )
 
@@ -877,10 +877,10 @@ class convolutional_block_attention(nn.Module):
         no_spatial: bool = False,
     ):
         super().__init__()
-        self.channel_gate = channel_gate(gate_channels, reduction_ratio, pool_types)
-        self.no_spatial = _validate.flag("no_spatial", no_spatial)
+        self.channel_gate: channel_gate = channel_gate(gate_channels, reduction_ratio, pool_types)
+        self.no_spatial: bool = _validate.flag("no_spatial", no_spatial)
         if not no_spatial:
-            self.spatial_gate = spatial_gate()
+            self.spatial_gate: spatial_gate = spatial_gate()
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the gated images, ``[B, gate_channels, H, W]``.
@@ -894,12 +894,12 @@ class convolutional_block_attention(nn.Module):
         return gated if self.no_spatial else self.spatial_gate(gated)
 
 
-def channels(name: str, value) -> int:
+def channels(name: str, value: int) -> int:
     """Return a number of channels or features after checking that it is a positive integer."""
     return _validate.integer(name, value, minimum=1)
 
 
-def kernel(value, *, odd: bool = False) -> int:
+def kernel(value: int, *, odd: bool = False) -> int:
     """Return a kernel size; `odd` where an even one, which grows the image by one, could not be added to it."""
     size = _validate.integer("kernel_size", value, minimum=1)
     if odd and size % 2 == 0:
@@ -907,7 +907,7 @@ def kernel(value, *, odd: bool = False) -> int:
     return size
 
 
-def activation_module(activation) -> nn.Module | None:
+def activation_module(activation: nn.Module | None) -> nn.Module | None:
     """Return an activation after checking that it is a module, or None for no activation."""
     _validate.instance("activation", activation, (nn.Module, type(None)), "a torch.nn.Module or None")
     return activation

@@ -85,7 +85,7 @@ class gaussian_activation(nn.Module):
 
     def __init__(self, dim: int):
         super().__init__()
-        self.alpha = nn.Parameter(torch.randn(1, channels("dim", dim)))
+        self.alpha: nn.Parameter = nn.Parameter(torch.randn(1, channels("dim", dim)))
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return exp(−(alpha·x)²) for an input ``[..., dim]``.
@@ -190,7 +190,7 @@ class film_siren_activation(nn.Module):
 
     def __init__(self, dim: int):
         super().__init__()
-        self.alpha = nn.Parameter(torch.randn(2, channels("dim", dim)))
+        self.alpha: nn.Parameter = nn.Parameter(torch.randn(2, channels("dim", dim)))
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return sin(alpha[0]·x + alpha[1]) for an input ``[..., dim]``.
@@ -333,7 +333,7 @@ class hash_grid_encoder(nn.Module):
         high: float = 1.0,
     ):
         super().__init__()
-        self.dimensions = channels("dimensions", dimensions)
+        self.dimensions: int = channels("dimensions", dimensions)
         if self.dimensions > len(_PRIMES):
             raise ValueError(f"dimensions must be at most {len(_PRIMES)}, got {dimensions}")
         levels, count = channels("levels", levels), channels("features", features)
@@ -361,8 +361,8 @@ class hash_grid_encoder(nn.Module):
         }
         for name, value in tables.items():
             self.register_buffer(name, value, persistent=False)
-        self.output_features = levels * count
-        self.table = nn.Parameter(torch.empty(sum(sizes), count).uniform_(-1e-4, 1e-4))
+        self.output_features: int = levels * count
+        self.table: nn.Parameter = nn.Parameter(torch.empty(sum(sizes), count).uniform_(-1e-4, 1e-4))
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the features of points.
@@ -453,8 +453,8 @@ class multi_layer_perceptron(nn.Module):
         whole = isinstance(dimensions, (list, tuple)) and all(type(n) is int and n > 0 for n in dimensions)
         if not whole or len(dimensions) < 2:
             raise ValueError(f"dimensions must be a list of at least two positive integers, got {dimensions!r}")
-        self.dimensions = list(dimensions)
-        self.model_type = _validate.one_of("model_type", model_type, _TYPES)
+        self.dimensions: list[int] = list(dimensions)
+        self.model_type: str = _validate.one_of("model_type", model_type, _TYPES)
         self.siren_multiplier = _validate.real("siren_multiplier", siren_multiplier, positive=True)
         self.bias = bias = _validate.flag("bias", bias)
         self.uniform_flag = uniform_flag = _validate.flag("uniform_flag", uniform_flag)
@@ -466,7 +466,7 @@ class multi_layer_perceptron(nn.Module):
         activation_module(activation)
         for inputs, results in itertools.pairwise(self.dimensions):
             layers += [nn.Linear(inputs, results, bias=bias), self._activation(results, activation)]
-        self.model = nn.Sequential(*(layer for layer in layers[:-1] if layer is not None))
+        self.model: nn.Sequential = nn.Sequential(*(layer for layer in layers[:-1] if layer is not None))
         if uniform_flag and "SIREN" in self.model_type:
             self._spread()
 

@@ -360,7 +360,7 @@ def _length(batches) -> int | None:
     return len(batches) if hasattr(batches, "__len__") else None
 
 
-def _plain(group: dict) -> dict:
+def _plain(group: dict[Any, Any]) -> dict[Any, Any]:
     return {name: value for name, value in group.items() if isinstance(value, (bool, int, float, str, tuple))}
 
 
@@ -499,7 +499,7 @@ def load_weights(
     set_state(module, read_state(path, device), path)
 
 
-def set_state(module: nn.Module, state: dict, path: str) -> None:
+def set_state(module: nn.Module, state: dict[Any, Any], path: str) -> None:
     """Load a state dict read from a file into a module, and put the module in evaluation mode.
 
     Parameters
@@ -522,7 +522,7 @@ def set_state(module: nn.Module, state: dict, path: str) -> None:
     module.eval()
 
 
-def read_state(path: str, device: torch.device | str | None) -> dict:
+def read_state(path: str, device: torch.device | str | None) -> dict[Any, Any]:
     """Return the state dict in a file, its tensors on a device, without running code."""
     try:
         state = read_torch_file(path, device)
@@ -535,7 +535,7 @@ def read_state(path: str, device: torch.device | str | None) -> dict:
     return state
 
 
-def _differences(wanted: dict, found: dict) -> list[str]:
+def _differences(wanted: dict[Any, Any], found: dict[Any, Any]) -> list[str]:
     """Describe the differences in keys and shapes between two state dicts."""
     # Older files of batch norms have no counter of batches; torch then starts it at zero.
     missing = [key for key in wanted if key not in found and not key.endswith("num_batches_tracked")]

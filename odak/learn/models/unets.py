@@ -438,7 +438,7 @@ class unet(nn.Module):
         normalization: bool = False,
     ):
         super().__init__()
-        self.depth = _validate.integer("depth", depth, minimum=1)
+        self.depth: int = _validate.integer("depth", depth, minimum=1)
         width = channels("dimensions", dimensions)
         size = kernel(kernel_size)
         options: dict[str, Any] = {
@@ -448,14 +448,14 @@ class unet(nn.Module):
             "activation": activation,
         }
         self.inc = double_convolution(input_channels, mid_channels=width, output_channels=width, **options)
-        self.downsampling_layers = nn.ModuleList(
+        self.downsampling_layers: nn.ModuleList = nn.ModuleList(
             downsample_layer(width * 2**i, width * 2 ** (i + 1), **options) for i in range(depth)
         )
-        self.upsampling_layers = nn.ModuleList(
+        self.upsampling_layers: nn.ModuleList = nn.ModuleList(
             upsample_layer(width * 2 ** (i + 1), width * 2**i, bilinear=bilinear, **options)
             for i in reversed(range(depth))
         )
-        self.outc = nn.Conv2d(
+        self.outc: nn.Conv2d = nn.Conv2d(
             width, channels("output_channels", output_channels), kernel_size=size, padding=size // 2, bias=bias
         )
 
@@ -537,8 +537,8 @@ class spatially_varying_kernel_generation_model(nn.Module):
         activation: nn.Module | None = _LEAKY_RELU,
     ):
         super().__init__()
-        self.depth = _validate.integer("depth", depth, minimum=1)
-        self.input_channels = _validate.integer("input_channels", input_channels, minimum=2)
+        self.depth: int = _validate.integer("depth", depth, minimum=1)
+        self.input_channels: int = _validate.integer("input_channels", input_channels, minimum=2)
         width, size = channels("dimensions", dimensions), kernel(kernel_size, odd=True)
         options: dict[str, Any] = {
             "kernel_size": size,
@@ -550,11 +550,11 @@ class spatially_varying_kernel_generation_model(nn.Module):
         coded = [width * 2**i for i in range(depth)] + [width * 2 ** (depth - 1)]
         pooled = [width, *coded[:-1]]
         risen = [coded[-1]] + [min(n, 2 * width) for n in reversed(coded[:-1])]
-        self.inc = convolution_layer(input_channels, width, **options)
+        self.inc: convolution_layer = convolution_layer(input_channels, width, **options)
         self.encoder = nn.ModuleList()
         for before, after in zip(pooled, coded, strict=True):
             self.encoder += [nn.AvgPool2d(2), double_convolution(before, before, after, **options)]
-        self.spatially_varying_feature = nn.ModuleList()
+        self.spatially_varying_feature: nn.ModuleList = nn.ModuleList()
         for i, features in zip(reversed(range(depth + 1)), risen, strict=True):
             pools = [nn.AvgPool2d(2**n) for n in range(i + 1, 0, -1)]
             block = _kernel_block(
@@ -562,7 +562,7 @@ class spatially_varying_kernel_generation_model(nn.Module):
             )
             self.spatially_varying_feature.append(nn.ModuleList([*pools, block]))
         bottom: dict[str, Any] = {**options, "activation": nn.LeakyReLU(0.2)}
-        self.decoder = nn.ModuleList([global_feature_module(coded[-1], coded[-1], coded[-1], **bottom)])
+        self.decoder: nn.ModuleList = nn.ModuleList([global_feature_module(coded[-1], coded[-1], coded[-1], **bottom)])
         for before, joined, after in zip(risen, reversed(coded[:-1]), risen[1:], strict=False):
             rise = upsample_convtranspose2d_layer(before, joined, bias=bias)
             self.decoder.append(nn.ModuleList([rise, double_convolution(joined, after, after, **options)]))
@@ -677,7 +677,7 @@ class spatially_adaptive_unet(nn.Module):
         activation: nn.Module | None = _LEAKY_RELU,
     ):
         super().__init__()
-        self.depth = _validate.integer("depth", depth, minimum=1)
+        self.depth: int = _validate.integer("depth", depth, minimum=1)
         size = kernel(kernel_size, odd=True)
         widths = [channels("dimensions", dimensions) * 2**i for i in range(depth + 2)]
         activation_module(activation)
@@ -688,8 +688,8 @@ class spatially_adaptive_unet(nn.Module):
             "activation": activation,
         }
         adaptive: dict[str, Any] = {"kernel_size": size, "padding": size // 2, "bias": bias, "activation": activation}
-        self.inc = convolution_layer(input_channels, widths[0], **options)
-        self.encoder = nn.ModuleList(
+        self.inc: convolution_layer = convolution_layer(input_channels, widths[0], **options)
+        self.encoder: nn.ModuleList = nn.ModuleList(
             nn.ModuleList(
                 [
                     nn.AvgPool2d(2),
@@ -700,7 +700,7 @@ class spatially_adaptive_unet(nn.Module):
             for n in widths[:-1]
         )
         bottom = widths[-1]
-        self.global_feature_module = nn.ModuleList(
+        self.global_feature_module: nn.ModuleList = nn.ModuleList(
             [
                 nn.ModuleList(
                     [
@@ -717,7 +717,7 @@ class spatially_adaptive_unet(nn.Module):
             ),
         )
         joins = [*(double_convolution(n, n, n, **options) for n in widths[-2:0:-1]), last]
-        self.decoder = nn.ModuleList(
+        self.decoder: nn.ModuleList = nn.ModuleList(
             nn.ModuleList([upsample_convtranspose2d_layer(2 * n, n, bias=bias), join])
             for n, join in zip(widths[-2::-1], joins, strict=True)
         )

@@ -37,7 +37,7 @@ def _triangle(_, ray, triangle):
     return normal[0], distance[0][..., None], ray[check[0]], normal[0][check[0]], check
 
 
-def _triangle_hits(ray, triangle) -> tuple:
+def _triangle_hits(ray, triangle) -> tuple[Any, ...]:
     """Return normals ``[k, m, 2, 3]``, signed distances and membership ``[k, m]`` of m rays and k triangles."""
     triangle = _in_front(triangle, ray)
     return core.plane_hits(ray, triangle, intersections.on_triangle, (triangle,), (2,))
@@ -437,10 +437,10 @@ class detector(Prepared):
         device: torch.device | str | None = None,
     ) -> None:
         device = center.device if device is None and torch.is_tensor(center) else checked_device("device", device)
-        self.device = torch.device("cpu") if device is None else device
-        self.colors = _validate.integer("colors", colors, minimum=1)
+        self.device: torch.device = torch.device("cpu") if device is None else device
+        self.colors: int = _validate.integer("colors", colors, minimum=1)
         shape = _validate.size("resolution", resolution)
-        self.resolution = torch.tensor(shape, device=self.device)
+        self.resolution: torch.Tensor = torch.tensor(shape, device=self.device)
         none = [0.0, 0.0, 0.0]
         given = {"size": size, "center": none if center is None else center, "tilt": none if tilt is None else tilt}
         given = {name: v.to(self.device) if torch.is_tensor(v) else v for name, v in given.items()}
@@ -450,13 +450,13 @@ class detector(Prepared):
                 raise ValueError(f"{name} must be {count} numbers, got {len(value)}")
         self.size, self.surface_center, self.surface_tilt = values
         _validate.real("size", self.size, positive=True)
-        self.pixel_size = self.size / self.resolution
-        self.pixel_diagonal_size = (self.pixel_size**2).sum().sqrt()
-        self.pixel_diagonal_half_size = self.pixel_diagonal_size / 2
-        self.plane = define_plane(self.surface_center, self.surface_tilt)
+        self.pixel_size: torch.Tensor = self.size / self.resolution
+        self.pixel_diagonal_size: torch.Tensor = (self.pixel_size**2).sum().sqrt()
+        self.pixel_diagonal_half_size: torch.Tensor = self.pixel_diagonal_size / 2
+        self.plane: torch.Tensor = define_plane(self.surface_center, self.surface_tilt)
         x, y = torch.meshgrid(*self._axes(self.size), indexing="ij")
         flat = torch.stack((x, y, torch.zeros_like(x)), dim=-1).reshape(-1, 3)
-        self.pixel_locations = apply_matrix(rotation_matrix(self.surface_tilt), flat) + self.surface_center
+        self.pixel_locations: Any = apply_matrix(rotation_matrix(self.surface_tilt), flat) + self.surface_center
         self.image = torch.zeros(self.colors, *shape, dtype=self.size.dtype, device=self.device)
 
     def intersect(self, rays: torch.Tensor, color: int = 0, distances: bool = True) -> Any:

@@ -162,7 +162,12 @@ def pairs_at_a_time(tree: Tree, memory_budget: int) -> int:
 
 
 def nearest_faces(
-    tree: Tree, start: torch.Tensor, direction: torch.Tensor, first: torch.Tensor, leaving, memory_budget: int
+    tree: Tree,
+    start: torch.Tensor,
+    direction: torch.Tensor,
+    first: torch.Tensor,
+    leaving: torch.Tensor | None,
+    memory_budget: int,
 ) -> torch.Tensor:
     """Return the face that each ray meets first, int64 ``[m]``, −1 for none; of equally near ones the lowest.
 
@@ -466,7 +471,7 @@ def has_embree() -> bool:
     return importlib.util.find_spec("embreex") is not None
 
 
-def embree_scene(vertices: torch.Tensor, faces: torch.Tensor):
+def embree_scene(vertices: torch.Tensor, faces: torch.Tensor) -> Any:
     """Return Embree's scene of triangles; raise ImportError that says what to install when embreex is missing."""
     try:
         from embreex import rtcore_scene
@@ -547,16 +552,16 @@ class triangle_mesh:
         memory_budget: int = 2**28,
     ) -> None:
         (vertices,) = reals_of(vertices=vertices)
-        self.vertices = _checked_vertices(vertices)
-        self.faces = _checked_faces(faces, self.vertices)
-        self.backend = _validate.one_of("backend", backend, BACKENDS)
+        self.vertices: torch.Tensor = _checked_vertices(vertices)
+        self.faces: torch.Tensor = _checked_faces(faces, self.vertices)
+        self.backend: str = _validate.one_of("backend", backend, BACKENDS)
         if self.backend == "embree" and not has_embree():
             raise ImportError(EMBREE_HINT)
-        self.memory_budget = _validate.integer("memory_budget", memory_budget, minimum=2**16)
-        self.normals = _checked_normals(normals, self.vertices)
+        self.memory_budget: int = _validate.integer("memory_budget", memory_budget, minimum=2**16)
+        self.normals: str | torch.Tensor = _checked_normals(normals, self.vertices)
         self._leaves: torch.Tensor | None = None
-        self._trees: dict = {}
-        self._tables: dict = {}
+        self._trees: dict[Any, Any] = {}
+        self._tables: dict[Any, Any] = {}
         self._scene: Any = None
 
     def moved(self, vertices: Any) -> "triangle_mesh":
@@ -847,7 +852,7 @@ class planar_mesh(Prepared):
         heights: torch.Tensor | None = None,
     ) -> None:
         device = heights.device if device is None and torch.is_tensor(heights) else checked_device("device", device)
-        self.device = torch.device("cpu") if device is None else device
+        self.device: torch.device = torch.device("cpu") if device is None else device
         self.number_of_meshes = torch.tensor(_validate.size("number_of_meshes", number_of_meshes), device=self.device)
         none = [0.0, 0.0, 0.0]
         given = [size, none if angles is None else angles, none if offset is None else offset]
@@ -874,7 +879,7 @@ class planar_mesh(Prepared):
         if tuple(heights.shape) != (n0, n1, 1):
             raise ValueError(f"heights must be [{n0}, {n1}, 1], got {tuple(heights.shape)}")
         heights = trainable(heights.to(self.device))
-        self.heights = heights if heights.requires_grad else heights.requires_grad_()
+        self.heights: Any = heights if heights.requires_grad else heights.requires_grad_()
         dtype = torch.promote_types(heights.dtype, self.size.dtype)
         axes = (
             half * torch.linspace(-1, 1, n, dtype=dtype, device=self.device)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
-def batched(axes: int) -> Callable:
+def batched(axes: int) -> Callable[..., Any]:
     """Return a function that calls one of the core and puts a batch axis in front of the last axes of its results."""
 
     def call(core, **options):

@@ -1,7 +1,7 @@
 """Intersections of rays with surfaces z = sag(x, y) and with level sets of functions, differentiable in both."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -108,7 +108,7 @@ def _intersect_parametric(
 
 
 @torch.no_grad()
-def _search(rays, surface, function: Callable, target_error: float, limit: int) -> torch.Tensor:
+def _search(rays, surface, function: Callable[..., Any], target_error: float, limit: int) -> torch.Tensor:
     """Return the distances found, NaN for misses."""
 
     def plain(points, surface):
@@ -123,7 +123,7 @@ def _search(rays, surface, function: Callable, target_error: float, limit: int) 
     return torch.from_numpy(distance).to(rays)
 
 
-def _gradient(rays, distance, surface, function: Callable):
+def _gradient(rays, distance, surface, function: Callable[..., Any]):
     """Return the function where the rays are, and its gradient by the place; with a graph if one is recorded."""
     point = rays[:, 0] + distance[:, None] * rays[:, 1]
     differentiable = point.requires_grad or (torch.is_grad_enabled() and function(point, surface).requires_grad)

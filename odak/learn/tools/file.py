@@ -302,7 +302,7 @@ class UnsafeFileError(pickle.UnpicklingError, ValueError):
     """The file would run code, takes far more memory than its size, or is not one of torch."""
 
 
-def read_torch_file(path: str | os.PathLike, device: torch.device | str | None = None) -> Any:
+def read_torch_file(path: str | os.PathLike[str], device: torch.device | str | None = None) -> Any:
     """Return the content of a file of :func:`torch.save`, without running code.
 
     The length of a tensor comes from the file's pickle and its bytes from another record, which not every release of

@@ -1,7 +1,7 @@
 """Functions of position as tensors: cubic B-splines, Gaussians in space, Zernike polynomials."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -115,24 +115,24 @@ class SeparableBasis:
             self._matrix = torch.kron(self.rows, self.columns)
         return self._matrix
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: str) -> Callable[..., Any] | torch.Tensor | None:
         if name.startswith("__"):
             raise AttributeError(name)
         return getattr(self.to_dense(), name)
 
-    def __getitem__(self, index):
+    def __getitem__(self, index: int) -> torch.Tensor:
         return self.to_dense()[index]
 
-    def __len__(self):
+    def __len__(self) -> int:
         return self.shape[0]
 
-    def __matmul__(self, other):
+    def __matmul__(self, other: torch.Tensor) -> torch.Tensor:
         return self.to_dense() @ other
 
-    def __rmatmul__(self, other):
+    def __rmatmul__(self, other: Any) -> Any:
         return other @ self.to_dense()
 
-    def __array__(self, dtype=None, copy=None):
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
         return self.to_dense().numpy().astype(dtype) if dtype else self.to_dense().numpy()
 
     @classmethod

@@ -219,15 +219,15 @@ class Loop:
         run: Run,
         values: Callable[[], dict[str, torch.Tensor]],
         about: dict[str, Any],
-        parts: dict[str, tuple[Callable, Callable]],
+        parts: dict[str, tuple[Callable[..., Any], Callable[..., Any]]],
         generators: Sequence[torch.Generator],
         kind: str,
-    ):
+    ) -> None:
         self.run, self.values, self.about, self.parts, self.generators = run, values, about, parts, generators
         self.done, self.saved, self.torn, self.stopped, self.loss = 0, -1, False, False, None
-        self.best = {name: value.clone() for name, value in values().items()}
-        self.device = next(iter(self.best.values())).device
-        self.best_loss = torch.full((), math.inf, dtype=torch.float64, device=self.device)
+        self.best: dict[str, torch.Tensor] = {name: value.clone() for name, value in values().items()}
+        self.device: torch.device = next(iter(self.best.values())).device
+        self.best_loss: torch.Tensor = torch.full((), math.inf, dtype=torch.float64, device=self.device)
         if run.checkpoint is not None and os.path.exists(run.checkpoint):
             state = read_checkpoint(run.checkpoint, about, kind)
             with naming_checkpoint(run.checkpoint):
@@ -286,7 +286,7 @@ class Loop:
             value.copy_(self.best[name])
 
     def _remember_randomness(self):
-        self.randomness = [generator.get_state() for generator in self.generators]
+        self.randomness: list[torch.Tensor] = [generator.get_state() for generator in self.generators]
 
     def _save(self):
         """Write the checkpoint, unless values are half-way between two iterations or it is written."""
@@ -313,7 +313,7 @@ class Loop:
             generator.set_state(drawn)
 
 
-def write_checkpoint(path: str | os.PathLike, state: dict[str, Any]) -> None:
+def write_checkpoint(path: str | os.PathLike[str], state: dict[str, Any]) -> None:
     """Write the state of a run, whole or not at all.
 
     Parameters
@@ -327,7 +327,7 @@ def write_checkpoint(path: str | os.PathLike, state: dict[str, Any]) -> None:
         torch.save(state, stream)
 
 
-def read_checkpoint(path: str | os.PathLike, about: dict[str, Any], kind: str) -> dict[str, Any]:
+def read_checkpoint(path: str | os.PathLike[str], about: dict[str, Any], kind: str) -> dict[str, Any]:
     """Read the state of a run, its tensors on the CPU, without running code.
 
     Parameters
@@ -366,7 +366,7 @@ def read_checkpoint(path: str | os.PathLike, about: dict[str, Any], kind: str) -
 
 
 @contextmanager
-def naming_checkpoint(path: str | os.PathLike) -> Iterator[None]:
+def naming_checkpoint(path: str | os.PathLike[str]) -> Iterator[None]:
     """Convert errors while a state is restored to a ValueError that names its file.
 
     Parameters
@@ -426,10 +426,10 @@ class Adam:
         Added to the root of the square.
     """
 
-    def __init__(self, parameters: Sequence[torch.Tensor], betas=(0.9, 0.999), epsilon: float = 1e-8):
+    def __init__(self, parameters: Sequence[torch.Tensor], betas: Any = (0.9, 0.999), epsilon: float = 1e-8) -> None:
         self.parameters, self.betas, self.epsilon = list(parameters), betas, epsilon
         self.means = [torch.zeros_like(parameter, requires_grad=False) for parameter in self.parameters]
-        self.squares = [torch.zeros_like(mean) for mean in self.means]
+        self.squares: list[torch.Tensor] = [torch.zeros_like(mean) for mean in self.means]
         self.count = 0
 
     @torch.no_grad()
@@ -478,8 +478,8 @@ class LBFGS:
     # Mean change of the first step, in radians, and how often a step may be shortened.
     _FIRST, _TRIALS = 0.1, 25
 
-    def __init__(self, parameters: Sequence[torch.Tensor]):
-        self.parameters = list(parameters)
+    def __init__(self, parameters: Sequence[torch.Tensor]) -> None:
+        self.parameters: list[torch.Tensor] = list(parameters)
         # Changes of the parameters and of the gradient, and the product of the two.
         self.pairs: list[tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = []
         # At the present place; a step ends with the evaluation that the next one begins with.

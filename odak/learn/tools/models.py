@@ -97,8 +97,8 @@ class multi_layer_perceptron(torch.nn.Module):
             torch.nn.Sequential(torch.nn.Linear(n_hidden, n_hidden), torch.nn.ReLU())
             for _ in range(_validate.integer("n_layers", n_layers))
         )
-        self.layers = torch.nn.ModuleList([torch.nn.Linear(n_input, n_hidden), *hidden])
-        self.layer_final = torch.nn.Linear(n_hidden, n_output)
+        self.layers: torch.nn.ModuleList = torch.nn.ModuleList([torch.nn.Linear(n_input, n_hidden), *hidden])
+        self.layer_final: torch.nn.Linear = torch.nn.Linear(n_hidden, n_output)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the outputs ``[..., n_output]`` for inputs ``[..., n_input]``.
@@ -171,7 +171,7 @@ class multi_layer_perceptron(torch.nn.Module):
         if rate < 0:
             raise ValueError(f"learning_rate must be at least 0, got {learning_rate}")
         self.optimizer = torch.optim.Adam(self.parameters(), lr=rate)
-        self.loss_function = torch.nn.MSELoss()
+        self.loss_function: torch.nn.MSELoss = torch.nn.MSELoss()
         loss = None
         _validate.one_device(x_values=x_values, y_values=y_values)
         y_values = trainable(floating("y_values", y_values, self.layer_final.weight.dtype))

@@ -337,10 +337,10 @@ class PerspectiveCamera:
         principal_point: Sequence[float] | torch.Tensor,
         device: torch.device | str = "cpu",
     ):
-        self.device = torch.device("cpu") if device is None else checked_device("device", device)
+        self.device: torch.device = torch.device("cpu") if device is None else checked_device("device", device)
         self.R, self.T = self._tensor("R", R), self._tensor("T", T)
-        self.focal_length = self._tensor("focal_length", focal_length)
-        self.principal_point = self._tensor("principal_point", principal_point)
+        self.focal_length: torch.Tensor = self._tensor("focal_length", focal_length)
+        self.principal_point: torch.Tensor = self._tensor("principal_point", principal_point)
         for name, value, shape in (("R", self.R, (3, 3)), ("T", self.T, (3,))):
             if tuple(value.shape) not in (shape, (1, *shape)):
                 raise ValueError(f"{name} must be {list(shape)} or {[1, *shape]}, got {list(value.shape)}")

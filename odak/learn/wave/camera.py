@@ -15,7 +15,7 @@ from odak.wave.propagation import propagate_within_window
 from odak.wave.transfer_functions import checked_pitch, divided_pitch
 
 
-def captured_by(camera: Callable, phase: torch.Tensor, shape: tuple[int, ...]) -> torch.Tensor:
+def captured_by(camera: Callable[..., Any], phase: torch.Tensor, shape: tuple[int, ...]) -> torch.Tensor:
     """Return the intensity that a camera captures of a phase.
 
     Parameters
@@ -161,9 +161,9 @@ class simulated_camera(Prepared, torch.nn.Module):
         self.propagation_type, self.slm = propagation_type, _validate.function_or_none("slm", slm)
         self.register_buffer("aberration", panel_map("aberration", aberration))
         self.register_buffer("illumination", panel_map("illumination", illumination))
-        self.exposure = _validate.constant("exposure", exposure, positive=True)
+        self.exposure: float = _validate.constant("exposure", exposure, positive=True)
         self.full_well = None if full_well is None else _validate.constant("full_well", full_well, positive=True)
-        self.read_noise = _validate.constant("read_noise", read_noise)
+        self.read_noise: float = _validate.constant("read_noise", read_noise)
         if self.read_noise < 0 or (self.read_noise > 0 and full_well is None):
             raise ValueError(f"read_noise must be at least 0, and 0 without full_well, got {read_noise!r}")
         self.bits = checked_bits(bits)

@@ -248,7 +248,7 @@ def shares_of(items: Sequence[Any], count: int) -> list[Sequence[Any]]:
     return [items[a:b] for a, b in itertools.pairwise(ends)]
 
 
-def _checked(function: Callable, batch: Tensors) -> tuple[tuple[torch.Tensor, ...], torch.device]:
+def _checked(function: Callable[..., Any], batch: Tensors) -> tuple[tuple[torch.Tensor, ...], torch.device]:
     if not callable(function):
         raise TypeError(f"function must be callable, got {type(function).__name__}")
     tensors = (batch,) if isinstance(batch, torch.Tensor) else tuple(batch) if isinstance(batch, (tuple, list)) else ()

@@ -209,10 +209,10 @@ class display_model(Prepared, torch.nn.Module):
             tuple(map(float, _validate.pair(name, value, positive=True)))
             for name, value in (("pitch", pitch), ("camera_pitch", camera_pitch))
         )
-        self.wavelength = _validate.constant("wavelength", wavelength, positive=True)
-        self.lens = distance if isinstance(distance, Lens) else None
+        self.wavelength: float = _validate.constant("wavelength", wavelength, positive=True)
+        self.lens: Lens | None = distance if isinstance(distance, Lens) else None
         _, reach = ray_matrix(distance)
-        self.nominal_distance = float((self.lens.after or 0.0) if self.lens else reach)
+        self.nominal_distance: float = float((self.lens.after or 0.0) if self.lens else reach)
         self.samples_per_pixel, s = samples_per_pixel, 1
         if samples_per_pixel is not None:
             self.samples_per_pixel = s = _validate.integer("samples_per_pixel", samples_per_pixel, minimum=1)
@@ -251,7 +251,7 @@ class display_model(Prepared, torch.nn.Module):
         sizes |= {"fill": 1} if self._parts > 1 else {}
         sizes |= {"gap": 2} if samples_per_pixel is None else {}
         sizes |= {"iris": 1} if iris is not None else {}
-        self.physical = [name for name in PRIORS if name in sizes]
+        self.physical: list[str] = [name for name in PRIORS if name in sizes]
         self._priors = dict(PRIORS)
         # Gaps reflect with phase 0. Fringing fields act within square pixels too: a model that nothing is known of has
         # next to none.
@@ -1113,7 +1113,7 @@ class _Data:
         levels = torch.as_tensor(captures.levels.astype(np.int64))
         return cls(levels, counts, spread, captures.positions.tolist(), noise)
 
-    def residual(self, model: Callable, k: int, pixels: torch.Tensor | None = None) -> torch.Tensor:
+    def residual(self, model: Callable[..., Any], k: int, pixels: torch.Tensor | None = None) -> torch.Tensor:
         """Return the difference of the model from the mean of capture k, in standard deviations of its noise."""
         seen = model(self.levels[k], self.positions[k], pixels).flatten()
         chosen = slice(None) if pixels is None else pixels

@@ -65,7 +65,7 @@ class Eyes:
     focus: float | Sequence[float] | None = None
     rotation: Sequence[Any] = (0.0, 0.0)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         def keep(name, values):
             object.__setattr__(self, name, values)
 
@@ -213,7 +213,7 @@ class Sight:
         return (np.arange(count) - (count - 1) / 2) * step, step
 
 
-def seen_by_eye(light, down, across, pupil, back_down, back_across):
+def seen_by_eye(light: Any, down: Any, across: Any, pupil: Any, back_down: Any, back_across: Any) -> Any:
     """Return the field on a retina of light on a panel ``[..., rows, columns]``, by the parts of a :class:`Sight`."""
     return back_down @ ((down @ light @ across.mT) * pupil) @ back_across.mT
 
@@ -232,7 +232,7 @@ def _through_stop(order: np.ndarray, fresnel_number: float, step: float) -> np.n
     return passed.conj() if fresnel_number > 0 else passed
 
 
-def of_each(name, value, places):
+def of_each(name: Any, value: Any, places: Any) -> Any:
     """Return a length for each place, ``[K]``; None for None."""
     if value is None:
         return None
@@ -247,7 +247,7 @@ def of_each(name, value, places):
     return lengths.expand(len(places))
 
 
-def angles_of_each(rotation, count):
+def angles_of_each(rotation: Any, count: Any) -> Any:
     """Return the angles of each place in degrees, ``[K, 2]``."""
     turns = tensor("rotation", rotation, torch.float64, torch.device("cpu"))
     if tuple(turns.shape) not in ((2,), (count, 2)):

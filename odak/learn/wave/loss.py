@@ -161,26 +161,26 @@ class FocalTargets(Prepared, nn.Module):
 
     def __init__(
         self,
-        image,
-        depth,
-        blur_ratio,
-        blur_size,
-        number_of_planes,
-        multiplier,
-        scheme,
-        reduction,
-        device,
-        generator,
-        distances=None,
-        wavelengths=None,
-        pixel_pitch=None,
-        numerical_aperture=None,
-    ):
+        image: torch.Tensor,
+        depth: Any,
+        blur_ratio: float,
+        blur_size: int,
+        number_of_planes: int,
+        multiplier: float,
+        scheme: str,
+        reduction: str,
+        device: Any,
+        generator: Any,
+        distances: Any = None,
+        wavelengths: Any = None,
+        pixel_pitch: Any = None,
+        numerical_aperture: float | None = None,
+    ) -> None:
         super().__init__()
-        self.number_of_planes = _validate.integer("number_of_planes", number_of_planes, minimum=1)
+        self.number_of_planes: int = _validate.integer("number_of_planes", number_of_planes, minimum=1)
         self.multiplier = _validate.real("multiplier", multiplier)
-        self.scheme = _validate.one_of("scheme", scheme, SCHEMES)
-        self.reduction = _validate.one_of("reduction", reduction, ("mean", "sum"))
+        self.scheme: str = _validate.one_of("scheme", scheme, SCHEMES)
+        self.reduction: str = _validate.one_of("reduction", reduction, ("mean", "sum"))
         self.blur_ratio, self.target_blur_size, self.generator = blur_ratio, blur_size, None
         self.generator = checked_generator("generator", generator)
         if _validate.real("blur_ratio", blur_ratio) < 0:
@@ -217,8 +217,9 @@ class FocalTargets(Prepared, nn.Module):
         if self._geometry is not None:
             self.targets = self.multiplier * geometric_targets(*picture, **self._geometry)
             return
-        blur = self.number_of_planes, self.blur_ratio, self.target_blur_size
-        self.targets = self.multiplier * defocused_targets(*picture, *blur)
+        self.targets = self.multiplier * defocused_targets(
+            *picture, self.number_of_planes, self.blur_ratio, self.target_blur_size
+        )
         if 0 < (widest := (self.number_of_planes - 1) * self.blur_ratio) < _LEAST_BLUR:
             warn(
                 f"blur_ratio {self.blur_ratio} blurs by a σ of at most {widest:.2g} pixels on {self.number_of_planes} "
@@ -376,7 +377,7 @@ class phase_gradient(nn.Module):
         kernel: torch.Tensor | None = None,
         loss: Callable[..., Any] = nn.MSELoss(),  # noqa: B008
         device: torch.device | str = "cpu",
-    ):
+    ) -> None:
         super().__init__()
         kernel = torch.tensor(_LAPLACIAN) / 8 if kernel is None else tensor("kernel", kernel)
         if kernel.ndim not in (2, 4) or (kernel.ndim == 4 and kernel.shape[:2] != (1, 1)) or kernel.numel() == 0:
@@ -438,10 +439,10 @@ class speckle_contrast(nn.Module):
         step_size: int | Sequence[int] = (1, 1),
         loss: Callable[..., Any] = nn.MSELoss(),  # noqa: B008
         device: torch.device | str = "cpu",
-    ):
+    ) -> None:
         super().__init__()
         checked_device("device", device)
-        self.kernel_size = _validate.integer("kernel_size", kernel_size, minimum=1)
+        self.kernel_size: int = _validate.integer("kernel_size", kernel_size, minimum=1)
         self.step_size = _validate.size("step_size", (step_size,) * 2 if isinstance(step_size, int) else step_size)
         self.loss = _checked_loss(loss)
 
@@ -573,7 +574,7 @@ class multiplane_loss(FocalTargets):
         wavelengths: Sequence[float] | None = None,
         pixel_pitch: float | Sequence[float] | None = None,
         numerical_aperture: float | None = None,
-    ):
+    ) -> None:
         weights, distances, wavelengths, pixel_pitch = _validate.constants(
             weights=weights, distances=distances, wavelengths=wavelengths, pixel_pitch=pixel_pitch
         )
@@ -584,7 +585,7 @@ class multiplane_loss(FocalTargets):
         weights = _validate.several("weights", weights)
         if len(weights) not in (3, 4):
             raise ValueError(f"weights must be three, or four of which the last is not used; got {weights!r}")
-        self.weights = _validate.numbers(weights)
+        self.weights: list[float] = _validate.numbers(weights)
 
     def forward(
         self,
@@ -747,7 +748,7 @@ class perceptual_multiplane_loss(FocalTargets):
             device, generator, distances, wavelengths, pixel_pitch, numerical_aperture,
         )  # fmt: skip
         self.base_loss_weights = _checked_weights("base_loss_weights", base_loss_weights, _BASE_WEIGHTS, _BASE_WEIGHTS)
-        self.additional_loss_weights = _checked_weights(
+        self.additional_loss_weights: dict[Any, float] = _checked_weights(
             "additional_loss_weights", additional_loss_weights, {"cvvdp": 1.0}, _MEASURES
         )
         self.return_components = _validate.flag("return_components", return_components)

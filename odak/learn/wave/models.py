@@ -76,10 +76,10 @@ class holobeam_multiholo(nn.Module):
         super().__init__()
         _validate.integer("n_output", n_output, minimum=2)
         n_input, n_hidden = channels("n_input", n_input), channels("n_hidden", n_hidden)
-        self.device = checked_device("device", device)
+        self.device: torch.device = checked_device("device", device)
         self.reduction = reduction
         self.l2, self.l1 = errors(reduction)
-        self.network = unet(dimensions=n_hidden, input_channels=n_input, output_channels=n_output)
+        self.network: unet = unet(dimensions=n_hidden, input_channels=n_input, output_channels=n_output)
         self.to(self.device)
 
     def forward(self, x: torch.Tensor, test: bool = False) -> torch.Tensor:
@@ -277,13 +277,13 @@ class focal_surface_light_propagation(nn.Module):
             raise ValueError(f"out_channels must be even, real and imaginary parts of colours; got {out_channels}")
         bias, input_channels = _validate.flag("bias", bias), channels("input_channels", input_channels)
         self.depth = depth
-        self.device = checked_device("device", device)
+        self.device: torch.device = checked_device("device", device)
         common: dict[str, Any] = {"depth": depth, "dimensions": dimensions, "kernel_size": kernel_size, "bias": bias}
         common |= {"normalization": False, "activation": activation}
         self.sv_kernel_generation = spatially_varying_kernel_generation_model(
             input_channels=input_channels + 1, **common
         )
-        self.light_propagation = spatially_adaptive_unet(
+        self.light_propagation: spatially_adaptive_unet = spatially_adaptive_unet(
             input_channels=input_channels, out_channels=out_channels, **common
         )
         self.to(self.device)

@@ -1,7 +1,7 @@
 """Propagation of tensors with the defaults of PyTorch users, and of partially coherent fields in bounded memory."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch.utils.checkpoint import checkpoint
@@ -41,7 +41,7 @@ True
     gaussian_spectrum = torch_face(coherence.gaussian_spectrum)
 
 
-def _recomputed(step: Callable, *values):
+def _recomputed(step: Callable[..., Any], *values):
     if not torch.is_grad_enabled():
         return step(*values)
     return checkpoint(step, *values, use_reentrant=False, preserve_rng_state=False)

@@ -328,7 +328,7 @@ class spatial_light_modulator(Prepared, torch.nn.Module):
         else:
             setattr(self, name, value)
 
-    def __setattr__(self, name, value):
+    def __setattr__(self, name: Any, value: Any) -> None:
         if name == "lut" and "_even" in vars(self):
             # Phases in place of even ones.
             self._check_lut(value)
@@ -464,17 +464,17 @@ class temporal_modulator(torch.nn.Module):
     ):
         (lit,) = _validate.constants(lit=lit)
         super().__init__()
-        self.frame_time = _validate.constant("frame_time", frame_time, positive=True)
-        self.response_time = _validate.constant("response_time", response_time)
+        self.frame_time: float = _validate.constant("frame_time", frame_time, positive=True)
+        self.response_time: float = _validate.constant("response_time", response_time)
         if self.response_time < 0:
             raise ValueError(f"response_time must be at least 0, got {response_time!r}")
         _validate.instance("slm", slm, (spatial_light_modulator, type(None)), "a spatial_light_modulator or None")
-        self.slm = spatial_light_modulator(bits=None) if slm is None else slm
+        self.slm: spatial_light_modulator = spatial_light_modulator(bits=None) if slm is None else slm
         start, end = _validate.numbers(_validate.several("lit", lit, 2))
         if not 0 <= start < end <= 1:
             raise ValueError(f"lit must be the start and the end of the illumination, 0 ≤ start < end ≤ 1; got {lit!r}")
-        self.lit = (start, end)
-        self.time_samples = _validate.integer("time_samples", time_samples, minimum=1)
+        self.lit: tuple[float, float] = (start, end)
+        self.time_samples: int = _validate.integer("time_samples", time_samples, minimum=1)
 
     def forward(self, phase: torch.Tensor, scale: float | torch.Tensor = 1.0) -> torch.Tensor:
         """Return the fields behind the modulator at the instants at which it is lit.
@@ -656,7 +656,7 @@ def _covered(fill, s):
     return (torch.where(high <= start + 1, high, start + 1) - torch.where(low >= start, low, start)).clamp_min(0)
 
 
-def pixel_fill_of(slm, has_iris: bool) -> float | None:
+def pixel_fill_of(slm: Any, has_iris: bool) -> float | None:
     """Return the fill factor of a modulator whose gaps are averaged over its pixels, None for any other.
 
     Its field has the spectrum of pixels of finite size. Their orders beyond 1/(2·pitch) are not sampled, which an
@@ -674,14 +674,14 @@ def pixel_fill_of(slm, has_iris: bool) -> float | None:
     return float(slm.fill_factor)  # type: ignore[arg-type]
 
 
-def checked_fill(pixel_fill: float | None, slm, has_iris: bool) -> float | None:
+def checked_fill(pixel_fill: float | None, slm: Any, has_iris: bool) -> float | None:
     """Return the share of a pixel's area that emits, given or taken from a modulator; None for points."""
     if pixel_fill is None:
         return pixel_fill_of(slm, has_iris)
     return checked_pixel_fill(pixel_fill)
 
 
-def iris_cutoff(wavelength, iris_radius, iris_focal_length) -> float | None:
+def iris_cutoff(wavelength: float, iris_radius: Any, iris_focal_length: Any) -> float | None:
     """Return the cut-off of an iris in cycles per metre after checking its lengths; None without an iris."""
     if (iris_radius is None) != (iris_focal_length is None):
         raise ValueError("iris_radius and iris_focal_length must be given together")

@@ -5,6 +5,7 @@ import hashlib
 import inspect
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 
@@ -54,7 +55,7 @@ def recorded(loss: Callable[[], torch.Tensor], parameters: Sequence[torch.Tensor
     return evaluate
 
 
-def _captured(compute: Callable[[], list], device: torch.device) -> tuple[Callable[[], None], list]:
+def _captured(compute: Callable[[], list[Any]], device: torch.device) -> tuple[Callable[[], None], list[Any]]:
     """Return what replays a computation, and the tensors that it writes its results to."""
     if device.type != "cuda":
         raise ValueError(f"graph must be False where the display is not on a CUDA device, got {device}")
@@ -84,7 +85,7 @@ def generator_from(seed: int | None, device: torch.device | str = "cpu") -> torc
     return torch.Generator(device).manual_seed(seed)
 
 
-def parameters_of(loss: Callable) -> dict[str, inspect.Parameter]:
+def parameters_of(loss: Callable[..., Any]) -> dict[str, inspect.Parameter]:
     """Return the parameters of a loss by name; none where they are not known, as for functions of torch in C++."""
     try:
         return dict(inspect.signature(loss.forward if isinstance(loss, torch.nn.Module) else loss).parameters)
@@ -93,8 +94,8 @@ def parameters_of(loss: Callable) -> dict[str, inspect.Parameter]:
 
 
 def seeded_loss(
-    loss: Callable | None, seed: int | None, device: torch.device
-) -> tuple[Callable, list[torch.Generator]]:
+    loss: Callable[..., Any] | None, seed: int | None, device: torch.device
+) -> tuple[Callable[..., Any], list[torch.Generator]]:
     """Return a loss whose random numbers a seed reaches, and the generators whose state belongs to a checkpoint.
 
     Parameters

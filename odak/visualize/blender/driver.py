@@ -17,6 +17,7 @@ import sys
 import traceback
 import warnings
 import zipfile
+from typing import Any
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 # Files of this folder must not be imported in place of modules of Blender that have the same names.
@@ -36,7 +37,7 @@ MOST_SAMPLED = 5000
 GPUS = ("CUDA", "OPTIX", "HIP", "ONEAPI", "METAL")
 
 
-def main(arguments):
+def main(arguments: Any) -> None:
     """Write the file that the command line asks for."""
     if len(arguments) != 2:
         raise SystemExit(__doc__)
@@ -50,7 +51,7 @@ def main(arguments):
     produce(scene, document["render"], output)
 
 
-def say(words):
+def say(words: Any) -> None:
     """Print a line for the process that started this one."""
     sys.stdout.write(f"{words}\n")
     sys.stdout.flush()
@@ -59,10 +60,10 @@ def say(words):
 class Arrays:
     """Arrays of an NPZ file, flat."""
 
-    def __init__(self, store):
+    def __init__(self, store: Any) -> None:
         self.store = store
 
-    def read(self, name):
+    def read(self, name: Any) -> Any:
         """Return the numbers of an array and its shape."""
         content = self.store.read(name + ".npy")
         if content[:6] != b"\x93NUMPY":
@@ -80,7 +81,7 @@ class Arrays:
         return values, header["shape"]
 
 
-def build(document, arrays):
+def build(document: Any, arrays: Any) -> Any:
     """Return Blender's scene with all objects, lights and cameras."""
     if document["start_from"]:
         bpy.ops.wm.open_mainfile(filepath=document["start_from"], load_ui=False, use_scripts=False)
@@ -105,7 +106,7 @@ def build(document, arrays):
     return scene
 
 
-def add_object(scene, entry, arrays):
+def add_object(scene: Any, entry: Any, arrays: Any) -> None:
     """Add one object."""
     image = make_image(entry, arrays) if entry["image"] else None
     material = make_material(entry, image)
@@ -126,7 +127,7 @@ def add_object(scene, entry, arrays):
     scene.collection.objects.link(thing)
 
 
-def make_mesh(entry, arrays):
+def make_mesh(entry: Any, arrays: Any) -> Any:
     """Return a mesh of triangles."""
     points, _ = arrays.read(entry["vertices"])
     corners, _ = arrays.read(entry["faces"])
@@ -162,7 +163,7 @@ def make_mesh(entry, arrays):
     return mesh
 
 
-def make_rods(scene, entry, arrays):
+def make_rods(scene: Any, entry: Any, arrays: Any) -> Any:
     """Return rods as curves, which Cycles intersects in closed form, within boxes that lie along them."""
     numbers, (count, _, _) = arrays.read(entry["rods"])
     points, radii = array.array("f", [0.0]) * (6 * count), numbers[3::4]
@@ -183,7 +184,7 @@ def make_rods(scene, entry, arrays):
     return curves
 
 
-def do_not_sample(material):
+def do_not_sample(material: Any) -> None:
     """Exclude an emitting object from the direct sampling of light sources."""
     if hasattr(material.cycles, "emission_sampling"):
         material.cycles.emission_sampling = "NONE"
@@ -191,7 +192,7 @@ def do_not_sample(material):
         material.cycles.sample_as_light = False
 
 
-def make_image(entry, arrays):
+def make_image(entry: Any, arrays: Any) -> Any:
     """Return a picture."""
     levels, (rows, columns, _) = arrays.read(entry["image"])
     image = bpy.data.images.new(entry["name"], columns, rows, alpha=False)
@@ -210,7 +211,7 @@ def make_image(entry, arrays):
     return image
 
 
-def make_material(entry, image):
+def make_material(entry: Any, image: Any) -> Any:
     """Return a material of nodes."""
     data = entry["material"]
     material = bpy.data.materials.new(data["name"] or entry["name"])
@@ -247,7 +248,7 @@ def make_material(entry, image):
     return material
 
 
-def ground_glass():
+def ground_glass() -> Any:
     """Return the matt material of the ground edge of a lens."""
     material = bpy.data.materials.new("ground edge")
     material.use_nodes = True
@@ -259,7 +260,7 @@ def ground_glass():
     return material
 
 
-def place(thing, entry):
+def place(thing: Any, entry: Any) -> None:
     """Set location and orientation of a camera or a light; both look along their own −z."""
     right, up, behind = entry["axes"]
     rows = [[right[i], up[i], behind[i], entry["location"][i]] for i in range(3)]
@@ -267,7 +268,7 @@ def place(thing, entry):
     thing.matrix_world = mathutils.Matrix([*rows, [0.0, 0.0, 0.0, 1.0]])
 
 
-def add_camera(scene, entry):
+def add_camera(scene: Any, entry: Any) -> None:
     """Add the camera."""
     camera = bpy.data.cameras.new("camera")
     camera.sensor_fit = "HORIZONTAL"
@@ -282,7 +283,7 @@ def add_camera(scene, entry):
     scene.camera = thing
 
 
-def add_light(scene, name, entry, metres):
+def add_light(scene: Any, name: Any, entry: Any, metres: Any) -> None:
     """Add a light, its power scaled so that distances in units of length act as distances in metres."""
     light = bpy.data.lights.new(name, entry["kind"].upper())
     light.color = entry["color"]
@@ -305,7 +306,7 @@ def add_light(scene, name, entry, metres):
     scene.collection.objects.link(thing)
 
 
-def set_background(scene, entry):
+def set_background(scene: Any, entry: Any) -> None:
     """Set the environment: one colour, or a gradient of greys along a direction."""
     world = bpy.data.worlds.new("background")
     world.use_nodes = True
@@ -334,7 +335,7 @@ def set_background(scene, entry):
     scene.world = world
 
 
-def set_quality(scene, job):
+def set_quality(scene: Any, job: Any) -> None:
     """Set renderer, resolution and the encoding of light as pixel values."""
     if "cycles" not in bpy.context.preferences.addons:
         import addon_utils
@@ -364,7 +365,7 @@ def set_quality(scene, job):
     choose_device(cycles, job["device"])
 
 
-def choose_device(cycles, wanted):
+def choose_device(cycles: Any, wanted: Any) -> None:
     """Select the device of Cycles, with a message where it is not available."""
     cycles.device = "CPU"
     if wanted == "cpu":
@@ -388,7 +389,7 @@ def choose_device(cycles, wanted):
         say(f"odak: there is no device for {wanted!r}; the CPU renders")
 
 
-def produce(scene, job, output):
+def produce(scene: Any, job: Any, output: Any) -> None:
     """Write the output file."""
     extension = os.path.splitext(output)[1].lower()
     if extension == ".blend":
@@ -414,7 +415,7 @@ def produce(scene, job, output):
             pixels.tofile(stream)
 
 
-def measure_depth(scene):
+def measure_depth(scene: Any) -> None:
     """Make every surface emit its distance along the camera's axis, sampled in the middle of each pixel."""
     material = bpy.data.materials.new("depth")
     material.use_nodes = True
@@ -432,7 +433,7 @@ def measure_depth(scene):
     scene.render.filter_size = 0.01
 
 
-def run():
+def run() -> None:
     """Run the command and exit at once: some versions of Blender crash during their clean-up."""
     code = 0
     try:

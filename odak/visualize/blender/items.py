@@ -245,7 +245,7 @@ class Item:
     scale: list[float] = field(default_factory=lambda: [1.0, 1.0, 1.0])
 
     @classmethod
-    def of(cls, name: str, mesh: Mesh, material: Material, **options) -> "Item":
+    def of(cls, name: str, mesh: Mesh, material: Material, **options: Any) -> "Item":
         """Return an object with the shape of a mesh."""
         normals, uv = (None if part is None else np.asarray(part, dtype=np.float32) for part in (mesh.normals, mesh.uv))
         vertices, faces = np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.int32)
@@ -292,7 +292,7 @@ class Camera:
     width: float
     clip: list[float] | None
 
-    def project(self, points, resolution: tuple[int, int]) -> np.ndarray:
+    def project(self, points: np.ndarray, resolution: tuple[int, int]) -> np.ndarray:
         """Return where points appear in a picture.
 
         Parameters
@@ -482,7 +482,7 @@ def metal(color: str | Sequence[float] = "white", roughness: float = 0.0) -> Mat
     return Material("metal", linear_color(color), roughness=_share("roughness", roughness))
 
 
-def chosen(material, color, default: Any, wavelength: float, unit: str) -> Material:
+def chosen(material: Material, color: str | Sequence[float], default: Any, wavelength: float, unit: str) -> Material:
     """Return the material that a drawing call asks for by its arguments `material` and `color`.
 
     Parameters
@@ -514,7 +514,7 @@ def chosen(material, color, default: Any, wavelength: float, unit: str) -> Mater
     return Material(found.kind, linear_color(color), found.strength, found.index, found.roughness, found.name)
 
 
-def linear_color(color) -> tuple[float, float, float]:
+def linear_color(color: str | Sequence[float]) -> tuple[float, float, float]:
     """Return a colour name, "#rrggbb" or red, green, blue in sRGB as linear light."""
     if isinstance(color, str):
         try:
@@ -528,7 +528,7 @@ def linear_color(color) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def listed(value):
+def listed(value: Any) -> Any:
     """Return a sequence as a list, anything else as it is."""
     return list(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
 
@@ -540,7 +540,7 @@ def _share(name: str, value) -> float:
     return value
 
 
-def three(name: str, value) -> list[float]:
+def three(name: str, value: Any) -> list[float]:
     """Return three finite numbers as a list."""
     found = real_array(name, value).astype(np.float64).reshape(-1)
     if found.shape != (3,) or not np.isfinite(found).all():
@@ -548,7 +548,7 @@ def three(name: str, value) -> list[float]:
     return found.tolist()
 
 
-def aim(location, target, up=None) -> list[list[float]]:
+def aim(location: Any, target: Any, up: Any = None) -> list[list[float]]:
     """Return the axes (right, up, backwards) of something at `location` that looks at `target`.
 
     Without `up`, y points upwards in the picture, or z for a look along y.
@@ -566,7 +566,7 @@ def aim(location, target, up=None) -> list[list[float]]:
     return [axis.tolist() for axis in (right, np.cross(behind, right), behind)]
 
 
-def positive(name: str, value) -> float:
+def positive(name: str, value: Any) -> float:
     """Return a positive number."""
     found = _validate.numbers(_validate.real(name, value, positive=True))
     if len(found) != 1:
@@ -574,7 +574,7 @@ def positive(name: str, value) -> float:
     return found[0]
 
 
-def pair(name: str, value) -> list[Any]:
+def pair(name: str, value: Any) -> list[Any]:
     """Return a pair as a list."""
     if isinstance(value, (str, bytes)) or not isinstance(value, Iterable) or len(found := list(value)) != 2:
         raise ValueError(f"{name} must be two numbers, got {value!r:.80}")

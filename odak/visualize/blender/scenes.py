@@ -245,7 +245,7 @@ def run_for_array(document: dict[Any, Any], blender, timeout, verbose: bool) -> 
     return pixels.reshape(rows, columns, 4)[::-1].astype(np.float32)
 
 
-def _run(document: dict, folder: str, extension: str, blender, timeout, verbose: bool) -> str:
+def _run(document: dict[Any, Any], folder: str, extension: str, blender, timeout, verbose: bool) -> str:
     timeout = None if timeout is None else float(_validate.real("timeout", timeout, positive=True))
     found = find_blender(blender)
     written = write_scene(os.path.join(folder, "scene.json"), document)
@@ -272,10 +272,10 @@ def _run(document: dict, folder: str, extension: str, blender, timeout, verbose:
     return made
 
 
-def _follow(process, timeout, verbose: bool, samples: int) -> tuple[list[collections.deque], list[str]]:
+def _follow(process, timeout, verbose: bool, samples: int) -> tuple[list[collections.deque[Any]], list[str]]:
     """Wait for a process and show its progress; return the last lines of its output and errors, and its warnings."""
     said: list[str] = []
-    tails: list[collections.deque] = [collections.deque(maxlen=TAIL) for _ in range(2)]
+    tails: list[collections.deque[Any]] = [collections.deque(maxlen=TAIL) for _ in range(2)]
     with tqdm(total=samples, desc="Blender", unit="sample", disable=not verbose, leave=False) as bar:
         readers = [
             threading.Thread(target=_read, args=(stream, tail, bar, said), daemon=True)
@@ -298,7 +298,7 @@ def _follow(process, timeout, verbose: bool, samples: int) -> tuple[list[collect
     return tails, said
 
 
-def _read(stream, tail: collections.deque, bar, said: list[str]) -> None:
+def _read(stream, tail: collections.deque[Any], bar, said: list[str]) -> None:
     for line in stream:
         line = line.rstrip()
         if not line:
@@ -406,7 +406,7 @@ def item_from(entry: dict[Any, Any]) -> Item:
     return Item(**entry | {"material": material})
 
 
-def _entry(number: int, item: Item, arrays: dict) -> dict:
+def _entry(number: int, item: Item, arrays: dict[Any, Any]) -> dict[Any, Any]:
     """Return an object as plain data, its arrays moved to `arrays` under names that take their place."""
     entry = {field.name: getattr(item, field.name) for field in dataclasses.fields(item)}
     entry["material"] = dataclasses.asdict(item.material)
@@ -417,7 +417,7 @@ def _entry(number: int, item: Item, arrays: dict) -> dict:
     return entry
 
 
-def _with_arrays(entry: dict, arrays: dict[str, np.ndarray]) -> dict:
+def _with_arrays(entry: dict[Any, Any], arrays: dict[str, np.ndarray]) -> dict[Any, Any]:
     entry = dict(entry)
     for key, dtype in ARRAYS.items():
         if entry[key] is not None:
@@ -505,7 +505,7 @@ class Views:
         kind: str = "point",
         power: float | None = None,
         size: float | None = None,
-        color="white",
+        color: str = "white",
         visible: bool = True,
     ) -> Light:
         """Add a light.
@@ -556,7 +556,7 @@ class Views:
         )
         return self.lights[-1]
 
-    def set_background(self, color="white", strength: float = 1.0) -> None:
+    def set_background(self, color: Any = "white", strength: float = 1.0) -> None:
         """Set the environment, which illuminates the scene from all directions.
 
         Parameters
@@ -569,7 +569,7 @@ class Views:
         strength = float(_validate.number("strength", strength, least=0))
         self.background = {"color": list(linear_color(color)), "strength": strength}
 
-    def project(self, points, resolution: Sequence[int] | None = None) -> np.ndarray:
+    def project(self, points: np.ndarray, resolution: Sequence[int] | None = None) -> np.ndarray:
         """Return where points appear in the picture, as :meth:`Camera.project` has it.
 
         Parameters
@@ -630,7 +630,7 @@ class Views:
         reach = float(np.linalg.norm(self._extremes() - camera.location, axis=-1).max(initial=1e-3))
         return [1e-4 * reach, 2 * reach]
 
-    def _lighting(self, camera: Camera) -> tuple[list[Light], dict]:
+    def _lighting(self, camera: Camera) -> tuple[list[Light], dict[Any, Any]]:
         """Return lights and background of the scene, or of the studio if the scene has neither."""
         if self.lights or self.background is not None:
             grey = {"color": [1.0, 1.0, 1.0], "strength": 1 - LIT}
@@ -732,19 +732,19 @@ class scene(Lines, Shapes, Lenses, Views):
         samples: int = 64,
         device: str = "auto",
     ):
-        self.unit = _validate.one_of("unit", unit, ("mm", "m", "um", "nm"))
+        self.unit: str = _validate.one_of("unit", unit, ("mm", "m", "um", "nm"))
         self.metres = MICROMETRES[self.unit] * 1e-6
         wavelength = D_LINE / self.metres if wavelength is None else wavelength
-        self.wavelength = float(_validate.real("wavelength", wavelength, positive=True))
+        self.wavelength: float = float(_validate.real("wavelength", wavelength, positive=True))
         self.resolution = _validate.size("resolution", resolution)
-        self.samples = _validate.integer("samples", samples, minimum=1)
-        self.device = _validate.one_of("device", device, DEVICES)
+        self.samples: int = _validate.integer("samples", samples, minimum=1)
+        self.device: str = _validate.one_of("device", device, DEVICES)
         self.objects: list[Item] = []
         self.lights: list[Light] = []
         self.camera: Camera | None = None
         self.start_from: str | None = None
         self.removed: list[str] = []
-        self.background: dict | None = None
+        self.background: dict[Any, Any] | None = None
 
     def find(self, name: str) -> Item:
         """Return the object with a name; raise ValueError that lists the names if there is none."""
@@ -924,7 +924,7 @@ class scene(Lines, Shapes, Lenses, Views):
             raise ValueError(f"{path!r} cannot be read as a scene: {error}") from error
 
     @classmethod
-    def _from(cls, document: dict) -> "scene":
+    def _from(cls, document: dict[Any, Any]) -> "scene":
         job = document["render"]
         found = cls(
             document["unit"],
@@ -957,7 +957,7 @@ class scene(Lines, Shapes, Lenses, Views):
         if not self.objects and not self.start_from:
             raise ValueError("the scene is empty: add rays, meshes, surfaces or lenses before rendering it")
 
-    def _job(self, what: str, resolution, samples, device, seed) -> dict:
+    def _job(self, what: str, resolution, samples, device, seed) -> dict[Any, Any]:
         size = self._resolution(resolution)
         if min(size) < SMALLEST:
             raise ValueError(f"resolution must be at least {SMALLEST} rows and columns, got {list(size)}")
@@ -971,7 +971,7 @@ class scene(Lines, Shapes, Lenses, Views):
             "transparent": False,
         }
 
-    def _document(self, job: dict) -> dict:
+    def _document(self, job: dict[Any, Any]) -> dict[Any, Any]:
         """Return the scene as what :func:`odak.visualize.blender.scenes.write_scene` writes."""
         if self.start_from:
             camera, lights, background = self.camera, self.lights, self.background

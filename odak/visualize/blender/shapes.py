@@ -50,7 +50,14 @@ class Lines:
     _add: Any
 
     def add_rays(
-        self, rays, distance=1.0, *, radius: float | None = None, color="red", material=None, name: str = "rays"
+        self,
+        rays: Any,
+        distance: float = 1.0,
+        *,
+        radius: float | None = None,
+        color: str = "red",
+        material: Any = None,
+        name: str = "rays",
     ) -> Item:
         """Draw rays as thin emitting rods, all of them as one object.
 
@@ -101,7 +108,7 @@ class Lines:
         return self.add_lines(lines, radius=radius, color=_of_kept(color, kept), material=material, name=name)
 
     def add_lines(
-        self, points, *, radius: float | None = None, color="red", material=None, name: str = "lines"
+        self, points: Any, *, radius: float | None = None, color: str = "red", material: Any = None, name: str = "lines"
     ) -> Item:
         """Draw paths from point to point, such as rays through a lens.
 
@@ -155,7 +162,13 @@ class Lines:
         return item
 
     def add_points(
-        self, points, *, radius: float | None = None, color="red", material=None, name: str = "points"
+        self,
+        points: Any,
+        *,
+        radius: float | None = None,
+        color: str = "red",
+        material: Any = None,
+        name: str = "points",
     ) -> Item:
         """Draw points as small spheres.
 
@@ -205,7 +218,15 @@ class Lines:
         return item
 
     def add_cylinder(
-        self, start, end, radius: float, *, color=None, material=None, segments: int = 64, name: str = "cylinder"
+        self,
+        start: Any,
+        end: Any,
+        radius: float,
+        *,
+        color: Any = None,
+        material: Any = None,
+        segments: int = 64,
+        name: str = "cylinder",
     ) -> Item:
         """Draw a closed cylinder between two points.
 
@@ -272,11 +293,11 @@ class Shapes:
 
     def add_mesh(
         self,
-        mesh,
-        faces=None,
+        mesh: Any,
+        faces: Any = None,
         *,
-        color=None,
-        material=None,
+        color: Any = None,
+        material: Any = None,
         smooth: bool = False,
         location: Sequence[float] = ORIGIN,
         rotation: Sequence[float] = ORIGIN,
@@ -329,9 +350,9 @@ class Shapes:
 
     def add_surface(
         self,
-        surface: Callable,
-        y=None,
-        z=None,
+        surface: Callable[..., Any],
+        y: Any = None,
+        z: Any = None,
         *,
         u: Sequence[float] = (0.0, 1.0),
         v: Sequence[float] = (0.0, 1.0),
@@ -339,7 +360,7 @@ class Shapes:
         size: Sequence[float] | None = None,
         smooth: bool = True,
         name: str = "surface",
-        **options,
+        **options: Any,
     ) -> Item:
         """Draw a parametric surface, heights over a rectangle, or a grid of points.
 
@@ -408,8 +429,8 @@ class Shapes:
         center: Sequence[float] = ORIGIN,
         radius: float = 1.0,
         *,
-        color=None,
-        material=None,
+        color: Any = None,
+        material: Any = None,
         segments: int = 128,
         name: str = "sphere",
     ) -> Item:
@@ -451,8 +472,8 @@ class Shapes:
         *,
         location: Sequence[float] = ORIGIN,
         rotation: Sequence[float] = ORIGIN,
-        color=None,
-        material=None,
+        color: Any = None,
+        material: Any = None,
         name: str = "plane",
     ) -> Item:
         """Draw a rectangle, before its rotation in the plane z = 0 and facing +z.
@@ -491,8 +512,8 @@ class Shapes:
         *,
         location: Sequence[float] = ORIGIN,
         rotation: Sequence[float] = ORIGIN,
-        color=None,
-        material=None,
+        color: Any = None,
+        material: Any = None,
         segments: int = 128,
         name: str = "disc",
     ) -> Item:
@@ -502,7 +523,7 @@ class Shapes:
 
     def add_image(
         self,
-        image,
+        image: Any,
         size: Sequence[float],
         *,
         location: Sequence[float] = ORIGIN,
@@ -540,7 +561,7 @@ class Shapes:
         return item
 
 
-def pixels(name: str, image) -> np.ndarray:
+def pixels(name: str, image: Any) -> np.ndarray:
     """Return a picture, given as a file or as numbers, as uint8 ``[rows, columns, 3]``."""
     if isinstance(image, (str, os.PathLike)):
         try:
@@ -616,16 +637,16 @@ class Lenses:
 
     def add_lens(
         self,
-        radii,
+        radii: Any,
         thickness: float | None = None,
         diameter: float | None = None,
-        material="N-BK7",
+        material: str = "N-BK7",
         *,
         conics: Sequence[float] = (0.0, 0.0),
         coefficients: Sequence[Sequence[float]] = ((), ()),
         location: Sequence[float] = ORIGIN,
         rotation: Sequence[float] = ORIGIN,
-        color=None,
+        color: Any = None,
         segments: int = 128,
         ground: bool = True,
         name: str = "lens",
@@ -703,12 +724,12 @@ class Lenses:
 
     def add_system(
         self,
-        system,
-        pupil="y",
+        system: Any,
+        pupil: str = "y",
         count: int = 7,
         *,
         radius: float | None = None,
-        colors: Sequence = COLORS,
+        colors: Sequence[Any] = COLORS,
         location: Sequence[float] = ORIGIN,
         rotation: Sequence[float] = ORIGIN,
         segments: int = 128,
@@ -795,7 +816,7 @@ def _curvature(radius) -> float:
     return 0.0 if math.isinf(radius) else 1 / radius
 
 
-def _pair(name: str, value) -> list:
+def _pair(name: str, value) -> list[Any]:
     if isinstance(value, str) or not isinstance(value, Iterable):
         raise TypeError(f"{name} must be a pair, one for the front and one for the back, got {value!r:.80}")
     pair = list(value)

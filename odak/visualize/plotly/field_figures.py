@@ -557,7 +557,7 @@ class detectorshow(_Images):
             options["unlabelled"] = ("x (samples)", "y (samples)")
             self._add(values, QUANTITIES[name], scale, *place, showscale, **options)
 
-    def _titles(self, given: list, wanted, rows: int, cols: int) -> list:
+    def _titles(self, given: list[Any], wanted, rows: int, cols: int) -> list[Any]:
         """Return the titles of all images, row by row."""
         count = sum(map(bool, wanted))
         if len(given) == 3 != rows * cols * count or given == ["Amplitude", "Phase", "Intensity"]:

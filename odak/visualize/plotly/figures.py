@@ -305,7 +305,7 @@ TEMPLATE: dict[str, Any] = {
 _SCENE_VIEW, _FILLED = math.pi / 4, 0.95
 
 
-def margins(value) -> dict[Any, Any] | None:
+def margins(value: Any) -> dict[Any, Any] | None:
     """Return left, right, bottom and top margins under the names that Plotly gives them."""
     if value is None or isinstance(value, dict):
         return value
@@ -315,7 +315,7 @@ def margins(value) -> dict[Any, Any] | None:
     return dict(zip(("l", "r", "b", "t"), sides, strict=True))
 
 
-def apply(figure, settings: dict[Any, Any]) -> None:
+def apply(figure: Any, settings: dict[Any, Any]) -> None:
     """Apply the template and the size, margins, title and font of the settings; all else stays as it is."""
     values: dict[str, Any] = {
         "width": settings.get("width"),
@@ -333,26 +333,26 @@ def apply(figure, settings: dict[Any, Any]) -> None:
     figure.layout.template = _merged(figure.layout.template.to_plotly_json(), TEMPLATE)
 
 
-def _merged(base: dict, changes: dict) -> dict:
+def _merged(base: dict[Any, Any], changes: dict[Any, Any]) -> dict[Any, Any]:
     """Return a nested dictionary with the entries of another in place of its own."""
     both = {name: _merged(base[name], changes[name]) for name in base.keys() & changes if isinstance(base[name], dict)}
     return {**base, **changes, **both}
 
 
-def axis_names(trace) -> tuple[str, str]:
+def axis_names(trace: Any) -> tuple[str, str]:
     """Return the names that the layout gives the axes of a trace: ``"xaxis2"``, ``"yaxis2"``."""
     x, y = (f"{kind}axis{(getattr(trace, f'{kind}axis') or kind)[1:]}" for kind in "xy")
     return x, y
 
 
-def name_axes(figure, trace, labels: tuple[str, str]) -> None:
+def name_axes(figure: Any, trace: Any, labels: tuple[str, str]) -> None:
     """Set the titles of the axes of a trace and show their numbers."""
     for name, label in zip(axis_names(trace), labels, strict=True):
         if label:
             figure.layout[name].update(title={"text": label}, showticklabels=True)
 
 
-def square_pixels(figure, trace, origin: str) -> None:
+def square_pixels(figure: Any, trace: Any, origin: str) -> None:
     """Set equal scales of the axes of an image, a frame that fits it, and the position of row 0."""
     x, y = axis_names(trace)
     figure.layout[x].update(constrain="domain")
@@ -364,7 +364,7 @@ def square_pixels(figure, trace, origin: str) -> None:
     )
 
 
-def place_titles(figure, titles: list[str], row_titles: list[str], cols: int) -> None:
+def place_titles(figure: Any, titles: list[str], row_titles: list[str], cols: int) -> None:
     """Write titles above the subplots, row by row, and beside the rows; they follow the frames of the images."""
     style = {"font": {"size": FONT_SIZE + 1}, "showarrow": False}
     for i, title in enumerate(row_titles):
@@ -387,7 +387,7 @@ def place_titles(figure, titles: list[str], row_titles: list[str], cols: int) ->
             )
 
 
-def spacing(rows: int, cols: int, shape, margin) -> dict[Any, Any]:
+def spacing(rows: int, cols: int, shape: Any, margin: Any) -> dict[Any, Any]:
     """Return the spacing between subplots that their texts need, as fractions of the plot."""
     side: Any = margins(margin)
     width, height = max(shape[0] - side["l"] - side["r"], 50), max(shape[1] - side["t"] - side["b"], 50)
@@ -395,13 +395,13 @@ def spacing(rows: int, cols: int, shape, margin) -> dict[Any, Any]:
     return {name: min(gap, 0.4 / (count - 1)) for name, (count, gap) in gaps.items() if count > 1}
 
 
-def domains(figure) -> dict[str, tuple[float, float]]:
+def domains(figure: Any) -> dict[str, tuple[float, float]]:
     """Return the domains of all x axes, by their names in the layout."""
     found = {axis.plotly_name: axis.domain for axis in figure.select_xaxes()}
     return {name: (0.0, 1.0) if domain is None else tuple(domain) for name, domain in found.items()}
 
 
-def place_images(figure, at_first: dict, share: float = 1.0, *, rows: int = 1, fit_height: bool = False) -> None:
+def place_images(figure: Any, at_first: dict, share: float = 1.0, *, rows: int = 1, fit_height: bool = False) -> None:
     """Place each colour bar beside its image, as high as the image, in space taken from its column.
 
     Parameters
@@ -476,7 +476,7 @@ def _fit_rows(figure, images, rows: int, width: float) -> float:
     return height
 
 
-def _narrow_columns(figure, at_first: dict, with_bars: set, width: float) -> None:
+def _narrow_columns(figure, at_first: dict[Any, Any], with_bars: set[Any], width: float) -> None:
     """Narrow the columns of images by their colour bars and, where these lack space, by the texts of their axes."""
     size = max((figure.layout.font.size or FONT_SIZE) / FONT_SIZE, 1.0)
     columns = sorted(set(at_first.values()))
@@ -491,7 +491,7 @@ def _narrow_columns(figure, at_first: dict, with_bars: set, width: float) -> Non
         figure.layout[name].domain = (start, max(domain[1] - right, start + least))
 
 
-def place_scene_bars(figure) -> None:
+def place_scene_bars(figure: Any) -> None:
     """Place the colour bars of three-dimensional scenes beside their scenes, several of one scene side by side."""
     width, _ = _plot_size(figure)
     seen: dict[str, int] = {}
@@ -511,7 +511,7 @@ def place_scene_bars(figure) -> None:
             )
 
 
-def note(figure, text: str) -> None:
+def note(figure: Any, text: str) -> None:
     """Write a line at the foot of a figure, replacing an earlier one."""
     kept = [a for a in figure.layout.annotations if a.name != "note"]
     figure.layout.annotations = kept
@@ -620,7 +620,7 @@ class Figure:
         self.update_layout()
         return show(self.fig)
 
-    def save_html(self, filename: str | os.PathLike = "plot.html", plotlyjs: bool | str = True) -> str:
+    def save_html(self, filename: str | os.PathLike[str] = "plot.html", plotlyjs: bool | str = True) -> str:
         """Save the figure as a page, without opening it.
 
         Parameters
@@ -638,7 +638,7 @@ class Figure:
         self.update_layout()
         return write_html(self.fig, filename, plotlyjs)
 
-    def save_markdown(self, filename: str | os.PathLike = "plot.md", plotlyjs: bool | str = False) -> str:
+    def save_markdown(self, filename: str | os.PathLike[str] = "plot.md", plotlyjs: bool | str = False) -> str:
         """Save the figure as a ``<div>`` for a Markdown page.
 
         Parameters
@@ -656,7 +656,7 @@ class Figure:
         self.update_layout()
         return write_markdown(self.fig, filename, plotlyjs)
 
-    def save_image(self, filename: str | os.PathLike, scale: float = 1.0) -> None:
+    def save_image(self, filename: str | os.PathLike[str], scale: float = 1.0) -> None:
         """Save the figure as an image.
 
         Parameters
@@ -685,7 +685,7 @@ class Figure:
         layout = self.fig.layout
         return layout.width or DEFAULT_SIZE[0], layout.height or DEFAULT_SIZE[1]
 
-    def save(self, filename: str | os.PathLike) -> None:
+    def save(self, filename: str | os.PathLike[str]) -> None:
         """Save the figure in the format of the extension: ``.html``, ``.md``, or an image."""
         extension = extension_of(validate_path(filename, [*HTML, *MARKDOWN, *IMAGES]))
         if extension in HTML:
@@ -717,7 +717,7 @@ class Figure:
             self._say(note)
 
 
-def write_html(figure, filename: str | os.PathLike, plotlyjs=True) -> str:
+def write_html(figure: Any, filename: str | os.PathLike[str], plotlyjs: Any = True) -> str:
     """Write a figure as a page and return its ``<div>``, for pages that load plotly.js.
 
     Parameters
@@ -737,7 +737,7 @@ def write_html(figure, filename: str | os.PathLike, plotlyjs=True) -> str:
     return division(figure)
 
 
-def write_markdown(figure, filename: str | os.PathLike, plotlyjs=False) -> str:
+def write_markdown(figure: dict[Any, Any], filename: str | os.PathLike[str], plotlyjs: bool | str = False) -> str:
     """Write the ``<div>`` of a figure, for a Markdown page that is shown as HTML, and return it.
 
     Parameters
@@ -756,7 +756,7 @@ def write_markdown(figure, filename: str | os.PathLike, plotlyjs=False) -> str:
     return text
 
 
-def division(figure, plotlyjs=False) -> str:
+def division(figure: Any, plotlyjs: Any = False) -> str:
     """Return a figure as a ``<div>`` without the blank lines at which Markdown would end it."""
     text = page.to_html(figure, include_plotlyjs=plotlyjs, include_mathjax=False, full_html=False)
     return re.sub(r"\n\s*\n", "\n", text.strip())
@@ -770,7 +770,7 @@ def _library_of(plotlyjs) -> bool | str:
     return _validate.flag("plotlyjs", plotlyjs)
 
 
-def show(figure) -> str | None:
+def show(figure: dict[Any, Any]) -> str | None:
     """Show a figure in a notebook or a browser, without waiting for a window.
 
     Parameters
@@ -820,14 +820,14 @@ def _next_page() -> Path:
     return _folder / f"picture_{len(list(_folder.glob('*.html'))) + 1}.html"
 
 
-def text(name: str, value) -> Any:
+def text(name: str, value: str | None) -> Any:
     """Return a title or a label: a string or a number as it is, or None."""
     if value is None or isinstance(value, str) or (isinstance(value, Real) and not isinstance(value, bool)):
         return value
     raise TypeError(f"{name} must be a string, got {type(value).__name__}")
 
 
-def texts(name: str, value, least: int = 0) -> list[Any]:
+def texts(name: str, value: Any, least: int = 0) -> list[Any]:
     """Return titles or labels as a list of at least so many."""
     if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
         raise TypeError(f"{name} must be a sequence of strings, got {value!r:.80}")
@@ -837,7 +837,7 @@ def texts(name: str, value, least: int = 0) -> list[Any]:
     return found
 
 
-def numbers(name: str, value, count: int, *, positive: bool = False, least: float | None = None) -> list[Any]:
+def numbers(name: str, value: Any, count: int, *, positive: bool = False, least: float | None = None) -> list[Any]:
     """Return `count` real numbers, such as pixels, as a list."""
     found = list(_validate.several(name, value, count, positive=positive))
     if least is not None and min(found) < least:
@@ -845,20 +845,20 @@ def numbers(name: str, value, count: int, *, positive: bool = False, least: floa
     return found
 
 
-def share(name: str, value) -> float:
+def share(name: str, value: float) -> float:
     """Return a number from 0 to 1."""
     if not 0 <= (number := float(_validate.real(name, value))) <= 1:
         raise ValueError(f"{name} must be from 0 to 1, got {value!r}")
     return number
 
 
-def mapping(name: str, value, default: Mapping) -> dict[Any, Any]:
+def mapping(name: str, value: Any, default: Mapping[Any, Any]) -> dict[Any, Any]:
     """Return settings of Plotly as a new dictionary, the default for None."""
     _validate.instance(name, value, (Mapping, type(None)), "a dictionary")
     return dict(default if value is None else value)
 
 
-def scale(name: str, value):
+def scale(name: str, value: str) -> str:
     """Return a colour scale that Plotly takes: a name, or a list of colours."""
     try:
         graph.Heatmap(colorscale=value)
@@ -867,7 +867,7 @@ def scale(name: str, value):
     return value
 
 
-def colour(name: str, value) -> str:
+def colour(name: str, value: str) -> str:
     """Return the name or the code of one colour that Plotly takes."""
     try:
         graph.Scatter(marker={"color": value})
@@ -877,7 +877,7 @@ def colour(name: str, value) -> str:
     return value
 
 
-def cell(counts: tuple[int, int], row, col) -> dict[str, int]:
+def cell(counts: tuple[int, int], row: int, col: int) -> dict[str, int]:
     """Return the row and the column of a plot, from 1, after checking that there is one."""
     place = {}
     for name, value, count in zip(("row", "col"), (row, col), counts, strict=True):

@@ -639,7 +639,7 @@ def colors(color, count: int, settings: dict[Any, Any], repeat: int = 1) -> dict
     return {"color": found if scale else found.tolist(), **scale}
 
 
-def face_colors(color, count: int, settings: dict[Any, Any]) -> dict[Any, Any]:
+def face_colors(color: str, count: int, settings: dict[Any, Any]) -> dict[Any, Any]:
     """Return the colours or values of the `count` triangles of a mesh as arguments of Plotly."""
     style = colors(color, count, settings)
     if isinstance(color, str):
@@ -764,7 +764,7 @@ def _frame_from_the_side(figure) -> None:
     left, right, bottom, top = figure.settings["margin"]
     size = width - left - right, height - bottom - top
     camera, ranges = figures.camera_towards(points, VIEW, (0.0, 1.0, 0.0), size)
-    axes: dict[str, dict] = {f"{a}axis": {"range": span} for a, span in zip("xyz", ranges, strict=True)}
+    axes: dict[str, dict[Any, Any]] = {f"{a}axis": {"range": span} for a, span in zip("xyz", ranges, strict=True)}
     # Seen from the side the x axis is foreshortened: its numbers would overlap.
     axes["xaxis"] |= {"nticks": 3}
     axes["yaxis"] |= {"nticks": 5}

@@ -850,7 +850,7 @@ def relative_deviation(points: torch.Tensor, ideal: torch.Tensor) -> torch.Tenso
 
 
 def paraxial_points(
-    system, prescription: Prescription | None = None, fields=None, projection: str = "tangent"
+    system: optical_system, prescription: Prescription | None = None, fields: Any = None, projection: str = "tangent"
 ) -> torch.Tensor:
     """Return the points of the paraxial chief rays in the image plane, ``[..., F, 2]``, at the reference wavelength."""
     projection = _validate.one_of("projection", projection, ("tangent", "angle"))
@@ -1076,7 +1076,7 @@ def wavefront(
     return Wavefront(torch.where(kept, lag, torch.nan), rms, points, cosines, status, weights)
 
 
-def path_at_start(system, rays, numbers: Prescription):
+def path_at_start(system: optical_system, rays: Any, numbers: Prescription) -> float | torch.Tensor:
     """Return the optical path of rays up to their starts, from a plane wavefront or from one point."""
     if not system.at_infinity:
         return 0.0

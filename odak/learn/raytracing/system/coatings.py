@@ -1,7 +1,7 @@
 """Design of coatings: thin films are inserted where they help most, and all thicknesses refined."""
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
@@ -329,7 +329,7 @@ def _needles(aim: _Aim, order: torch.Tensor, thick: torch.Tensor, count: int) ->
     return [(film, best[film, medium][1], medium) for film, medium in ranked]
 
 
-def _with_needle(order: torch.Tensor, thick: torch.Tensor, film: int, place: float, medium: int) -> tuple:
+def _with_needle(order: torch.Tensor, thick: torch.Tensor, film: int, place: float, medium: int) -> tuple[Any, ...]:
     """Return a stack with a film of thickness 0 inside another."""
     own, size = order[film : film + 1], thick[film : film + 1]
     media = torch.cat((order[:film], own, own.new_tensor([medium]), own, order[film + 1 :]))

@@ -217,10 +217,10 @@ class lens_design:
         count: int = 4,
         aim: str = "paraxial",
     ):
-        self.system = checked_system(system)
+        self.system: optical_system = checked_system(system)
         self.operands = checked_operands(operands)
         self.pupil, self.count = pupil, _validate.integer("count", count, minimum=1)
-        self.aim = _validate.one_of("aim", aim, AIMS)
+        self.aim: str = _validate.one_of("aim", aim, AIMS)
         pupil_of(pupil, self.count, system)
         with torch.no_grad():
             held = (v.detach() if isinstance(v, torch.Tensor) else v for v in system.prescription())
@@ -229,9 +229,9 @@ class lens_design:
         self.environment: Environment | None = None
         # Of several designs, which glasses are real ones already, [N, glasses].
         self.real: torch.Tensor | None = None
-        self.pickups = [self._checked_pickup(item) for item in _items("pickups", pickups, Pickup)]
-        self.solves = [self._checked_solve(item) for item in _items("solves", solves, Solve)]
-        self.solved = {(_number_of(item), item.surface) for item in self.solves}
+        self.pickups: list[Pickup] = [self._checked_pickup(item) for item in _items("pickups", pickups, Pickup)]
+        self.solves: list[Solve] = [self._checked_solve(item) for item in _items("solves", solves, Solve)]
+        self.solved: set[tuple[str, int]] = {(_number_of(item), item.surface) for item in self.solves}
         self.places: dict[str, list[tuple[int, int]]] = {}
         self.columns: dict[str, list[int]] = {}
         rows: list[tuple[float, ...]] = []
@@ -682,7 +682,7 @@ class lens_design:
             return ()
         return self._take_glasses(self.values[None], makers, candidates, iterations, _run)
 
-    def _take_glasses(self, starts, makers: tuple[str, ...], candidates: int, iterations: int, run: Callable):
+    def _take_glasses(self, starts, makers: tuple[str, ...], candidates: int, iterations: int, run: Callable[..., Any]):
         """Do the work of :meth:`substitute_glasses` from several starts ``[N, V]``.
 
         `run` takes a design, values ``[N, V]`` and a number of steps, and returns optimised values and merits.
@@ -704,9 +704,9 @@ class lens_design:
             order = merit.argsort(stable=True)[:keep].tolist()
             return [(float(merit[i]), rows[i], held[i]) for i in order]
 
-        found: list = [(0.0, (None,) * len(columns), start) for start in starts]
+        found: list[Any] = [(0.0, (None,) * len(columns), start) for start in starts]
         for _ in columns:
-            choices: dict = {}
+            choices: dict[Any, Any] = {}
             for _, row, values in found:
                 for j, pair in enumerate(columns):
                     for name in nearest_glasses(values[pair].tolist(), candidates, makers) if row[j] is None else ():
@@ -828,7 +828,7 @@ class zoom_design(lens_design):
         options = {"pickups": pickups, "solves": solves, "pupil": pupil, "count": count, "aim": aim}
         listed = _listed(operands) if not isinstance(operands, (str, Operand)) else [operands]
         with torch.no_grad():
-            self.each = [
+            self.each: list[lens_design] = [
                 lens_design(
                     zoom._view(c, True, False),
                     [_of_configuration(item, c, zoom.count) for item in listed],
@@ -848,7 +848,7 @@ class zoom_design(lens_design):
         own = {(name, place) for name, place, _ in zoom.settings}
         for name, place in sorted(self.solved - own):
             raise ValueError(f"solves must be for what the settings have, got one for the {name} of surface {place}")
-        values: list[tuple] = []
+        values: list[tuple[Any, ...]] = []
         self.columns, self.rows = {}, [[0] * len(first.values) for _ in self.each]
         for name, places in self.places.items():
             for (place, _), column in zip(places, first.columns[name], strict=True):
@@ -967,18 +967,18 @@ def _number_of(item: Solve) -> str:
     return "curvature" if item.kind == "focal_length" else "thickness"
 
 
-def _items(name: str, values: Any, kind: type) -> list:
+def _items(name: str, values: Any, kind: type[Any]) -> list[Any]:
     listed = [values] if isinstance(values, kind) else list(values) if isinstance(values, Iterable) else [values]
     if not all(isinstance(item, kind) for item in listed):
         raise TypeError(f"{name} must be a sequence of {kind.__name__}, got {values!r:.80}")
     return listed
 
 
-def _listed(values: Any) -> list:
+def _listed(values: Any) -> list[Any]:
     return list(values) if isinstance(values, Iterable) else [values]
 
 
-def _placed(old: torch.Tensor, chosen: torch.Tensor, places: list, name: str) -> torch.Tensor:
+def _placed(old: torch.Tensor, chosen: torch.Tensor, places: list[Any], name: str) -> torch.Tensor:
     """Return numbers with those chosen, ``[..., n]``, in their places."""
     if name == "index":
         for j, (place, _) in enumerate(places):

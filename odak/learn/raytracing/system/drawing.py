@@ -230,7 +230,7 @@ def color_of(i: int) -> tuple[float, ...]:
     return tuple(value / 255 for value in COLOURS[i % len(COLOURS)])
 
 
-def image_unit(system) -> str:
+def image_unit(system: optical_system) -> str:
     """Return the unit of small lengths in the image; afocal systems have angles instead."""
     return "µrad" if system.afocal else "µm"
 
@@ -241,7 +241,7 @@ def _profile(scene: SystemScene, i: int) -> np.ndarray:
     return points[np.isfinite(points).all(-1)][:, [2, 1]]
 
 
-def focus_unit(system) -> tuple[str, float]:
+def focus_unit(system: optical_system) -> tuple[str, float]:
     """Return the unit of focal shifts and the factor to it; shifts of 1 m by the lens of 1 m are a dioptre."""
     return ("1/m", MICROMETRES[system.unit] * 1e-6) if system.afocal else (unit_of(system), 1.0)
 
@@ -314,7 +314,7 @@ def spots_figure(system: optical_system, found: Spots | None = None) -> Figure:
     return figure
 
 
-def image_aperture(system) -> float:
+def image_aperture(system: optical_system) -> float:
     """Return the numerical aperture at the image, 0 for an afocal system."""
     return float(first_order(system).numerical_aperture.detach())
 
@@ -423,7 +423,7 @@ def field_figure(system: optical_system, points: int = 21, aim: str = "paraxial"
     return figure
 
 
-def projection_of(system) -> str:
+def projection_of(system: optical_system) -> str:
     """Return the projection from which distortion is stated: "angle" if a field has no tangent."""
     wide = system.at_infinity and any(max(map(abs, field)) >= 90 for field in system.fields)
     return "angle" if wide else "tangent"
@@ -1373,7 +1373,7 @@ def _first_order_rows(system) -> list[tuple[str, Any]]:
 _COLUMNS = ("radius", "thickness", "material", "shape")
 
 
-def _surface_rows(system) -> list[tuple]:
+def _surface_rows(system) -> list[tuple[Any, ...]]:
     """Return the number, radius, thickness, material and shape of each surface."""
     rows = []
     for i, entry in enumerate(system_to_dict(system)["surfaces"]):
@@ -1432,11 +1432,11 @@ _RATIOS = ("magnification", "f number", "working f number", "numerical aperture"
 
 
 @torch.no_grad()
-def _drawn(system) -> tuple[list, list, list]:
+def _drawn(system) -> tuple[list[Any], list[Any], list[Any]]:
     """Return the layout of a system, rows of its first-order properties, and why either is missing."""
-    pictures: list = []
-    rows: list = []
-    failed: list = []
+    pictures: list[Any] = []
+    rows: list[Any] = []
+    failed: list[Any] = []
     try:
         pictures = [("layout", _svg_of(layout_figure(system)))]
     except (ValueError, RuntimeError, ArithmeticError, IndexError) as error:
@@ -1518,7 +1518,7 @@ def spots_view(found: Spots) -> _show.View:
         axes.set_title(f"field {i}", fontsize=9)
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=80)
-    table: list = [("field", "centre x", "centre y", "RMS", "largest", "rays lost")]
+    table: list[Any] = [("field", "centre x", "centre y", "RMS", "largest", "rays lost")]
     for i in range(count):
         missing = f"{int(lost[:, i].sum())} of {lost[:, i].numel()}"
         table.append((str(i), *map(float, (*center[i].round(decimals=9), rms[i], largest[i])), missing))

@@ -97,7 +97,7 @@ class Environment(NamedTuple):
     nominal: float = 20.0
 
 
-def tell_unknown(systems: Iterable) -> None:
+def tell_unknown(systems: Iterable[Any]) -> None:
     """Warn once of glasses whose expansion or dn/dT is not known; raise ValueError for what has no known change.
 
     Parameters
@@ -125,7 +125,7 @@ def tell_unknown(systems: Iterable) -> None:
         )
 
 
-def expanded_system(system, given: Environment) -> optical_system:
+def expanded_system(system: optical_system, given: Environment) -> optical_system:
     """Return a system in an environment, linked to the system.
 
     Parameters
@@ -155,7 +155,7 @@ def expanded_system(system, given: Environment) -> optical_system:
     return found
 
 
-def expanded(system, p: Prescription, given: Environment) -> Prescription:
+def expanded(system: optical_system, p: Prescription, given: Environment) -> Prescription:
     """Return numbers that hold at the nominal temperature as they are in an environment.
 
     Parameters
@@ -191,7 +191,7 @@ def expanded(system, p: Prescription, given: Environment) -> Prescription:
     )
 
 
-def _growth(items, given: Environment, device: torch.device) -> tuple[torch.Tensor, list, torch.Tensor]:
+def _growth(items, given: Environment, device: torch.device) -> tuple[torch.Tensor, list[Any], torch.Tensor]:
     """Return the factors by which surfaces grow, ``[S]``, the coefficients of the glasses behind, and the warming."""
     change = torch.as_tensor(given.temperature, dtype=torch.float64, device=device).reshape(()) - given.nominal
     rates: list[float | None] = []
@@ -223,7 +223,7 @@ def _index_change(medium, waves: torch.Tensor, unit: str, given: Environment, no
     return there - refractive_index(medium, waves, unit, medium="air")
 
 
-def _heights(items, p: Prescription, growth, i: int) -> tuple:
+def _heights(items, p: Prescription, growth, i: int) -> tuple[Any, ...]:
     """Return the heights of two neighbouring surfaces at their rims, zeros where a rim is not known."""
     pair: list[Any] = [items[i], items[i + 1] if i + 1 < len(items) else None]
     if any(item is None or is_break(item) or item.semi_diameter is None for item in pair):
@@ -236,7 +236,7 @@ def _height(p: Prescription, i: int, radius: torch.Tensor):
     return shape.sag(0 * radius, radius).height
 
 
-def shared_copy(module):
+def shared_copy(module: Any) -> Any:
     """Return a module that shares its parts with another until they are replaced."""
     found = copy.copy(module)
     for name in ("_parameters", "_buffers", "_modules"):
@@ -244,7 +244,7 @@ def shared_copy(module):
     return found
 
 
-def replaced(item, name: str, value: torch.Tensor) -> None:
+def replaced(item: Any, name: str, value: torch.Tensor) -> None:
     """Replace a number of a surface by a tensor of any graph."""
     held = ("curvature_value", "radius_value") if name == "curvature" else (name,)
     for old in held:

@@ -153,7 +153,7 @@ class LensGradient(Gradient):
     axial: Any = (0.0, 0.0)
     radial: Any = 0.0
 
-    def squared(self, x, y, z, base) -> tuple[Any, ...]:
+    def squared(self, x: Any, y: Any, z: Any, base: Any) -> tuple[Any, ...]:
         """Return the square of the index and its derivatives by x, y and z."""
         a, b = vec.terms(self.axial)
         index = base + (a + b * z) * z + self.radial * (x * x + y * y)

@@ -45,7 +45,7 @@ class Element(NamedTuple):
         Curvature, conic constant, distance from the vertex before, tuple of coefficients, indices on both sides.
     """
 
-    kind: type
+    kind: type[Any]
     action: str
     sign: int
     limit: float | None
@@ -97,7 +97,7 @@ class Contraction(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(derivative, tangent):
+    def forward(derivative: Any, tangent: Any) -> tuple[torch.Tensor, ...]:
         """Return the products ``[7, B, R]``."""
         return (derivative @ tangent[..., None])[..., 0]
 
@@ -106,7 +106,7 @@ class Contraction(torch.autograd.Function):
         """Keep nothing: no further derivatives are taken."""
 
     @staticmethod
-    def vmap(info, in_dims, derivative, tangent):
+    def vmap(info: Any, in_dims: Any, derivative: torch.Tensor, tangent: torch.Tensor) -> Any:
         """Return the products of all directions, as the last axis."""
         if in_dims[0] is not None or in_dims[1] is None:
             derivative, tangent = (
@@ -156,7 +156,7 @@ class Trace(torch.autograd.Function):
         ctx.mark_non_differentiable(output[7])
 
     @staticmethod
-    def jvp(ctx, _, *tangents):
+    def jvp(ctx: Any, _: Any, *tangents: Any) -> tuple[torch.Tensor, ...]:
         """Return the tangents of x, y, z, u, v, w and path, 0 where a ray failed."""
         *tensors, status = (as_constant(value) for value in ctx.saved_tensors)
         with outside_functional_transforms(*tensors, status):
@@ -171,7 +171,7 @@ class Trace(torch.autograd.Function):
         return (*total.unbind(0), None)
 
     @staticmethod
-    def vmap(info, in_dims, layout, *tensors):
+    def vmap(info: Any, in_dims: Any, layout: Layout, *tensors: Any) -> Any:
         """Trace what torch.func.vmap maps over as more systems."""
         placed = [
             (value if axis is None else value.movedim(axis, 0)).expand(
@@ -183,7 +183,7 @@ class Trace(torch.autograd.Function):
         return tuple(value.unflatten(0, (info.batch_size, -1)) for value in found), (0,) * 8
 
     @staticmethod
-    def backward(ctx, *gradients):
+    def backward(ctx: Any, *gradients: Any) -> tuple[torch.Tensor | None, ...]:
         """Return the gradients of rays and numbers."""
         *tensors, status = ctx.saved_tensors
         if torch.is_grad_enabled():
@@ -191,7 +191,7 @@ class Trace(torch.autograd.Function):
         return (None, *_gradients(ctx.layout, tensors, status, gradients[:7]))
 
 
-def blocks(layout: Layout, numbers: Numbers, shape, dtype):
+def blocks(layout: Layout, numbers: Numbers, shape: tuple[int, ...], dtype: torch.dtype) -> Any:
     """Yield rows, columns and elements of the blocks that rays ``[B, R]`` are traced in."""
     count, rays = shape
     block = BLOCK_BYTES // dtype.itemsize
@@ -296,7 +296,7 @@ def ray_derivatives(layout: Layout, tensors, status) -> tuple[tuple[Any, ...], t
     def work(start):
         rows = slice(start, start + size)
         sequence = _elements(layout, Numbers(*(value[rows] for value in own)), dtype)
-        records: list = []
+        records: list[Any] = []
         _run(tuple(value[rows] for value in rays), sequence, records)
         seeds = [column[:, None, None].expand(7, len(lost[rows]), 1) for column in unit]
         seeds = [value.masked_fill(lost[rows], 0.0) for value in seeds]
@@ -333,7 +333,7 @@ def _plain_derivatives(layout, numbers, rays, seeds, rows, by_rays, by_numbers) 
                 target[k, rows] = value
 
 
-def _run(block, sequence, keep: list | None = None):
+def _run(block, sequence, keep: list[Any] | None = None):
     """Return the block behind the last surface and its statuses, or None if a ray misses or is totally reflected."""
     x, y, z, u, v, w = block
     path = torch.zeros_like(x)
@@ -531,7 +531,7 @@ def _vector_jacobian_product(sequence, records, gradients) -> tuple[list[torch.T
     return g, found[::-1]
 
 
-def _accumulate(totals: Numbers, rows: tuple, i: int, change: SurfaceGradients) -> None:
+def _accumulate(totals: Numbers, rows: tuple[Any, ...], i: int, change: SurfaceGradients) -> None:
     """Add the gradients of surface `i` to the totals of the systems `rows`."""
     own, behind = (*rows, i), (*rows, i + 1)
     totals.curvature[own] += change.curvature

@@ -73,7 +73,7 @@ class Operand(NamedTuple):
     weight: float = 1.0
     lower: float | None = None
     upper: float | None = None
-    options: Mapping = {}
+    options: Mapping[Any, Any] = {}
 
     def residuals(self, values: torch.Tensor) -> torch.Tensor:
         """Return the residuals of the values ``[..., n]``: the merit is half the sum of their squares."""
@@ -126,7 +126,7 @@ class View:
     ):
         self.system, self.prescription, self.given_heights, self.glass = system, prescription, heights, glass
         self.options: dict[str, Any] = {"prescription": prescription, "aim": aim}
-        self.points = pupil_of(pupil, count, system)
+        self.points: torch.Tensor = pupil_of(pupil, count, system)
         weights = weights_of(pupil, count, self.points)
         self.weights: Any = 1.0 if weights is None else weights / weights.mean(-1, keepdim=True)
 
@@ -248,7 +248,7 @@ def _places(surfaces, count: int, default: Iterable[int]) -> list[int]:
     return [_validate.place_in("surfaces", place, count) for place in listed]
 
 
-def _spread(values, count: int) -> list:
+def _spread(values, count: int) -> list[Any]:
     values = list(values) if isinstance(values, Iterable) else [values] * count
     if len(values) != count:
         raise ValueError(f"heights must be one or one for each of {count} surfaces, got {len(values)}")

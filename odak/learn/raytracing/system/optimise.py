@@ -195,8 +195,8 @@ LADDER = ((0.03, 0.3, 3.0, 30.0, 300.0), 1.0, 3e4, 4)
 
 
 def least_squares(
-    linearised: Callable,
-    losses: Callable,
+    linearised: Callable[..., Any],
+    losses: Callable[..., Any],
     x: torch.Tensor,
     *,
     lower: Any = None,
@@ -204,7 +204,7 @@ def least_squares(
     iterations: int,
     damping: float | torch.Tensor = 1e-3,
     tolerance: float = 1e-10,
-    callback: Callable | None = None,
+    callback: Callable[..., Any] | None = None,
     ladder: tuple[Any, ...] = ONE,
     floor: float = 0.0,
 ) -> LeastSquares:
@@ -368,7 +368,7 @@ def _by_columns(value, parameters):
     return torch.stack(columns, -1)
 
 
-def linearised_forward(residuals: Callable, values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def linearised_forward(residuals: Callable[..., Any], values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Return residuals ``[..., R]`` at values ``[..., V]`` and their Jacobian ``[..., R, V]`` in one forward pass.
 
     Parameters
@@ -812,7 +812,7 @@ def _after_compensation(system, numbers: Prescription, compensators, merit: Call
 
 
 @torch.no_grad()
-def _linearly_compensated(system, numbers: Prescription, entries: list, iterations: int) -> tuple:
+def _linearly_compensated(system, numbers: Prescription, entries: list[Any], iterations: int) -> tuple[Any, ...]:
     """Return spots ``[N, F]`` and prescriptions by Gauss–Newton steps with the derivatives of the system as drawn."""
     moved, held = _mover(numbers, entries)
     nominal, _ = _mover(perturbed(system, system.prescription(), [], 1, 0), entries)
@@ -884,7 +884,7 @@ def compensated(system, numbers: Prescription, compensators, merit: Callable, it
     return moved(found.x)
 
 
-def _mover(numbers: Prescription, entries: list) -> tuple[Callable, dict]:
+def _mover(numbers: Prescription, entries: list[Any]) -> tuple[Callable[..., Any], dict[Any, Any]]:
     """Return a function that moves the compensators ``[N, V]`` or ``[N, trials, V]`` of a batch, and its numbers."""
     held = {name: getattr(numbers, name) for name in (*COMPENSATORS, "coefficients", "index")}
     for name in ("shift", "tilt"):
@@ -938,7 +938,7 @@ def _checked_perturbations(perturbations, count: int) -> list[tuple[Perturbation
     return found
 
 
-def _checked_compensators(compensators) -> list:
+def _checked_compensators(compensators) -> list[Any]:
     if isinstance(compensators, str) or not isinstance(compensators, Iterable):
         raise TypeError(f"compensators must be a sequence of pairs (name, surface), got {compensators!r:.80}")
     return list(compensators)
@@ -987,7 +987,7 @@ def _deviated(system, nominal: Prescription, items, draws, samples: int) -> Pres
     return Prescription(**values, **apart)
 
 
-def _shift_numbers(system, values: dict, places: list[int], drawn: torch.Tensor, item: Perturbation) -> None:
+def _shift_numbers(system, values: dict[Any, Any], places: list[int], drawn: torch.Tensor, item: Perturbation) -> None:
     """Change numbers of surfaces by `drawn` ``[samples, places, 1 or 2]``, in place."""
     name = _kind(item)
     axes = values[name].shape[-1] if name in ("shift", "tilt") else 1
@@ -1017,7 +1017,7 @@ def _irregular_shapes(system, nominal: Prescription, values: dict, irregular: di
     return tuple(shapes)
 
 
-def _turn(system, values: dict, places: list[int], angles: torch.Tensor, item: Perturbation) -> None:
+def _turn(system, values: dict[Any, Any], places: list[int], angles: torch.Tensor, item: Perturbation) -> None:
     """Turn surfaces as one rigid body by angles ``[samples, 1 or 2]`` in degrees, in place of their numbers.
 
     The vertex of each surface moves across the axis by its shift, and along it by the distances on both sides.

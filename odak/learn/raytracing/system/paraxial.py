@@ -81,16 +81,16 @@ class Matrix(NamedTuple):
     c: torch.Tensor
     d: torch.Tensor
 
-    def then_surface(self, power) -> "Matrix":
+    def then_surface(self, power: torch.Tensor) -> "Matrix":
         """Return the matrix with a surface of this power behind it."""
         return Matrix(self.a, self.b, self.c - power * self.a, self.d - power * self.b)
 
-    def then(self, a, b, c, d) -> "Matrix":
+    def then(self, a: Any, b: Any, c: Any, d: Any) -> "Matrix":
         """Return the matrix with another one behind it."""
         first, second = self.a * a + self.c * b, self.b * a + self.d * b
         return Matrix(first, second, self.a * c + self.c * d, self.b * c + self.d * d)
 
-    def then_gap(self, reduced) -> "Matrix":
+    def then_gap(self, reduced: torch.Tensor) -> "Matrix":
         """Return the matrix with a gap of this thickness over index behind it."""
         return Matrix(self.a + reduced * self.c, self.b + reduced * self.d, self.c, self.d)
 
@@ -167,7 +167,7 @@ def first_order(
     )
 
 
-def image_distances(system, p: Prescription) -> torch.Tensor:
+def image_distances(system: optical_system, p: Prescription) -> torch.Tensor:
     """Return the paraxial distance of the image from the last surface at each wavelength, ``[..., W]``."""
     check_media(system, p)
     check_image_space(system, p)
@@ -337,7 +337,7 @@ def _at_one_wavelength(system, wavelength, prescription):
     return prescription.at(system.reference)
 
 
-def check_media(system, p: Prescription, last: int | None = None) -> None:
+def check_media(system: optical_system, p: Prescription, last: int | None = None) -> None:
     """Raise ValueError for a graded medium in front of surface `last` that continues behind a mirror or a break."""
     for i, gradient in enumerate((p.gradients or ())[:last]):
         following = system.surfaces[i + 1] if gradient is not None and i + 1 < len(system.surfaces) else None
@@ -349,7 +349,7 @@ def check_media(system, p: Prescription, last: int | None = None) -> None:
             )
 
 
-def check_image_space(system, p: Prescription) -> None:
+def check_image_space(system: optical_system, p: Prescription) -> None:
     """Raise ValueError if the image lies in a graded medium, where the rays are curved."""
     i = len(system.surfaces) - 1
     while i > 0 and (is_break(system.surfaces[i]) or system.surfaces[i].reflects):
@@ -361,7 +361,7 @@ def check_image_space(system, p: Prescription) -> None:
         )
 
 
-def signed_indices(system, p: Prescription) -> torch.Tensor:
+def signed_indices(system: optical_system, p: Prescription) -> torch.Tensor:
     """Return the indices at the first wavelength, ``[..., S + 1]``, negative after an odd number of mirrors."""
     signs, sign = [1.0], 1.0
     for item in system.surfaces:
@@ -598,14 +598,14 @@ def seidel_sums(system: optical_system, field: Any = None, prescription: Prescri
     return ThirdOrder(seidel, chromatic, transverse)
 
 
-def _index_at(gradient, base, z) -> tuple:
+def _index_at(gradient, base, z) -> tuple[Any, ...]:
     """Return the index on the axis at a depth in a graded medium, and its derivatives by r² and by z."""
     squared, second, _, along = gradient.expansion(z, base)
     index = squared.sqrt()
     return index, second / (2 * index), along / (2 * index)
 
 
-def _graded_sums(gradient, base, spread, thickness, rays) -> tuple:
+def _graded_sums(gradient, base, spread, thickness, rays) -> tuple[Any, ...]:
     """Return the two paraxial rays behind a graded medium, and its Seidel and chromatic sums.
 
     Parameters

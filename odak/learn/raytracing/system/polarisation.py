@@ -221,7 +221,7 @@ class _Record:
         zero = torch.zeros_like(self.absorption)
         return torch.stack([torch.stack([value + zero for value in row], -1) for row in frame.matrix], -2)
 
-    def _coefficients(self, item, passage, k, out, normal) -> tuple:
+    def _coefficients(self, item, passage, k, out, normal) -> tuple[Any, ...]:
         """Return the complex amplitude coefficients along s and p."""
         if item.reflects and item.own_coating is None:
             one = torch.ones_like(self.absorption, dtype=self.matrix.dtype)
@@ -445,7 +445,7 @@ def _ghost(first: int, second: int, way, samples: int, fields, numbers) -> Ghost
     return Ghost(first, second, power, focus, torch.as_tensor(squared).sqrt(), x, y, share)
 
 
-def jones_vector(values) -> tuple[complex, complex]:
+def jones_vector(values: Any) -> tuple[complex, complex]:
     """Return a Jones vector as two complex numbers."""
     try:
         found = torch.as_tensor(values, dtype=torch.complex128).reshape(-1).tolist()

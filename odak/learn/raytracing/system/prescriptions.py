@@ -72,7 +72,7 @@ class Prescription(NamedTuple):
         with torch.no_grad():
             index = self.index.expand(*self.batch, *self.index.shape[-2:]).reshape(-1, *self.index.shape[-2:])[0].cpu()
         waves = range(len(index)) if self.wavelengths is None else self.wavelengths.tolist()
-        table: list = [("surface", "radius", "conic constant", "thickness", *(f"index at {w:.6g}" for w in waves))]
+        table: list[Any] = [("surface", "radius", "conic constant", "thickness", *(f"index at {w:.6g}" for w in waves))]
         for i, (bend, conic, length) in enumerate(zip(of("curvature"), of("conic"), of("thickness"), strict=True)):
             kind = type(self.shapes[i]).__name__ if self.shapes is not None and self.shapes[i] is not None else None
             table.append((str(i), kind or (1 / bend if bend else "∞"), conic, length, *index[:, i + 1].tolist()))
@@ -112,7 +112,7 @@ class Prescription(NamedTuple):
                     found += [(torch.as_tensor(v, dtype=torch.float64, device=like.device), r) for v, r in pairs]
         return found
 
-    def _groups(self) -> tuple:
+    def _groups(self) -> tuple[Any, ...]:
         return self.shapes, self.phases, self.gradients
 
     def shape(self, i: int) -> Shape:
@@ -229,7 +229,7 @@ def padded(value: torch.Tensor, count: int) -> torch.Tensor:
     return torch.nn.functional.pad(value, (0, count - value.shape[-1]))
 
 
-def checked_prescription(prescription) -> Prescription | None:
+def checked_prescription(prescription: Prescription | None) -> Prescription | None:
     """Return a prescription after checking that it is one; None stays None."""
     if prescription is not None and not isinstance(prescription, Prescription):
         raise TypeError(f"prescription must be a Prescription, got {type(prescription).__name__}")

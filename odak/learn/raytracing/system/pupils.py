@@ -127,7 +127,7 @@ class ChiefRays(NamedTuple):
     ends: torch.Tensor | None = None
 
 
-_CHIEF_RAYS: dict[tuple, ChiefRays] = {}
+_CHIEF_RAYS: dict[tuple[Any, ...], ChiefRays] = {}
 
 
 class PupilQuadrature(NamedTuple):
@@ -244,7 +244,7 @@ def pupil_quadrature(
     return PupilQuadrature(points[:, used], weights[:, used])
 
 
-def _changes(clear: Callable, low: torch.Tensor, high: torch.Tensor, inside: Any, halvings: int) -> tuple:
+def _changes(clear: Callable, low: torch.Tensor, high: torch.Tensor, inside: Any, halvings: int) -> tuple[Any, ...]:
     """Return intervals ``[..., R]`` at whose ends rays differ, within those given; a trace does up to 4 halvings."""
     for left in range(halvings, 0, -4):
         parts = 2 ** min(4, left)
@@ -389,7 +389,7 @@ def vignetting_factors(system: optical_system, fields: Any = None, *, aim: str =
         rays = through_pupil(system, torch.stack(torch.broadcast_tensors(x, y), -1), chosen, numbers, aim)
         return trace(system, rays, prescription=numbers).arrived[0]
 
-    def ends(clear_at: Callable) -> tuple[torch.Tensor, torch.Tensor]:
+    def ends(clear_at: Callable[..., Any]) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the outermost clear places of a line, ``[F, 1]`` each."""
         line = torch.linspace(-1, 1, 2 * STEPS + 1, dtype=torch.float64, device=device)
         flags = clear_at(line.expand(len(chosen), -1))
@@ -408,7 +408,7 @@ def vignetting_factors(system: optical_system, fields: Any = None, *, aim: str =
     return torch.cat([(right + left) / 2, middle, 1 - (right - left) / 2, 1 - (top - bottom) / 2], -1)
 
 
-def pupil_factors(system, fields: torch.Tensor) -> torch.Tensor | None:
+def pupil_factors(system: optical_system, fields: torch.Tensor) -> torch.Tensor | None:
     """Return the vignetting factors ``[F, 4]`` of field points ``[F, 2]``, zeros of others than the system's own.
 
     None for a system without factors.
@@ -429,7 +429,7 @@ def pupil_factors(system, fields: torch.Tensor) -> torch.Tensor | None:
     return torch.where(same.any(1)[:, None], factors[same.to(torch.uint8).argmax(1)], 0.0)
 
 
-def field_points(system, fields=None) -> torch.Tensor:
+def field_points(system: Any, fields: Any = None) -> torch.Tensor:
     """Return field points ``[F, 2]`` of numbers y or pairs (x, y) in float64, the system's own by default."""
     if isinstance(fields, torch.Tensor):
         fields = torch.stack([0 * fields, fields], -1) if fields.ndim == 1 else fields
@@ -462,7 +462,7 @@ def real_places(system, numbers: Prescription, pupil, points: torch.Tensor, fiel
     return *aimed(system, numbers, pupil, points, fields, wide), wide
 
 
-def places_of(pupil, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def places_of(pupil: Any, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Return coordinates in the entrance pupil, as its `reach` has them, of points in units of its radius."""
     reach = pupil.reach[..., None, None, None]
     middle = (value[..., None, None, None] for value in pupil.middle)
@@ -487,7 +487,7 @@ def through_places(system, fields: torch.Tensor, pupil, px, py, wide: bool = Fal
     return Rays(*rays[:3], *(torch.where(lost, torch.inf, value) for value in rays[3:]))
 
 
-def pupil_of(pupil, count: int, system) -> torch.Tensor:
+def pupil_of(pupil: PupilQuadrature | str | torch.Tensor, count: int, system: optical_system) -> torch.Tensor:
     """Return the points of a pupil, from the name of a pattern or as given."""
     checked_system(system)
     device = system.surfaces[0].thickness.device
@@ -619,7 +619,7 @@ def _values(numbers: Prescription) -> list[torch.Tensor]:
     return [*(v for v in numbers if isinstance(v, torch.Tensor)), *(v for v, _ in numbers.others())]
 
 
-def _misses(system, numbers: Prescription, pupil, fields: torch.Tensor, wide: bool) -> Callable:
+def _misses(system, numbers: Prescription, pupil, fields: torch.Tensor, wide: bool) -> Callable[..., Any]:
     """Return the function by which rays through places of the entrance pupil are judged."""
 
     def errors(px, py, goals, where=fields):
@@ -631,7 +631,7 @@ def _misses(system, numbers: Prescription, pupil, fields: torch.Tensor, wide: bo
     return errors
 
 
-def _search(system, given: tuple, wide: bool, known: tuple | None, graph: bool) -> tuple:
+def _search(system, given: tuple[Any, ...], wide: bool, known: tuple[Any, ...] | None, graph: bool) -> tuple[Any, ...]:
     """Return coordinates of rays, which of them were found, and the Jacobian of the misses there if asked for.
 
     Those that were not found have coordinates 0. `given` is prescription, entrance pupil, points and fields; `known`
@@ -709,7 +709,7 @@ def _ends(before: torch.Tensor | None, field, goals, way, stopped) -> torch.Tens
     return torch.unique(found if before is None else torch.cat([before, found]), dim=0)[-ENDS:]
 
 
-def _innermost(goals: torch.Tensor, lost: torch.Tensor) -> tuple[torch.Tensor, Callable]:
+def _innermost(goals: torch.Tensor, lost: torch.Tensor) -> tuple[torch.Tensor, Callable[..., Any]]:
     """Return which of the lost points ``[F, P, 2]`` of the stop are the innermost of their spokes.
 
     Also a function that takes which of these were found and returns all lost points on the spokes of those.
@@ -745,7 +745,7 @@ def _past_ends(ends: torch.Tensor, goals: torch.Tensor, lost: torch.Tensor) -> t
     return past
 
 
-def _key(system, numbers: Prescription, pupil, fields: torch.Tensor, wide: bool) -> tuple | None:
+def _key(system, numbers: Prescription, pupil, fields: torch.Tensor, wide: bool) -> tuple[Any, ...] | None:
     """Return all that chief rays depend on, None where it cannot be read."""
     values = [*_values(numbers), pupil.reach, pupil.stop_radius, fields]
     if not all(map(is_readable, values)):
@@ -850,7 +850,7 @@ def _differences(errors, x, y, step, goals, *where):
     ]
 
 
-def _side_by_side(errors, places: list, goals, *where) -> list[tuple]:
+def _side_by_side(errors, places: list[Any], goals, *where) -> list[tuple[Any, ...]]:
     """Return the errors of several places of each ray from one trace: few rays cost what its calls do."""
     x, count = places[0][0], len(places)
     where = tuple(value.expand(*np.broadcast_shapes(value.shape[:-1], x.shape[-2:]), 2) for value in where)
@@ -895,14 +895,14 @@ def _continuation(errors, x, y, step, radius, way):
     return x, y, done, s
 
 
-def at_stop(system, numbers: Prescription, rays):
+def at_stop(system: optical_system, numbers: Prescription, rays: Any) -> Any:
     """Return the intersections of rays with the stop in its own frame, and whether they exist, at one wavelength."""
     hit = trace(system, rays, prescription=numbers, until=system.stop, vignetting=False)
     x, y, _ = in_surface_frame(system, numbers, system.stop, hit)
     return x[..., 0:1, :, :], y[..., 0:1, :, :], hit.arrived
 
 
-def solve_pairs(missed, x, y, step):
+def solve_pairs(missed: Any, x: torch.Tensor, y: torch.Tensor, step: Any) -> Any:
     """Return the pairs (x, y) at which a pair of functions vanishes.
 
     Parameters
@@ -929,7 +929,7 @@ def solve_pairs(missed, x, y, step):
     return newton_step(missed, x, y, step)
 
 
-def newton_step(missed, x, y, step):
+def newton_step(missed: Any, x: torch.Tensor, y: torch.Tensor, step: Any) -> Any:
     """Return one step of Newton's method with a graph; its Jacobian, by central differences, has none."""
     with torch.no_grad():
         jacobian = _jacobian(missed, x, y, step)

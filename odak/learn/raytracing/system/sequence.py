@@ -93,7 +93,7 @@ def arrive(gradient: Gradient, base, frame, point, direction, shape: Shape, sign
     return point, direction, index.to(dtype), end[6].to(dtype), arrived, carried
 
 
-def transported(gradient: Gradient, base, start, time, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+def transported(gradient: Gradient, base: Any, start: Any, time: Any, count: int) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the rotation of the field of a wave along curved rays, and the length of the rays.
 
     Parameters
@@ -137,7 +137,7 @@ def transported(gradient: Gradient, base, start, time, count: int) -> tuple[torc
     return state[7:16].unflatten(0, (3, 3)).movedim((0, 1), (-2, -1)), state[16]
 
 
-def points_within(gradient: Gradient, base, rays, height, count: int) -> torch.Tensor:
+def points_within(gradient: Gradient, base: Any, rays: Any, height: Any, count: int) -> torch.Tensor:
     """Return points of curved rays at equal steps of t up to where z is `height`, ``[count + 1, 3, ...]``."""
     x, y, z = rays[:3]
     index = gradient.squared(x, y, z, base)[0].sqrt()
@@ -154,7 +154,7 @@ def points_within(gradient: Gradient, base, rays, height, count: int) -> torch.T
     return torch.stack(found)
 
 
-def _numbers_of(frame) -> list:
+def _numbers_of(frame) -> list[Any]:
     held = [value for row in frame.matrix for value in row] + list(frame.origin)
     return [value for value in held if isinstance(value, torch.Tensor)]
 
@@ -188,7 +188,7 @@ class _Flow(torch.autograd.Function):
         return None, None, None, None, *found
 
 
-def _differentiable_gradients(ctx, time, start, base, parameters, gradient, needed) -> list:
+def _differentiable_gradients(ctx, time, start, base, parameters, gradient, needed) -> list[Any]:
     """Return the gradients as differentiable tensors: by autograd through as many steps of equal length."""
     inputs = [value.view_as(value) for value in (start, base, *parameters)]
     field, state = ray_equation(ctx.kind(*inputs[2:]), inputs[1]), inputs[0]
@@ -199,7 +199,7 @@ def _differentiable_gradients(ctx, time, start, base, parameters, gradient, need
     return [next(found) if need else None for need in needed]
 
 
-def _adjoint(kind, end, time, base, parameters, gradient, needed) -> list:
+def _adjoint(kind, end, time, base, parameters, gradient, needed) -> list[Any]:
     """Return the gradients of start, base index and parameters."""
     numbers = [value.detach() for value in (base, *parameters)]
     totals = [torch.zeros_like(value) for value in numbers]
@@ -417,7 +417,7 @@ class Passage(NamedTuple):
     status: Any = None
 
 
-def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable | None = None) -> State:
+def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable[..., Any] | None = None) -> State:
     """Return rays behind the last surface; those that fail lie on the axis.
 
     Parameters
@@ -643,14 +643,14 @@ class Frame(NamedTuple):
     matrix: Any
     origin: tuple[Any, ...]
 
-    def enter(self, point, direction):
+    def enter(self, point: Any, direction: Any) -> Any:
         """Return points and directions in this frame."""
         point = vec.minus(point, self.origin)
         return tuple(vec.dot(column, point) for column in _columns(self.matrix)), tuple(
             vec.dot(column, direction) for column in _columns(self.matrix)
         )
 
-    def leave(self, point, direction):
+    def leave(self, point: Any, direction: Any) -> Any:
         """Return points and directions of this frame in the outer frame."""
         rotated = tuple(vec.dot(row, point) for row in self.matrix)
         point = tuple(a + b for a, b in zip(rotated, self.origin, strict=True))
@@ -687,7 +687,7 @@ class Graded(NamedTuple):
     base: torch.Tensor
     frame: Frame
 
-    def further(self, distance) -> "Graded":
+    def further(self, distance: Any) -> "Graded":
         """Return the medium with the frame moved along the axis."""
         return self._replace(frame=self.frame.then(Frame(IDENTITY.matrix, (0.0, 0.0, distance))))
 
@@ -698,7 +698,7 @@ class Frames:
     def __init__(self):
         self.here, self.found = IDENTITY, []
 
-    def move(self, distance) -> None:
+    def move(self, distance: torch.Tensor) -> None:
         """Move the frame along the axis."""
         self.here = self.here.then(Frame(IDENTITY.matrix, (0.0, 0.0, distance)))
 
@@ -706,7 +706,7 @@ class Frames:
         """Append the frame of a surface."""
         self.found.append(self.here)
 
-    def change(self, place: Frame, order) -> Frame:
+    def change(self, place: Frame, order: Any) -> Frame:
         """Change to the frame of a coordinate break, or back to the frame of an earlier surface; return the change."""
         if isinstance(order, int):
             place = self.here.inverse().then(self.found[order])
@@ -715,7 +715,7 @@ class Frames:
         return place
 
 
-def placement(shift, tilt, order=None) -> Frame:
+def placement(shift: torch.Tensor, tilt: torch.Tensor, order: int | str | None = None) -> Frame:
     """Return the frame of a surface or of a coordinate break.
 
     Parameters
@@ -739,15 +739,15 @@ def placement(shift, tilt, order=None) -> Frame:
     return Frame(matrix, origin)
 
 
-def _split(value) -> tuple:
+def _split(value) -> tuple[Any, ...]:
     return tuple(value.unbind(-1))
 
 
-def _columns(matrix) -> list:
+def _columns(matrix) -> list[Any]:
     return [list(column) for column in zip(*matrix, strict=True)]
 
 
-def _product(a, b) -> list:
+def _product(a, b) -> list[Any]:
     return [[vec.dot(row, column) for column in _columns(b)] for row in a]
 
 

@@ -101,7 +101,7 @@ def system_scene(system: optical_system, rays: Any, lead: float = 0.25) -> Syste
     return SystemScene(items, frames, radii, paths)
 
 
-def field_label(system, i: int) -> str:
+def field_label(system: optical_system, i: int) -> str:
     """Return a field point as it is written in figures."""
     x, y = system.fields[i]
     unit = "°" if system.at_infinity else f" {unit_of(system)}"
@@ -110,6 +110,6 @@ def field_label(system, i: int) -> str:
     return f"{y}{unit}" if x == "0" else f"({x}, {y}){unit}"
 
 
-def unit_of(system) -> str:
+def unit_of(system: optical_system) -> str:
     """Return the unit of the system's lengths."""
     return system.unit.replace("um", "µm")

@@ -641,7 +641,7 @@ def _vary(module, name: str) -> torch.nn.Parameter:
     return getattr(module, name)
 
 
-def _checked(name: str, value, kind: type):
+def _checked(name: str, value, kind: type[Any]):
     if not isinstance(value, kind):
         raise TypeError(f"{name} must be a {kind.__name__} of odak.raytracing, got {type(value).__name__}")
     return value
@@ -741,13 +741,13 @@ def _any(value: torch.Tensor) -> bool:
     return bool(value.detach().any())
 
 
-def _medium_key(item) -> tuple:
+def _medium_key(item) -> tuple[Any, ...]:
     if item.material is None or item.own_gradient is not None:
         return ("index", id(item))
     return _key_of(item.material)
 
 
-def _key_of(material) -> tuple:
+def _key_of(material) -> tuple[Any, ...]:
     if isinstance(material, (str, Real)):
         return (material,)
     # The numbers of the medium, not its name, which two materials of a user may share.
@@ -1076,7 +1076,7 @@ class Row(torch.nn.ModuleList):
         The medium.
     """
 
-    def __init__(self, surfaces: Iterable = (), front: Any = AIR):
+    def __init__(self, surfaces: Iterable[Any] = (), front: Any = AIR):
         super().__init__(surfaces)
         self.front = front
 
@@ -1124,7 +1124,7 @@ def _angular_lens(surfaces, micrometres: float) -> surface:
     return surface(phase=IdealLens(length), thickness=-length if backwards else length)
 
 
-def checked_system(system) -> optical_system:
+def checked_system(system: optical_system) -> optical_system:
     """Return a system after checking that it is one."""
     if not isinstance(system, optical_system):
         kinds = f"{type(system).__name__}"
@@ -1148,7 +1148,7 @@ def _image(value) -> surface | None:
     return value
 
 
-def wavelengths_of(system, numbers: Prescription) -> torch.Tensor:
+def wavelengths_of(system: optical_system, numbers: Prescription) -> torch.Tensor:
     """Return the vacuum wavelengths ``[W]`` of a prescription.
 
     Parameters
@@ -1168,12 +1168,12 @@ def wavelengths_of(system, numbers: Prescription) -> torch.Tensor:
     return torch.tensor(own, dtype=numbers.index.dtype, device=numbers.index.device)
 
 
-def reference_of(system, prescription: Prescription | None) -> int:
+def reference_of(system: Any, prescription: Prescription | None) -> int:
     """Return the place of the reference wavelength in a prescription; 0 if it has a single wavelength."""
     return 0 if prescription is not None and prescription.index.shape[-2] == 1 else system.reference
 
 
-def field_shares(system, like: torch.Tensor) -> torch.Tensor:
+def field_shares(system: optical_system, like: torch.Tensor) -> torch.Tensor:
     """Return the weights of the system's fields over their mean, ``[F]``."""
     weights, count = system.field_weights, len(system.fields)
     if weights is not None and len(weights) != count:
@@ -1181,7 +1181,7 @@ def field_shares(system, like: torch.Tensor) -> torch.Tensor:
     return like.new_ones(count) if weights is None else _over_mean(like.new_tensor(weights))
 
 
-def wavelength_shares(system, prescription: Prescription | None, like: torch.Tensor) -> torch.Tensor:
+def wavelength_shares(system: optical_system, prescription: Prescription | None, like: torch.Tensor) -> torch.Tensor:
     """Return the weights of wavelengths over their mean, ``[W]``; ones where not all are the system's own.
 
     Parameters

@@ -192,7 +192,7 @@ def _trace(system, rays, prescription, until, vignetting):
     return Traced(*(value.reshape(shape) for value in found))
 
 
-def checked_rays(rays) -> Rays:
+def checked_rays(rays: Rays | torch.Tensor) -> Rays:
     """Return rays as components, given as Rays or as a tensor ``[..., 2, 3]``; TypeError for anything else."""
     if isinstance(rays, torch.Tensor):
         rays = Rays.from_tensor(rays)
@@ -209,7 +209,7 @@ def spread_rays(rays: Rays, numbers: Prescription) -> tuple[list[torch.Tensor], 
     return [value.expand(shape).reshape(math.prod(shape[:-2]), math.prod(shape[-2:])) for value in rays], shape
 
 
-def finished(state, shape: tuple[int, ...]) -> Traced:
+def finished(state: Any, shape: tuple[int, ...]) -> Traced:
     """Return the rays of :func:`plain_trace` in their own shape, NaN where lost."""
     found = (*(torch.where(state.status == HIT, value, torch.nan) for value in state[:7]), state.status)
     return Traced(*(value.reshape(shape) for value in found))
@@ -323,7 +323,7 @@ def curved_paths(system: optical_system, rays: Rays, place: int, ends: torch.Ten
     return (points @ matrices[place].mT + origins[place]).reshape(*shape, count + 1, 3)
 
 
-def in_surface_frame(system, prescription: Prescription, place: int, traced: Traced) -> tuple[Any, ...]:
+def in_surface_frame(system: optical_system, prescription: Prescription, place: int, traced: Traced) -> tuple[Any, ...]:
     """Return points ``(x, y, z)`` of a trace that ended behind a surface in that surface's own, tilted frame."""
     if prescription.shift is None and prescription.tilt is None:
         return traced[:3]

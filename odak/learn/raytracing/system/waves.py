@@ -113,7 +113,7 @@ class RayMap:
         self.system = system
         self.numbers, self.reference = numbers.at(place), numbers.at(system.reference)
         self.pupil = entrance_pupil(system, prescription=self.reference)
-        self.field = field.reshape(1, 1, 2)
+        self.field: torch.Tensor = field.reshape(1, 1, 2)
         # Decentre and size of the vignetted pupil, on whose unit disc the coordinates are given.
         factors = pupil_factors(system, self.field[0])
         self.shift: Any = 0.0 if factors is None else factors[0, :2]
@@ -136,7 +136,7 @@ class RayMap:
         y = ways[..., 1] - ways[..., 1].mul(normal).sum(-1, keepdim=True) * normal
         y = _unit(y - y.mul(x).sum(-1, keepdim=True) * x)
         self.axes = x, y, normal
-        self.to_image = ((point - self.origin) * normal).sum(-1)[..., 0]
+        self.to_image: Any = ((point - self.origin) * normal).sum(-1)[..., 0]
         # Zero where the map's path is measured from.
         self.chief = self(torch.zeros(1, 2, dtype=point.dtype, device=point.device)).path
 
@@ -195,14 +195,14 @@ class RayMap:
         x, y, _ = at_stop(self.system, self.reference, self._rays(places))
         return ((torch.stack([x, y], -1) / radius[..., None])[..., 0, 0, :, :] - self.shift) / self.size
 
-    def derivatives(self, places: torch.Tensor):
+    def derivatives(self, places: torch.Tensor) -> Any:
         """Return the derivatives of (x, y) by the two pupil coordinates, and the mean place they were taken about."""
         met = self(_around(places))
         x, y = (value.reshape(*value.shape[:-1], 4, -1) for value in met[:2])
         by = [[(value[..., i, :] - value[..., i + 1, :]) / (2 * STEP) for value in (x, y)] for i in (0, 2)]
         return *by, [(value[..., 0, :] + value[..., 1, :]) / 2 for value in (x, y)]
 
-    def radius(self, places: torch.Tensor, aim: str):
+    def radius(self, places: torch.Tensor, aim: str) -> Any:
         """Return the radius that is 1 at the edge of the pupil, and its derivatives by the two pupil coordinates."""
         radius = self._length(places, aim)
         if aim == "paraxial":
@@ -344,11 +344,11 @@ def more_samples(samples: int) -> tuple[int, ...]:
 
 
 def pupil_image(
-    system,
+    system: optical_system,
     counts: Sequence[int],
     size: int | None,
     options: dict[Any, Any],
-    amplitudes: Callable | None = None,
+    amplitudes: Callable[..., Any] | None = None,
     fineness: int = 4,
 ) -> Spread:
     """Return the image of a point by Fourier transforms of the fields in the pupil.
@@ -575,7 +575,7 @@ def strehl_ratio(
     return found
 
 
-def _strehl(system, pupil, count: int, options: dict) -> tuple[torch.Tensor, torch.Tensor]:
+def _strehl(system, pupil, count: int, options: dict[Any, Any]) -> tuple[torch.Tensor, torch.Tensor]:
     """Return Strehl ratios, and the part of the pupil over which the rays are too few to resolve the wavefront."""
     found = wavefront(system, pupil, count, **options)
     given = options.get("prescription")
@@ -1322,7 +1322,7 @@ class _PlaneWaves(NamedTuple):
         return Spread(intensity, torch.stack([spacing, spacing], -1), intensity.amax((-2, -1)), energy)
 
 
-def _plane_waves(system, samples: int, size: int | None, pitch: float | None, options: dict) -> _PlaneWaves:
+def _plane_waves(system, samples: int, size: int | None, pitch: float | None, options: dict[Any, Any]) -> _PlaneWaves:
     prescription, vignetting = options["prescription"], options["vignetting"]
     size = 2 * samples if size is None else _validate.integer("size", size, minimum=2)
     points, inside, share = _disc(samples, (samples - 1) / 2)

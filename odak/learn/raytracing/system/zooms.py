@@ -73,8 +73,8 @@ class configurations(torch.nn.Module):
         given = system.settings if settings is None else checked_settings(settings, len(system.surfaces), system.unit)
         if not given:
             raise ValueError("settings must have at least one entry (name, place, values), got none")
-        self.count = len(given[0][2])
-        self._others: list[tuple[str, int | None, tuple]] = []
+        self.count: int = len(given[0][2])
+        self._others: list[tuple[str, int | None, tuple[Any, ...]]] = []
         self._numbers: dict[tuple[str, int | None], str] = {}
         for name, place, values in given:
             if name in SETTINGS["environment"]:
@@ -167,7 +167,7 @@ class configurations(torch.nn.Module):
         for (name, i), key in self._numbers.items():
             if i is not None:
                 replaced(item(i), name, getattr(self, key)[place])
-        later: tuple[str, tuple] | None = None
+        later: tuple[str, tuple[Any, ...]] | None = None
         for name, i, values in self._others:
             value = values[place]
             if i is not None:
@@ -267,7 +267,7 @@ def _put_material(item, value) -> None:
         item.material = value
 
 
-def _stacked(results: list) -> Any:
+def _stacked(results: list[Any]) -> Any:
     first = results[0]
     if isinstance(first, torch.Tensor) and all(value.shape == first.shape for value in results):
         return torch.stack(results)

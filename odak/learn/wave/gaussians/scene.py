@@ -67,11 +67,11 @@ class Scene:
         _validate.instance("gaussians", gaussians, complex_3d_gaussians, "complex_3d_gaussians")
         wavelengths, pitch, distances, pad_size, aperture = shared.settings(args_prop, _SETTINGS)
         self.gaussians, self.args_prop = gaussians, args_prop
-        self.rotate_as_points = _validate.flag("rotate_as_points", rotate_as_points)
+        self.rotate_as_points: bool = _validate.flag("rotate_as_points", rotate_as_points)
         self.wavelengths = _validate.real("wavelengths", shared.lengths(wavelengths), positive=True)
         self.pixel_pitch = _validate.real("pixel_pitch", pitch, positive=True)
         self.distances = _validate.real("distances", shared.lengths(distances))
-        self.pad_size = _validate.size("pad_size", pad_size)
+        self.pad_size: tuple[int, int] = _validate.size("pad_size", pad_size)
         if aperture != -1 and not aperture > 0:
             raise ValueError(f"aperture_size must be positive, or -1 for none; got {aperture!r}")
         self.aperture_size = aperture
@@ -394,7 +394,7 @@ def _plane_fields(z_vals, means, conics, colours, phase, opacities, plane_probs,
     return composite_gaussians(means, rows, opacities[who] * plane_probs[who, layer], weights, layer, tiling)
 
 
-def checked_camera(camera):
+def checked_camera(camera: PerspectiveCamera) -> Any:
     """Return a camera; raise TypeError for anything that cannot be one."""
     for name in ("R", "focal_length", "principal_point", "transform_world_to_camera_space"):
         if not hasattr(camera, name):
@@ -402,7 +402,7 @@ def checked_camera(camera):
     return camera
 
 
-def two_sizes(size, name="tile_size") -> tuple[int, int]:
+def two_sizes(size: Any, name: str = "tile_size") -> tuple[int, int]:
     """Return a width and a height, which need not be positive."""
     if isinstance(size, str) or not isinstance(size, Iterable) or len(size := tuple(size)) != 2:
         raise ValueError(f"{name} must be two integers (width, height), got {size!r:.80}")
@@ -410,7 +410,7 @@ def two_sizes(size, name="tile_size") -> tuple[int, int]:
     return width, height
 
 
-def chosen(gaussian_indices, count, device) -> torch.Tensor:
+def chosen(gaussian_indices: torch.Tensor, count: Any, device: Any) -> torch.Tensor:
     """Return the numbers, or the choice by truth values, of some of `count` Gaussians."""
     some = tensor("gaussian_indices", gaussian_indices, device=device)
     if some.ndim != 1 or (some.dtype == torch.bool and len(some) != count):
@@ -424,7 +424,15 @@ def chosen(gaussian_indices, count, device) -> torch.Tensor:
 
 
 def gaussians_to_draw(
-    name: str, means, z_vals, quats, scales, colours, phase, opacities, plane_probs
+    name: str,
+    means: Any,
+    z_vals: torch.Tensor,
+    quats: torch.Tensor,
+    scales: torch.Tensor,
+    colours: torch.Tensor,
+    phase: torch.Tensor,
+    opacities: torch.Tensor,
+    plane_probs: torch.Tensor,
 ) -> list[torch.Tensor]:
     """Return the parameters of Gaussians in one precision, after checking that there is a row for each.
 
@@ -447,7 +455,7 @@ def gaussians_to_draw(
     )
 
 
-def camera_rays(camera, means_3D):
+def camera_rays(camera: PerspectiveCamera, means_3D: torch.Tensor) -> Any:
     """Return points in the axes of the camera, its focal lengths fx, fy and its principal point px, py."""
     pairs = []
     for name in ("focal_length", "principal_point"):

@@ -386,7 +386,7 @@ def _pose(quaternion, shift) -> tuple[torch.Tensor, torch.Tensor]:
     return (rotation.T * reversed_axes).float(), (shift * reversed_axes).float()
 
 
-def _read_tables(file: Path, read: Callable):
+def _read_tables(file: Path, read: Callable[..., Any]):
     try:
         return read(file.read_bytes())
     except (ValueError, IndexError, struct.error, UnicodeDecodeError) as error:
@@ -405,12 +405,12 @@ def _intrinsics(model: str, width: int, height: int, parameters):
     return (_validate.side("width", width), _validate.side("height", height)), tuple(parameters[i] for i in order)
 
 
-def _cameras_of_text(content: bytes) -> dict:
+def _cameras_of_text(content: bytes) -> dict[Any, Any]:
     lines = [line.split() for line in content.decode().splitlines() if line.strip() and not line.startswith("#")]
     return {int(n): _intrinsics(model, int(w), int(h), [float(v) for v in rest]) for n, model, w, h, *rest in lines}
 
 
-def _images_of_text(content: bytes) -> list:
+def _images_of_text(content: bytes) -> list[Any]:
     lines = [line for line in content.decode().splitlines() if not line.startswith("#")]
     while lines and not lines[0].strip():
         lines.pop(0)
@@ -424,7 +424,7 @@ def _images_of_text(content: bytes) -> list:
     return images
 
 
-def _cameras_of_binary(content: bytes) -> dict:
+def _cameras_of_binary(content: bytes) -> dict[Any, Any]:
     (count,) = struct.unpack_from("<Q", content)
     at, cameras = 8, {}
     for _ in range(min(count, _MOST)):
@@ -436,7 +436,7 @@ def _cameras_of_binary(content: bytes) -> dict:
     return cameras
 
 
-def _images_of_binary(content: bytes) -> list:
+def _images_of_binary(content: bytes) -> list[Any]:
     (count,) = struct.unpack_from("<Q", content)
     at, images = 8, []
     for _ in range(min(count, _MOST)):
@@ -496,7 +496,7 @@ def wrapped(phase: torch.Tensor) -> torch.Tensor:
     return turned.where(turned < 2 * math.pi, turned - turned.detach())
 
 
-def picture_size(name: str, size) -> tuple[int, int]:
+def picture_size(name: str, size: Any) -> tuple[int, int]:
     """Return the width and height of a picture as integers; raise ValueError for anything but two positive ones."""
     try:
         width, height = size
@@ -505,12 +505,12 @@ def picture_size(name: str, size) -> tuple[int, int]:
         raise ValueError(f"{name} must be two positive integers (width, height), got {size!r}") from None
 
 
-def lengths(values) -> torch.Tensor:
+def lengths(values: Any) -> torch.Tensor:
     """Return lengths in metres as a flat float64 tensor: phases of 10⁵ rad depend on them."""
     return torch.as_tensor(values, dtype=torch.float64).reshape(-1)
 
 
-def settings(args_prop, names: Iterable[str]) -> list:
+def settings(args_prop: Any, names: Iterable[str]) -> list[Any]:
     """Return attributes of the settings in their order.
 
     Raises
@@ -597,7 +597,7 @@ class complex_2d_gaussians(nn.Module):
         super().__init__()
         channels = _validate.integer("channels", channels, minimum=1)
         number = _validate.integer("num_points", num_points, minimum=1)
-        self.img_size = picture_size("img_size", img_size)
+        self.img_size: tuple[int, int] = picture_size("img_size", img_size)
         self.device, self.merge_opacity = get_device(device), _validate.flag("merge_opacity", merge_opacity)
         draw = torch.Generator()
         if seed is not None:
@@ -782,7 +782,7 @@ class Scene2D:
         wavelengths, pad_size = settings(args_prop, ("wavelengths", "pad_size"))
         self.gaussians, self.args_prop = gaussians, args_prop
         self.wavelengths = _validate.real("wavelengths", lengths(wavelengths), positive=True)
-        self.pad_size = _validate.size("pad_size", pad_size)
+        self.pad_size: tuple[int, int] = _validate.size("pad_size", pad_size)
         colours, count = gaussians.colours.shape[1], len(self.wavelengths)
         if count > colours:
             raise ValueError(
@@ -795,7 +795,7 @@ class Scene2D:
                 f"order; make the Gaussians with channels={count}, or give a wavelength for each colour",
                 ArgumentWarning,
             )
-        self._grids: dict = {}
+        self._grids: dict[Any, Any] = {}
 
     def __repr__(self) -> str:
         return f"<Scene2D with {len(self.gaussians)} Gaussians>"

@@ -4,6 +4,7 @@ import functools
 import itertools
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 
@@ -171,7 +172,7 @@ class TileLists:
     counts: torch.Tensor
 
 
-def list_tiles(means: torch.Tensor, half: torch.Tensor, tiling: Tiling, layers: torch.Tensor | None = None):
+def list_tiles(means: torch.Tensor, half: torch.Tensor, tiling: Tiling, layers: torch.Tensor | None = None) -> Any:
     """Return the lists of Gaussians with these boxes, each in one of the tiling's pictures (the first by default)."""
     device, number = means.device, len(means)
     spans = tile_spans(means, half, tiling)
@@ -216,12 +217,12 @@ class TiledGaussians:
 
     def __init__(self, means, conics, height, width, tiling=None, layers=None):
         shear, a, b = whiten(conics)
-        self.lowest = smallest_kept(means.dtype)
+        self.lowest: float = smallest_kept(means.dtype)
         half = half_boxes(shear, a, b, self.lowest)
         centres = means.double()
-        self.tiling = tiling or choose_tiling(centres, half, height, width)
-        self.lists = list_tiles(centres, half, self.tiling, layers)
-        self.number = len(means)
+        self.tiling: Any = tiling or choose_tiling(centres, half, height, width)
+        self.lists: TileLists = list_tiles(centres, half, self.tiling, layers)
+        self.number: int = len(means)
         self._table = with_none(torch.stack([*centres.unbind(-1), a, a * shear, b], dim=-1).to(means.dtype))
         steps = (torch.arange(n, device=means.device) for n in (self.tiling.tile_width, self.tiling.tile_height))
         self._across, self._down = (step.to(means.dtype)[:, None] for step in steps)
