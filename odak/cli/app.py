@@ -130,7 +130,9 @@ def command(*kinds: type[Settings]) -> Callable[[Callable[..., None]], Callable[
 
         context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
         run.__signature__ = inspect.Signature([context, *(item for own in parameters for item in own)])  # type: ignore
-        app.command(function.__name__, help=inspect.getdoc(function))(run)
+        text, _, examples = (inspect.getdoc(function) or "").partition("Examples::\n\n")
+        # A line of \b keeps the lines below it apart.
+        app.command(function.__name__, help=text, epilog=f"\b\nExamples:\n{examples}")(run)
         return function
 
     return made
@@ -151,7 +153,9 @@ def _start(
 
 @command(Job, SpreadSettings)
 def hologram(values: dict[str, Any], spread: SpreadSettings) -> None:
-    """Compute phase-only holograms of a picture, and report how well the saved files reproduce it.
+    """Compute phase-only holograms of a picture.
+
+    A report states how well the saved files reproduce it.
 
     Writes hologram_<nm>nm.png (one per wavelength; phase = grey * 2 pi / 256, or / 65536 for 16-bit files), with
     --frames hologram_<nm>nm_frame<k>.png or, with multi-color, hologram_frame<k>.png; reconstruction.png,
@@ -160,6 +164,11 @@ def hologram(values: dict[str, Any], spread: SpreadSettings) -> None:
     Several pictures, or folders of them, are computed one after another or, with --cluster, in parallel. The results
     of each are written to a folder of its name in the output folder. Results of the same options that exist already
     are kept; results of other options are listed before they are replaced.
+
+    Examples::
+
+        odak hologram photo --grey --output output
+        odak hologram photo.png --quality good --frames 4
     """
     from odak.cli.files import completed
 
@@ -245,42 +254,18 @@ def _summarise(job: Job, report: dict) -> None:
         )
 
 
-@command(WorkerSettings)
-def worker(settings: WorkerSettings) -> None:
-    """Start workers on this machine for a Dask scheduler: one per GPU, or one per core if there is no GPU.
-
-    They run until the scheduler ends or Ctrl-C is pressed. Everybody who can connect to the scheduler can run code on
-    this machine. A scheduler on another machine must use certificates, which `odak certificates` makes, unless
-    --trusted-network is given. A scheduler is started with `dask scheduler --protocol tls --host ADDRESS
-    --tls-ca-file ... --tls-cert ... --tls-key ...`.
-    """
-    from odak.cli.cluster import join
-
-    join(settings, (lambda _: None) if settings.quiet else typer.echo)
-
-
-@command(CertificateSettings)
-def certificates(settings: CertificateSettings) -> None:
-    """Make TLS certificates for a cluster: ca.pem, cert.pem and key.pem.
-
-    Copy the folder to each machine; only those who have it can run code on the cluster.
-    """
-    from odak.manager import make_certificates
-
-    try:
-        made = make_certificates(settings.folder, settings.days)
-    except (ImportError, TypeError, ValueError) as error:
-        raise InputError(str(error)) from None
-    typer.echo(f"ca.pem, cert.pem, key.pem in {made}; keep key.pem secret")
-
-
 @command(MetamerSettings)
 def metamer(settings: MetamerSettings) -> None:
-    """Make a picture that looks the same as another to an eye with a fixed gaze.
+    """Make a picture that looks like another at a fixed gaze.
 
     Away from the gaze its details are displaced; its local statistics are the same as the picture's. Writes
     metamer.png, pooling_map.png (the width of the pooling regions of the eye, on a logarithmic scale), comparison.png
     and report.json.
+
+    Examples::
+
+        odak metamer photo
+        odak metamer photo.png --gaze 0.5 0.5 --width 60cm
     """
     from odak.cli.metamer import run
 
@@ -300,10 +285,15 @@ def metamer(settings: MetamerSettings) -> None:
 
 @command(EyeboxSettings)
 def eyebox(settings: EyeboxSettings) -> None:
-    """Compute a hologram that shows an eye its picture at several places of the pupil.
+    """Compute a hologram seen from several places of the pupil.
 
     Several pictures, one for each place in reading order, give parallax. Writes a pattern for each frame, views.png
     with what an eye sees from each place, by exact propagation of the saved patterns, and report.json.
+
+    Examples::
+
+        odak eyebox photo
+        odak eyebox photo --places 1 3 --spacing 2mm --pupil 2mm
     """
     from odak.cli.eyebox_views import run
 
@@ -316,7 +306,9 @@ def eyebox(settings: EyeboxSettings) -> None:
 
 @command(TraceSettings)
 def trace(settings: TraceSettings) -> None:
-    """Trace rays through a lens: a sample, a file of odak, or one of Zemax, CODE V or OSLO.
+    """Trace rays through a lens.
+
+    The lens is a sample, a file of odak, or one of Zemax, CODE V or OSLO.
 
     Samples are singlet, cooke_triplet, double_gauss, double_gauss_f28, triplet_f28 and phone_f2; files end in .json
     (odak), .zmx (Zemax), .seq (CODE V) or .len (OSLO).
@@ -325,6 +317,11 @@ def trace(settings: TraceSettings) -> None:
     over the field, pupil, footprint, polarisation, Seidel coefficients), report.html with all of them, the
     prescription and the aberrations, and report.json with first-order properties, spot sizes, wavefronts, Strehl
     ratios, modulation and vignetting.
+
+    Examples::
+
+        odak trace cooke_triplet
+        odak trace double_gauss --focus best --figures svg
     """
     from odak.cli.trace import run, summary
 
@@ -337,11 +334,16 @@ def trace(settings: TraceSettings) -> None:
 
 @command(ToleranceSettings)
 def tolerance(settings: ToleranceSettings) -> None:
-    """Tolerance a lens: trace many with random deviations of their numbers.
+    """Tolerance a lens by tracing many with random deviations.
 
     The deviations are those by ISO 10110-11 for drawings without any, or as large as a --yield allows. Each lens is
     refocused. Writes figures of the yield, with histograms, and of the sensitivities, report.html and report.json. The
     same seed gives the same lenses.
+
+    Examples::
+
+        odak tolerance cooke_triplet
+        odak tolerance double_gauss --samples 1000 --yield 0.9
     """
     from odak.cli.trace import run_tolerance
 
@@ -358,7 +360,7 @@ def tolerance(settings: ToleranceSettings) -> None:
 
 @command(DesignSettings)
 def design(settings: DesignSettings) -> None:
-    """Design a lens: improve one that is there or, without one, make one from flat plates.
+    """Design a lens, from one that is there or from flat plates.
 
     A lens that is there is a sample, a .json or a .zmx file; one from flat plates needs --focal-length, --f-number,
     --field and --elements.
@@ -366,6 +368,11 @@ def design(settings: DesignSettings) -> None:
     Curvatures, thicknesses, the focus and what aspheres there are vary, so that the spots of all fields become small
     under limits of distortion, edges and lengths; focal length, f-number and field are as asked for, or as in the
     SYSTEM. Writes lens.json, layout.png and report.json. The same seed gives the same lens.
+
+    Examples::
+
+        odak design cooke_triplet --focal-length 35mm --field 18
+        odak design --elements 3 --focal-length 50mm --f-number 4 --field 14
     """
     from odak.cli.lens_design import MICROMETRES, run
 
@@ -384,10 +391,15 @@ def design(settings: DesignSettings) -> None:
 
 @command(SimulateSettings)
 def simulate(settings: SimulateSettings) -> None:
-    """Pass light through an optical bench that a TOML or JSON file describes.
+    """Pass light through a bench described by a TOML or JSON file.
 
     A bench has sources, apertures, lenses, modulators and propagations. Writes, for each record in the file, the field
     (NAME.npy) and its pictures (NAME.png), and report.json, which repeats the whole file with powers and peaks.
+
+    Examples::
+
+        odak simulate bench.toml
+        odak simulate --schema
     """
     from odak.cli import simulate as bench
 
@@ -413,6 +425,11 @@ def calibrate(settings: CalibrateSettings) -> None:
     installed packages); without names, a simulated table is calibrated, whose faults a seed draws. Writes
     calibration.h5 (HDF5 with units and uncertainties), which each step takes as known and adds to, STEP.png and
     report.json.
+
+    Examples::
+
+        odak calibrate all
+        odak calibrate phase --modulator simulated --camera simulated
     """
     from odak.cli.calibrate import run
 
@@ -425,11 +442,16 @@ def calibrate(settings: CalibrateSettings) -> None:
 
 @command(CaptureSettings)
 def capture(settings: CaptureSettings) -> None:
-    """Show a pattern on the modulator, and capture what it forms on the camera.
+    """Show a pattern on the modulator, and capture its image.
 
     Instruments are chosen as in `odak calibrate`; without names, the simulated table of the seed. Writes
     capture_NAME.png (the capture beside its prediction by the calibration, and their difference), captures.h5 and
     report.json.
+
+    Examples::
+
+        odak capture output
+        odak capture output --calibration calibration/calibration.h5
     """
     from odak.cli.capture import run
 
@@ -450,6 +472,11 @@ def show(settings: ShowSettings) -> None:
 
     A result is a folder of any command, a picture, a field in .npy or .pt, or a lens. The page holds all it needs and
     uses no network.
+
+    Examples::
+
+        odak show output
+        odak show double_gauss --no-open
     """
     import tempfile
 
@@ -460,6 +487,49 @@ def show(settings: ShowSettings) -> None:
     typer.echo(str(page))
     if settings.browser:
         typer.launch(str(page))
+
+
+@command(WorkerSettings)
+def worker(settings: WorkerSettings) -> None:
+    """Start workers on this machine for a Dask scheduler.
+
+    There is one worker per GPU, or one per core if there is no GPU.
+
+    They run until the scheduler ends or Ctrl-C is pressed. Everybody who can connect to the scheduler can run code on
+    this machine. A scheduler on another machine must use certificates, which `odak certificates` makes, unless
+    --trusted-network is given. A scheduler is started with `dask scheduler --protocol tls --host ADDRESS
+    --tls-ca-file ... --tls-cert ... --tls-key ...`.
+
+    Examples::
+
+        odak worker tcp://127.0.0.1:8786
+        odak worker tls://10.0.0.2:8786 --tls-ca-file ca.pem --tls-cert cert.pem --tls-key key.pem
+    """
+    from odak.cli.cluster import join
+
+    join(settings, (lambda _: None) if settings.quiet else typer.echo)
+
+
+@command(CertificateSettings)
+def certificates(settings: CertificateSettings) -> None:
+    """Make TLS certificates for a cluster.
+
+    The files are ca.pem, cert.pem and key.pem.
+
+    Copy the folder to each machine; only those who have it can run code on the cluster.
+
+    Examples::
+
+        odak certificates certificates
+        odak certificates certificates --days 30
+    """
+    from odak.manager import make_certificates
+
+    try:
+        made = make_certificates(settings.folder, settings.days)
+    except (ImportError, TypeError, ValueError) as error:
+        raise InputError(str(error)) from None
+    typer.echo(f"ca.pem, cert.pem, key.pem in {made}; keep key.pem secret")
 
 
 @app.command(help="Print versions, devices, threads and FFT libraries.")

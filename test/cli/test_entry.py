@@ -1,7 +1,9 @@
+import shlex
 import subprocess
 import sys
 
 import pytest
+import typer
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -21,6 +23,26 @@ def test_module_runs_in_its_own_process_help_needs_no_torch():
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert result.returncode == 2 and "hologram" in result.stdout, result.stderr
     assert result.stderr.startswith("odak: ") and "paint" in result.stderr and result.stderr.count("\n") == 1
+
+
+def test_help_lists_the_commands_with_whole_sentences():
+    text = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "80"}).stdout
+    listed = text.partition("Commands:\n")[2].strip().splitlines()
+    assert [line.split()[0] for line in listed][::12] == ["hologram", "info"]
+    assert all(line.endswith(".") and not line.endswith("...") for line in listed)
+
+
+@pytest.mark.parametrize("name", [command.name for command in app.registered_commands if command.name])
+def test_help_ends_with_two_examples_that_the_command_takes(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "120"}).stdout
+    lines = text.partition("Examples:\n")[2].strip().splitlines()
+    assert len(lines) == 2
+    for line in lines:
+        program, command, *arguments = shlex.split(line)
+        assert (program, command) == ("odak", name)
+        context = typer.main.get_command(app).commands[name].make_context(name, arguments)
+        assert not context.args and context.params
 
 
 def test_help_states_units_and_defaults():
