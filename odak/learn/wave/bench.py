@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from odak import _validate
 from odak.wave import bench
 
 
@@ -54,6 +55,7 @@ class optical_bench(bench.optical_bench, torch.nn.Module):
     True
     """
 
+    @_validate.takes_units("wavelength")
     def __init__(self, elements: Iterable[Any], wavelength: float | torch.Tensor):
         torch.nn.Module.__init__(self)
         super().__init__(elements, wavelength)

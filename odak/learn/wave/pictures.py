@@ -236,6 +236,7 @@ def picture_of(images: torch.Tensor, display: Display | Sequence[float] | float)
     return encoded.reshape(*images.shape[:-3], 3, *images.shape[-2:])
 
 
+@_validate.takes_units()
 def fitted(picture: torch.Tensor, display: Display, how: str = "pad") -> torch.Tensor:
     """Return a picture at the size of a display's images.
 
