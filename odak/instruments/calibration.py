@@ -28,7 +28,7 @@ from odak.instruments.phase_response import (
 from odak.instruments.protocols import Camera, Modulator, check_square_pixels
 from odak.instruments.registration import SMALLEST_SHARE, beyond_view, check_view, registered
 from odak.instruments.spots import DEFOCUS, Part, aberration_modes, deflected, ideal_capture, pixel_axes, without
-from odak.instruments.steered import is_wide, steered
+from odak.instruments.steered import is_wide, linear_part, steered
 from odak.instruments.tables import OpticalTable, parts_of
 from odak.instruments.wavefronts import UNSETTLED, wavefront_with_uncertainty
 
@@ -368,6 +368,7 @@ def calibrate_table(
         if turn == 0 or not wide:
             grids = FIRST_GRIDS if turn == 0 else GRIDS
             registration = registered(table, middle=turn == 0, captures=grids, start=registration)
+            registration = linear_part(table, registration) if wide else registration
         table = replace(table, registration=registration)
         if turn == 0 and behind_lens:
             _check_orders(table)

@@ -63,8 +63,9 @@ def _counts(table: OpticalTable, farthest: float) -> np.ndarray:
     return np.array(found)
 
 
-def _linear(registration: Registration, reach: float) -> Registration:
-    """Return the linear part of a mapping about the axis, which spots near the axis tell."""
+def linear_part(table: OpticalTable, registration: Registration) -> Registration:
+    """Return the linear part about the axis of a mapping that spots near the axis tell: the rest is not known there."""
+    reach = STEERED * reached(table.wavelength, ray_matrix(table.distance)[1], table.modulator.pitch)
     three = reach * np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])
     middle = np.array(registration.shape[::-1]) / 2
     pixels = np.column_stack([registration.camera_pixels(three) - middle, np.ones(3)])
@@ -97,8 +98,6 @@ def steered(table: OpticalTable, first: bool, captures: int = 1) -> tuple[Optica
     tilts = np.stack([np.stack([mean(part) for part in pair], axis=-1) for pair in slopes], axis=-1)
     # Displacements in metres by each mode.
     tilts = tilts * (wavelength * distance / (2 * np.pi))
-    if first:
-        registration = _linear(registration, STEERED * farthest)
     wavefront = np.broadcast_to(table.wavefront, modulator.shape)
     spacing = float((shape / counts).min() * modulator.pitch)
     offsets = STEERED * farthest * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
