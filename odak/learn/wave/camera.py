@@ -156,7 +156,7 @@ class simulated_camera(Prepared, torch.nn.Module):
         super().__init__()
         self.wavelength = _validate.real("wavelength", wavelength, positive=True)
         self.distance = _validate.real("distance", distance)
-        self.pixel_pitch = checked_pitch("pixel_pitch", pixel_pitch)
+        self.pixel_pitch: float = checked_pitch("pixel_pitch", pixel_pitch)
         check_has_kernel(propagation_type)
         self.propagation_type, self.slm = propagation_type, _validate.function_or_none("slm", slm)
         self.register_buffer("aberration", panel_map("aberration", aberration))
@@ -166,8 +166,8 @@ class simulated_camera(Prepared, torch.nn.Module):
         self.read_noise: float = _validate.constant("read_noise", read_noise)
         if self.read_noise < 0 or (self.read_noise > 0 and full_well is None):
             raise ValueError(f"read_noise must be at least 0, and 0 without full_well, got {read_noise!r}")
-        self.bits = checked_bits(bits)
-        self.cutoff = iris_cutoff(self.wavelength, iris_radius, iris_focal_length)
+        self.bits: int | None = checked_bits(bits)
+        self.cutoff: float | None = iris_cutoff(self.wavelength, iris_radius, iris_focal_length)
         self.pixel_fill = None
         if pixel_fill is not None or self.cutoff is not None:
             self.pixel_fill = checked_fill(pixel_fill, self.slm, self.cutoff is not None)

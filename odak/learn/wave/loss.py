@@ -751,9 +751,9 @@ class perceptual_multiplane_loss(FocalTargets):
         self.additional_loss_weights: dict[Any, float] = _checked_weights(
             "additional_loss_weights", additional_loss_weights, {"cvvdp": 1.0}, _MEASURES
         )
-        self.return_components = _validate.flag("return_components", return_components)
+        self.return_components: bool = _validate.flag("return_components", return_components)
         viewing = None if viewing is None else checked_viewing(viewing)
-        self.measures = nn.ModuleDict()
+        self.measures: nn.ModuleDict = nn.ModuleDict()
         for name in tuple(self.additional_loss_weights):
             try:
                 self.measures[name] = _MEASURES[name][0](self.target_image.device, viewing)

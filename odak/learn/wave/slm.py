@@ -187,7 +187,7 @@ class spatial_light_modulator(Prepared, torch.nn.Module):
         samples_per_pixel: int = 1,
     ):
         super().__init__()
-        self.samples_per_pixel = _validate.integer("samples_per_pixel", samples_per_pixel, minimum=1)
+        self.samples_per_pixel: int = _validate.integer("samples_per_pixel", samples_per_pixel, minimum=1)
         self.bits = checked_bits(bits)
         self.phase_range = None if phase_range is None else _validate.real("phase_range", phase_range, positive=True)
         self._hold_lut(lut)

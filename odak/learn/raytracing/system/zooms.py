@@ -69,7 +69,7 @@ class configurations(torch.nn.Module):
 
     def __init__(self, system: optical_system, settings: Sequence[tuple[Any, ...]] | None = None):
         super().__init__()
-        self.system = checked_system(system)
+        self.system: optical_system = checked_system(system)
         given = system.settings if settings is None else checked_settings(settings, len(system.surfaces), system.unit)
         if not given:
             raise ValueError("settings must have at least one entry (name, place, values), got none")
