@@ -14,6 +14,8 @@ FOLDER = Path(odak.__file__).parent / "learn"
 REASONS = {
     "files, figures and reports are made by the processor": """
         perception/quality: _pooled eccentricity_report
+        wave/displays/display: from_calibration
+        wave/holograms/result: save
         raytracing/mesh: read_PLY save_heights_as_PLY write_PLY
         raytracing/system/automatic: automatic_design record
         raytracing/system/design: report
@@ -40,6 +42,7 @@ REASONS = {
         models/hologram_networks: _planes
         perception/color_vision_deficiency: _checked_severity
         perception/csf: _check_range highest_frequency unified_pupil_diameter
+        perception/eyesight: ocular_modulation_transfer
         perception/display_color: _checked_axis individual_cone_fundamentals metameric_failure spectrum_to_xyz
         perception/metameric: _metamer
         perception/quality: _require_positive

@@ -271,7 +271,7 @@ class spatial_light_modulator(Prepared, torch.nn.Module):
             return even_levels(phase, 2 ** (self.bits or 0)).to(torch.int32)
         return self._nearest(phase, _like(self.lut, phase, self.lut.dtype)).to(torch.int32)
 
-    def phases_of(self, levels: torch.Tensor, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+    def _phases_of(self, levels: torch.Tensor, dtype: torch.dtype = torch.float32) -> torch.Tensor:
         """Return the phases in radians, of a `dtype`, of levels: integers ``[..., m, n]`` below 2^bits."""
         if self.lut is None:
             raise ValueError("bits must be given for a modulator to have levels, got None")
@@ -290,7 +290,7 @@ class spatial_light_modulator(Prepared, torch.nn.Module):
             if self._even:
                 target = even_levels(phase.detach(), 2**self.bits) * (TURN / 2**self.bits)
             else:
-                target = self.phases_of(self.levels(phase), phase.dtype)
+                target = self._phases_of(self.levels(phase), phase.dtype)
         # The difference is exactly zero: it contributes the gradient and no rounding error.
         return target + (phase - phase.detach())
 
@@ -381,9 +381,9 @@ class VaryingModulator(spatial_light_modulator):
         super().__init__(**options)
         self.register_buffer("factors", factors)
 
-    def phases_of(self, levels: torch.Tensor, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+    def _phases_of(self, levels: torch.Tensor, dtype: torch.dtype = torch.float32) -> torch.Tensor:
         """Return the phases in radians, of a `dtype`, of levels: integers ``[..., m, n]`` below 2^bits."""
-        return super().phases_of(levels, dtype) * self.factors.to(levels.device, dtype)
+        return super()._phases_of(levels, dtype) * self.factors.to(levels.device, dtype)
 
     def _nearest(self, phase: torch.Tensor, lut: torch.Tensor) -> torch.Tensor:
         factors, phase = self.factors.to(phase), phase.detach()

@@ -211,7 +211,7 @@ class Modulator:
         if self.responses():
             return self._of_frames("phases_of", levels, dtype)
         if getattr(self.response, "lut", None) is not None:
-            return self.response.phases_of(levels, dtype)  # type: ignore[union-attr]
+            return self.response._phases_of(levels, dtype)  # type: ignore[union-attr]
         return levels.to(dtype) * (TURN / 2 ** _validate.integer("bits", self.bits))
 
     def levels(self, phases: torch.Tensor) -> torch.Tensor:

@@ -214,7 +214,7 @@ class multi_color_hologram_optimizer(Prepared):
         if learning_rate_floor is not None:
             if min_learning_rate is not None:
                 raise TypeError("min_learning_rate and learning_rate_floor are one argument; give one of them")
-            min_learning_rate = learning_rate_floor
+            min_learning_rate = _validate.real("learning_rate_floor", learning_rate_floor)
         if scheduler_power is not None:
             _validate.real("scheduler_power", scheduler_power)
             warn("scheduler_power has no effect: the learning rate falls along a cosine", ArgumentWarning)
