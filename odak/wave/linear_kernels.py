@@ -203,8 +203,11 @@ class LinearGrid(Grid):
                 plain_rule(n) if axis in self.axes else Rule(1) for n, axis in zip(sizes, (-2, -1), strict=True)
             )
             return rows, columns
-        pitches, _, distance = numbers
-        axes = axes_of(sizes, *numbers)
+        pitches, wavelength, distance = numbers
+        if distance == 0 and (self.pixel_fill is not None or True in self.halves):
+            # What lies between samples, or of pixels of some width, is no plain sum even there.
+            distance = wavelength / 1000
+        axes = axes_of(sizes, pitches, wavelength, distance)
         if len(self.axes) == 1:
             # Of the other axis there is the frequency zero alone.
             rule = rule_for(replace(axes[self.axes[0]], transverse=0.0), self.tolerance)

@@ -1,4 +1,4 @@
-"""Light of square pixels behind a stop, and what cameras record of it, by quadrature over the stop.
+"""Light of square pixels behind stops, lenses, pupils and other panels, and what cameras record of it, by quadrature.
 
 Nothing here is imported from the package, and no transform has a period: the field at any point is the integral of
 plane waves over the frequencies that pass the stop, by Gauss's rule along both axes or along radius and angle. Lengths
@@ -24,11 +24,11 @@ class SquareStop:
     def __init__(self, shape, reach=0.0, orders=1):
         self.nodes = [_gauss(orders / 2, orders * (n + reach) + 8) for n in shape]
 
-    def spectrum(self, light, transfer):
-        """Return the amplitudes of the plane waves of light at the pixels, times their weights."""
+    def spectrum(self, light, transfer, places=None):
+        """Return the amplitudes of the plane waves of light at the pixels, or some places, times their weights."""
         (fy, wy), (fx, wx) = self.nodes
         down, across = (
-            np.exp(-2j * np.pi * np.outer(f, np.arange(n))) for f, n in zip((fy, fx), light.shape, strict=True)
+            np.exp(-2j * np.pi * np.outer(f, p)) for f, p in zip((fy, fx), _or_pixels(places, light), strict=True)
         )
         return (down @ light @ across.T) * transfer(fy[:, None], fx) * np.outer(wy, wx)
 
@@ -62,11 +62,11 @@ class RoundStop:
         area = 2 * np.pi / count * radius.prod()
         self.weights = (area * np.outer((r + 0.5) * weight, np.ones(count))).ravel()
 
-    def spectrum(self, light, transfer):
-        """Return the amplitudes of the plane waves of light at the pixels, times their weights."""
+    def spectrum(self, light, transfer, places=None):
+        """Return the amplitudes of the plane waves of light at the pixels, or some places, times their weights."""
         down, across = (
-            np.exp(-2j * np.pi * np.outer(f, np.arange(n)))
-            for f, n in zip((self.fy, self.fx), light.shape, strict=True)
+            np.exp(-2j * np.pi * np.outer(f, p))
+            for f, p in zip((self.fy, self.fx), _or_pixels(places, light), strict=True)
         )
         return ((down @ light) * across).sum(1) * transfer(self.fy, self.fx) * self.weights
 
@@ -80,6 +80,124 @@ class RoundStop:
         return np.exp(2j * np.pi * (np.outer(y, self.fy) + np.outer(x, self.fx))) @ waves
 
 
+class Focus:
+    """Points behind a lens, in place of frequencies: Fourier sums over the pixels, times the spectrum of squares.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns of the panel.
+    curvature : float
+        Phase in cycles, per square of a pixel, that the lens leaves at a plane beside its focus.
+    fill : float
+        Share of a pixel that emits.
+    """
+
+    def __init__(self, shape, curvature=0.0, fill=0.9):
+        self.pixels = [np.arange(n) - n // 2 for n in shape]
+        self.curvature, self.width = curvature, fill**0.5
+
+    def spectrum(self, light, _):
+        """Return the light that the lens turns into an image."""
+        y, x = self.pixels
+        return light * np.exp(2j * np.pi * self.curvature * (y[:, None] ** 2 + x**2)) / light.size**0.5
+
+    def on_a_grid(self, light, y, x):
+        """Return the field at all places of rows y and columns x."""
+        down, across = (
+            np.exp(-2j * np.pi * np.outer(f, pixels)) * np.sinc(self.width * f)[:, None]
+            for f, pixels in (((p - len(k) // 2) / len(k), k) for p, k in zip((y, x), self.pixels, strict=True))
+        )
+        return down @ light @ across.T
+
+
+class Retina:
+    """Points of a pupil: Fresnel's integral over the area of each pixel, and the image in polar coordinates.
+
+    Lengths are in metres.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns of the panel.
+    pitch, wavelength : float
+        Of the panel and of the light.
+    ray_matrix : tuple of float
+        A, B and D from the panel to the pupil.
+    diameter : float
+        Of the pupil.
+    middle : tuple of float
+        Place of the pupil.
+    focus : float, optional
+        Distance in front of the pupil that is sharp; the panel, as it is seen, by default.
+    one_order : bool
+        Whether a stop passes one diffraction order, whose light Fresnel's integral spreads from its edge.
+    fill : float
+        Share of a pixel that emits.
+    """
+
+    def __init__(
+        self, shape, pitch, wavelength, ray_matrix, diameter, middle=(0.0, 0.0), focus=None, one_order=False, fill=0.9
+    ):
+        a, b, d = ray_matrix
+        self.shape, self.step = shape, pitch / (wavelength * b)
+        radius, blur = diameter / 2 * abs(self.step), 0 if focus is None else d / b - 1 / focus
+        turns = abs(blur) * diameter**2 / 8 / wavelength / radius
+        if one_order:
+            # The edges of a stop send light as far aside as their plane waves go on the way to the pupil.
+            turns += (0.5 + radius + max(np.abs(middle)) * abs(self.step)) / abs(a * pitch * self.step)
+        disc = RoundStop(shape, radius, turns)
+        v, u = disc.fy / self.step, disc.fx / self.step
+        self.waves = disc.weights * np.exp(1j * np.pi * blur / wavelength * (u**2 + v**2))
+        self.places = v + middle[0], u + middle[1]
+        pixels = [(np.arange(n) - n // 2) * pitch for n in shape]
+        spread = self._of_one_order if one_order else self._of_squares
+        self.ways = [
+            spread(*each, a, wavelength * b, pitch, fill**0.5) for each in zip(self.places, pixels, strict=True)
+        ]
+
+    def _of_squares(self, there, x, a, length, pitch, width):
+        nodes, weights = np.polynomial.legendre.leggauss(5)
+        inner = [x + width * pitch / 2 * node for node in nodes]
+        parts = (np.exp(1j * np.pi / length * (a * s**2 - 2 * np.outer(there, s))) for s in inner)
+        return sum(weight / 2 * part for weight, part in zip(weights, parts, strict=True))
+
+    def _of_one_order(self, there, x, a, length, pitch, width):
+        """Return the sum of the plane waves that pass, of which each is a chirp in the plane of the pupil."""
+        q, curvature = there / length, a / length
+        turns = (np.abs(q).max() + 0.5 / pitch) / abs(curvature) / pitch
+        f, weights = _gauss(0.5 / pitch, turns + len(x))
+        waves = weights * np.sinc(width * pitch * f) * (1j / curvature) ** 0.5
+        chirps = np.exp(-1j * np.pi / curvature * np.subtract.outer(q, f) ** 2)
+        return chirps @ (waves[:, None] * np.exp(-2j * np.pi * np.outer(f, x)))
+
+    def spectrum(self, light, _):
+        """Return the light at points of the pupil, times their weights and what the eye does not focus."""
+        down, across = self.ways
+        return ((down @ light) * across).sum(1) * self.waves
+
+    def on_a_grid(self, waves, y, x):
+        """Return the field at all places of rows y and columns x."""
+        down, across = (
+            np.exp(2j * np.pi * self.step * np.outer(p - n // 2, there))
+            for p, n, there in zip((y, x), self.shape, self.places, strict=True)
+        )
+        return (down * waves) @ across.T
+
+
+def after_a_panel(amplitudes, light, between, transfer, fill=0.9, points=10):
+    """Return the light of a panel that is lit through another one, at points of its pixels, and where these are.
+
+    `between` is the stop that the light of the first panel passes, `transfer` its pixels and its way; the second panel
+    multiplies it within the inner squares of its pixels. The results are the light at the pixels' points, times their
+    weights, and the places of these along rows and columns.
+    """
+    nodes, weights = _rule(fill**0.5, points)
+    y, x = (np.add.outer(np.arange(n), nodes).ravel() for n in light.shape)
+    there = between.on_a_grid(between.spectrum(amplitudes.astype(complex), transfer), y, x)
+    return there * np.kron(light, np.outer(weights, weights)), [(y, x)]
+
+
 class Seen:
     """What is seen of frames of light at the pixels of a panel: intensity at points, and means over squares.
 
@@ -89,15 +207,17 @@ class Seen:
         Complex light of each frame at the pixels, ``[rows, columns]``.
     powers : sequence of float
         Share of the power in each frame.
-    stop : SquareStop or RoundStop
+    stop : SquareStop, RoundStop, Focus or Retina
         What passes.
     transfer : callable
         ``transfer(fy, fx)``, in cycles per pixel: of pixels and of the way.
+    places : sequence, optional
+        Places of the light along rows and columns instead of the pixels, by :func:`after_a_panel`.
     """
 
-    def __init__(self, frames, powers, stop, transfer):
+    def __init__(self, frames, powers, stop, transfer=None, places=()):
         self.stop, self.powers = stop, powers
-        self.waves = [stop.spectrum(np.asarray(light, complex), transfer) for light in frames]
+        self.waves = [stop.spectrum(np.asarray(light, complex), transfer, *places) for light in frames]
 
     def on_a_grid(self, y, x):
         """Return the intensity at all places of rows y and columns x."""
@@ -193,6 +313,10 @@ def camera(seen, target, step=1.0, fill=1.0, shifts=4):
         places,
     )
     return np.reshape(found, (len(rows), len(columns)))
+
+
+def _or_pixels(places, light):
+    return [np.arange(n) for n in light.shape] if places is None else places
 
 
 def _gauss(half, cycles):

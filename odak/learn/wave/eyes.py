@@ -7,15 +7,19 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy import special
+from scipy import fft, special
 
 from odak import _array, _validate
 from odak.instruments import Lens
 from odak.learn._tensors import tensor
-from odak.wave.viewing import ROTATION_RADIUS, covered
+from odak.wave.viewing import ROTATION_RADIUS
 
-# Points along the diameter of a pupil, at least.
-_POINTS = 64
+# Points along the diameter of a pupil, at least, and on each side beyond its rim, where what stands for the rim ends.
+_POINTS, _BESIDE = 32, 6
+# Times the width of an image that its points resolve, and pixels of this width at the rims of the panel.
+_FINER, _RIMS = 1.25, 8
+# Share of what points resolve that is whole.
+_WHOLE = 0.6
 
 
 @_validate.takes_units("distance", "positions", "diameter", "focus", degrees=("rotation",))
@@ -167,50 +171,59 @@ class Sight:
         there, x = self._points(axis)[0][:, None] + self.pupil()[0][axis], self._places(axis)
         # Of the order of a pixel: ±1/2 at its edges.
         order = (there - a * x) / self.box(axis)
-        envelope = np.sinc(self.width * order)
         if self.one_order:
-            step = self._points(axis)[1] / self.box(axis)
-            envelope = envelope * _through_stop(
-                order, a * self.pitches[axis] / (self.box(axis) * (1 if b > 0 else -1)), step
+            envelope = _through_stop(
+                order, a * self.pitches[axis] ** 2 / (self.wavelength * b), self.width, self._band(axis)
             )
+        else:
+            envelope = np.sinc(self.width * order)
         return envelope * _array.phasor_of_cycles((a * x - 2 * there) * x / (2 * self.wavelength * b))
 
     def through_pupil(self) -> np.ndarray:
         """Return what the pupil passes, with the phase that the eye does not focus, complex128 ``[points, points]``."""
-        (down, *fine), (across, *more) = self._points(0), self._points(1)
+        (down, fine), (across, more) = self._points(0), self._points(1)
         halves = self.pupil()[1]
-        spacing = [step / half for (step,), half in zip((fine, more), halves, strict=True)]
-        passed = covered(np, down[:, None] / halves[0], across / halves[1], spacing)
+        frequencies = np.fft.fftfreq(len(down), fine)[:, None], np.fft.fftfreq(len(across), more)
+        # The spectrum of an ellipse, without what is faster than the points resolve.
+        rho = 2 * np.pi * np.hypot(*(f * half for f, half in zip(frequencies, halves, strict=True)))
+        spectrum = np.where(rho == 0, 1, 2 * special.j1(rho) / np.where(rho == 0, 1, rho)) * math.pi * math.prod(halves)
+        for f, step in zip(frequencies, (fine, more), strict=True):
+            spectrum = spectrum * _fading(2 * step * f) / step
+        passed = np.fft.fftshift(np.fft.ifft2(spectrum)).real
         return passed * _array.phasor_of_cycles(
             self.defocus() / (2 * self.wavelength) * (down[:, None] ** 2 + across**2)
         )
 
-    def to_retina(self, axis: int, samples: int) -> np.ndarray:
-        """Return the matrix from the pupil to points of an image along an axis, ``[pixels · samples, points]``."""
+    def to_retina(self, axis: int, samples: int, beyond: int) -> np.ndarray:
+        """Return the matrix from the pupil to points of an image along an axis, ``[pixels · samples, points]``.
+
+        Some pixels more lie beyond each rim of the image.
+        """
         b, (points, step) = self.ray_matrix()[1], self._points(axis)
         there = points + self.pupil()[0][axis]
-        turn = _array.phasor_of_cycles(self._places(axis, samples)[:, None] * there / (self.wavelength * b))
+        turn = _array.phasor_of_cycles(self._places(axis, samples, beyond)[:, None] * there / (self.wavelength * b))
         return turn * (step / self.box(axis))
 
-    def part(self, which: int, samples: int) -> np.ndarray:
+    def part(self, which: int, samples: int, beyond: int) -> np.ndarray:
         """Return one of the five arguments of :func:`seen_by_eye` after the light."""
         if which == 2:
             return self.through_pupil()
-        return self.to_pupil(which) if which < 2 else self.to_retina(which - 3, samples)
+        return self.to_pupil(which) if which < 2 else self.to_retina(which - 3, samples, beyond)
 
-    def _places(self, axis: int, samples: int = 1) -> np.ndarray:
+    def _places(self, axis: int, samples: int = 1, beyond: int = 0) -> np.ndarray:
         n, pitch = self.sizes[axis], self.pitches[axis]
-        return (np.arange(n * samples) / samples - n // 2) * pitch
+        return (np.arange(-beyond * samples, (n + beyond) * samples) / samples - n // 2) * pitch
+
+    def _band(self, axis: int) -> float:
+        """Return how far from a pixel, in pixels, its light is followed: over the image, its rims and its blur."""
+        return _FINER * (self.sizes[axis] + _RIMS + self.blur() / self.pitches[axis])
 
     def _points(self, axis: int) -> tuple[np.ndarray, float]:
-        """Return points from the middle of the pupil, and how far apart they are.
-
-        The image of points is periodic, here with twice its width.
-        """
+        """Return points from the middle of the pupil, and some beyond its rim, and how far apart they are."""
         width = 2 * self.pupil()[1][axis]
-        count = max(_POINTS, math.ceil(2 * self.sizes[axis] * width / self.box(axis)))
-        step = width / count
-        return (np.arange(count) - (count - 1) / 2) * step, step
+        step = width / max(_POINTS, 2 * self._band(axis) * width / self.box(axis))
+        count = math.ceil(width / (2 * step)) + _BESIDE
+        return np.arange(-count, count + 1) * step, step
 
 
 def seen_by_eye(light: Any, down: Any, across: Any, pupil: Any, back_down: Any, back_across: Any) -> Any:
@@ -218,18 +231,27 @@ def seen_by_eye(light: Any, down: Any, across: Any, pupil: Any, back_down: Any, 
     return back_down @ ((down @ light @ across.mT) * pupil) @ back_across.mT
 
 
-def _through_stop(order: np.ndarray, fresnel_number: float, step: float) -> np.ndarray:
-    """Return what a stop of one order passes of the light of a pixel at places in units of the order, from its middle.
+def _through_stop(order: np.ndarray, fresnel_number: float, width: float, band: float) -> np.ndarray:
+    """Return the light of a pixel behind a stop of one order, at places in units of the order from its middle.
 
-    The order's edges are those of the diffraction by a slit, with the Fresnel number of a pixel (Goodman, Introduction
-    to Fourier Optics (2005), section 4.5.1), and geometric ones where these are finer than the points are apart.
+    The stop turns a pixel, a square of some width, into sinc functions about all its points. The transform of these
+    over so many pixels, with Fresnel's phase, is the light (Goodman, Introduction to Fourier Optics (2005), 4.2).
     """
-    if abs(fresnel_number) < step**2:
-        return np.clip((0.5 - abs(order)) / step + 0.5, 0, 1)
-    ends = [special.fresnel((2 / abs(fresnel_number)) ** 0.5 * (order + end)) for end in (-0.5, 0.5)]
-    (below, above), turn = [cosine + 1j * sine for sine, cosine in ends], np.exp(-0.25j * np.pi) / 2**0.5
-    passed = (above - below) * turn
-    return passed.conj() if fresnel_number > 0 else passed
+    rate = 4 * math.ceil(1 + abs(fresnel_number) * band)
+    y = np.arange(-math.ceil(band * rate), math.ceil(band * rate) + 1) / rate
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    pixel = np.sinc(y[:, None] - width / 2 * nodes) @ (weights / 2) * _fading(y / band)
+    # As many frequencies that values between them follow.
+    count = fft.next_fast_len(64 * len(y))
+    turned = np.zeros(count, complex)
+    turned[: len(y)] = pixel * _array.phasor_of_cycles(fresnel_number / 2 * y**2) / rate
+    values = np.fft.fftshift(np.fft.fft(np.roll(turned, -(len(y) // 2))))
+    return np.interp(order, np.fft.fftshift(np.fft.fftfreq(count, 1 / rate)), values, 0, 0)
+
+
+def _fading(places: np.ndarray) -> np.ndarray:
+    """Return 1 in the middle of ±1, and half a cosine's fall to 0 at its ends."""
+    return 0.5 + 0.5 * np.cos(np.pi * np.clip((abs(places) - _WHOLE) / (1 - _WHOLE), 0, 1))
 
 
 def of_each(name: Any, value: Any, places: Any) -> Any:

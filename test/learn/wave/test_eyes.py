@@ -123,17 +123,14 @@ def test_eyepiece_shows_the_panel_at_its_image():
         Eyes(Lens(0.04, 0.1, 0.1), PLACES, 1.5e-3, rotation=(0.0, 4.0)),
     ],
 )
-@pytest.mark.parametrize(("iris", "n", "bound"), [(None, N, 0.01), ("order", 120, 0.03)])
+@pytest.mark.parametrize(("iris", "n", "bound"), [(None, N, 2e-3), ("order", 120, 4e-3)])
 def test_judge_agrees(eyes, iris, n, bound):
-    # The judge's stop ends at one of 2n frequencies, 1.6 mm from the axis in the middle of the pupil of an eye.
     display = eyed(eyes, 0.7, iris, n, wavelengths=[WAVELENGTH, 639e-9])
     phases = random_phase(2, n, n + 6)
     areas, points = display.judge(phases)
     assert areas.shape == (2, 2, n, n + 6)
     seen = display(phases)
-    # Beyond the rim of the panel, of which an image has no samples, the mean over pixels is not the same.
-    inner = slice(None), slice(None), slice(4, -4), slice(4, -4)
-    assert relative(seen[inner], areas[inner]) < bound
+    assert relative(seen, areas) < bound
     middles = display.fields(phases).abs().square()
     middles = torch.stack([middles[c, :, c] for c in range(2)], 1)
     assert relative(middles, points) < bound

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 import torch
 from independent_camera import (
+    Focus,
+    Retina,
     RoundStop,
     Seen,
     SquareStop,
+    after_a_panel,
     camera,
     freely,
     picture_means,
@@ -17,7 +20,7 @@ from independent_camera import (
 
 from odak.instruments import Lens
 from odak.learn.perception import Viewer, Viewing, ocular_modulation_transfer
-from odak.learn.wave import Display, Iris, Modulator, Observer, Problem, Run, optimise
+from odak.learn.wave import AmplitudePanel, Display, Eyes, Iris, Modulator, Observer, Problem, Run, optimise
 from odak.learn.wave.displays import observers
 from odak.learn.wave.displays.observers import fine_intensity, resolved
 
@@ -254,6 +257,89 @@ def test_the_judge_is_right_behind_a_square_stop_and_of_nine_orders(random, orde
     found = display.judge(torch.from_numpy(phases))[0][0, 0].numpy()
     expected = seen_of([phases], distance, orders).means(np.arange(32), np.arange(28), points=5 * orders)
     assert np.linalg.norm(found - expected) < 5e-4 * np.linalg.norm(expected)
+
+
+def of_stop(stop, shape, distance):
+    """Return a stop by its name, or the share of an order that a round one passes, and the quadrature over it."""
+    if isinstance(stop, float):
+        return of_iris(stop, shape, distance)
+    orders = 3 if stop is None else 1
+    return stop, SquareStop(shape, orders * freely(PITCH, WAVELENGTH, distance)[1], orders)
+
+
+def through_space(light, _, distance, stop="order", medium=1.0):
+    iris, nodes = of_stop(stop, light.shape, distance / medium)
+    display = Display(Modulator(light.shape, PITCH, None), WAVELENGTH, distance, iris=iris, medium=medium)
+    return display, Seen([light], [1], nodes, freely(PITCH, WAVELENGTH / medium, distance)[0])
+
+
+def behind_a_lens(light, _, lens):
+    a, b = lens.ray_matrix
+    display = Display(Modulator(light.shape, PITCH, None), WAVELENGTH, lens)
+    return display, Seen([light], [1], Focus(light.shape, a * PITCH**2 / (2 * WAVELENGTH * b)))
+
+
+def in_an_eye(light, _, diameter, way=0.08, iris=None, place=(0.0, 0.0), focus=None):
+    display = Display(Modulator(light.shape, PITCH, None), WAVELENGTH, Eyes(way, [place], diameter, focus), iris=iris)
+    # From the panel to the pupil: freely, or through a lens and on.
+    matrix = (1.0, way, 1.0)
+    if isinstance(way, Lens):
+        f, before, after = way.focal_length, way.before, way.after
+        matrix = 1 - after / f, before + after - before * after / f, 1 - before / f
+    retina = Retina(light.shape, PITCH, WAVELENGTH, matrix, diameter, place, focus, iris == "order")
+    return display.double(), Seen([light], [1], retina)
+
+
+def through_two_panels(light, amplitudes, gap, between, distance, stop):
+    iris, nodes = of_stop(between, light.shape, gap)
+    last, behind = of_stop(stop, light.shape, distance)
+    panel = Modulator(light.shape, PITCH, None, lit_through=AmplitudePanel(gap, None, iris=iris))
+    there, places = after_a_panel(amplitudes, light, nodes, freely(PITCH, WAVELENGTH, gap)[0])
+    # The pixels of the second panel have their width already.
+    seen = Seen([there], [1], behind, freely(PITCH, WAVELENGTH, distance, 1e-12)[0], places)
+    return Display(panel, WAVELENGTH, distance, iris=last), seen
+
+
+SIGHTS = {
+    "at the panel": (through_space, (32, 28), 0.0),
+    "near": (through_space, (32, 28), 1e-3),
+    "far": (through_space, (32, 28), 2e-2),
+    "larger": (through_space, (64, 48), 5e-3),
+    "in glass": (through_space, (32, 28), 3e-3, "order", 1.5),
+    "without a stop": (through_space, (32, 28), 1e-3, None),
+    "a wide iris": (through_space, (32, 28), 3e-3, 0.9),
+    "a narrow iris": (through_space, (32, 28), 3e-3, 0.1),
+    "lens": (behind_a_lens, (32, 28), Lens(0.2)),
+    "beside the focus": (behind_a_lens, (32, 28), Lens(0.02, before=0.03, after=0.0203)),
+    "eye": (in_an_eye, (32, 28), 1e-3),
+    "wide pupil": (in_an_eye, (64, 48), 3e-3),
+    "eye that is focused nearer": (in_an_eye, (32, 28), 2e-3, 0.08, None, (0.0, 4e-4), 0.07),
+    "eye behind a stop": (in_an_eye, (16, 14), 6e-4, 0.05, "order", (0.0, 2e-4)),
+    "eyepiece": (in_an_eye, (32, 28), 1.5e-3, Lens(0.04, 0.03, 0.025)),
+    "panels that touch": (through_two_panels, (32, 28), 0.0, "order", 5e-4, "order"),
+    "panels apart": (through_two_panels, (24, 20), 5e-4, None, 2e-3, "order"),
+    "panels and irises": (through_two_panels, (24, 20), -3e-4, 0.6, 5e-4, 0.4),
+}
+
+
+@pytest.mark.filterwarnings("ignore:the blur of the focus")
+@pytest.mark.parametrize(
+    "sight",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name in ("wide pupil", "panels apart"))) for name in SIGHTS],
+)
+def test_images_and_their_judge_are_right_to_the_rim(random, sight):
+    """Against quadrature over stops and pupils: all pixels, in the image as a whole and in its outermost ones."""
+    way, shape, *numbers = SIGHTS[sight]
+    phases, amplitudes = random.uniform(0, 6, shape), random.uniform(0, 1, shape)
+    display, seen = way(np.exp(1j * phases), amplitudes, *numbers)
+    given = (torch.from_numpy(phases), torch.from_numpy(amplitudes))[: 1 + (way is through_two_panels)]
+    expected, rim = seen.means(*map(np.arange, shape), points=12), np.ones(shape, bool)
+    rim[1:-1, 1:-1] = False
+    judged, shown = display.judge(*given)[0], display(given[0], None, *given[1:])
+    for found, bound in ((judged, 1e-3), (shown, 2e-3)):
+        error = found[0, 0].numpy() - expected
+        assert np.linalg.norm(error) < bound * np.linalg.norm(expected)
+        assert np.linalg.norm(error[rim]) < 2 * bound * np.linalg.norm(expected[rim])
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from odak._warnings import ArgumentWarning, warn
 from odak.instruments import Calibration, Lens, load_calibration
 from odak.learn._tensors import ValuesRead, floating
 from odak.learn.wave.displays.judge import judged
-from odak.learn.wave.displays.observers import REGISTERED, Observer
+from odak.learn.wave.displays.observers import REACH, REGISTERED, Observer
 from odak.learn.wave.displays.panels import Iris, Modulator
 from odak.learn.wave.displays.parts import Part, Shares, Streamed, frames_lit
 from odak.learn.wave.displays.paths.base import Kept, Lights, listed
@@ -355,10 +355,10 @@ class Display(Prepared, torch.nn.Module):
         Each pixel is a comb of samples, propagated by the method that :func:`odak.wave.sampling_report` recommends on a
         grid of twice the size that :meth:`forward` takes, wider for small panels and narrow irises, and multiplied by
         the spectrum of a square; the mean over the area of a pixel is a product of spectra. It shares neither transfer
-        functions nor weights with :meth:`forward`. In free space its images of 32 to 64 pixels along each axis
-        are within 2e-3 of direct sums over the stop, edges and corners among them, those of 270 × 480 pixels within
-        4e-3 behind a stop of one order and 1.1e-2 behind a round one; those of :meth:`forward` within 8e-3 inside and
-        5e-2 as a whole, by the outermost pixels.
+        functions nor weights with :meth:`forward`. Of panels of up to 64 pixels along each axis its images are within
+        1e-3 of direct sums over stops and pupils, and those of :meth:`forward` within 2e-3, in free space, in a medium,
+        behind a lens, in eyes and behind two panels, edges and corners among them; without a stop both hold nine
+        orders. Images of 270 × 480 pixels are within 4e-3 behind a stop of one order and 1.1e-2 behind a round one.
 
         Parameters
         ----------
@@ -490,5 +490,5 @@ class Display(Prepared, torch.nn.Module):
         # The patterns of a batch beside the planes: frames are summed up, and these are not.
         batch, points = shown.shape[:-4], shown.movedim(-4, 0).flatten(1, -3)
         light = exposed(points[:, :, None], amplitudes)[:, 0].unflatten(0, (-1, self.samples, self.samples))
-        seen = observer.recorded(light, self.path.image_pitches(colour))
+        seen = observer.recorded(light, self.path.image_pitches(colour), REACH)
         return seen.reshape(len(seen), *batch, -1, *seen.shape[-2:])

@@ -24,6 +24,8 @@ from odak.wave.viewing import covered
 # Pixels that a grid has along each axis at least, the periods of the highest frequency that a round iris passes, and
 # pixels that it has at most for their sake.
 _LEAST, _PERIODS, _MOST = 512, 24, 2048
+# Widths of the image of a point by a pupil, λ/diameter, over which it is followed at least.
+_AIRY = 64
 
 
 @dataclass(frozen=True)
@@ -183,7 +185,7 @@ def _on_retina(light, sight: Sight):
     boxes, lengths, places, spacing = [sight.box(axis) for axis in (0, 1)], [], [], []
     axes = list(zip((-2, -1), light.shape, sight.pitches, boxes, *sight.pupil(), strict=True))
     # Zeros around a small panel bring the points of the pupil nearer to each other.
-    wide = max(math.ceil(16 * box / (n * half)) for _, n, _, box, _, half in axes)
+    wide = max(math.ceil(_AIRY * box / (n * half)) for _, n, _, box, _, half in axes)
     for axis, n, pitch, box, middle, half in axes:
         # All orders that reach the pupil, from the rim of the panel too.
         finer = math.ceil(2 * (abs(middle) + half) / box + 1)
@@ -281,13 +283,12 @@ def _passed(at, samples, colour, iris, device, wide: Sequence[int] = (1, 1)) -> 
 
 def _both(at, amplitudes, light, colour, samples):
     """Return the field behind the second of two panels, as far as the iris of the display passes it."""
-    first, wavelength = at.first, at.wavelengths[colour]
-    passed = _passed(at, samples, colour, first.iris, light.device)
-    there = _spread_freely(
-        at, _sampled(at, amplitudes, samples, first.fill, passed), wavelength, first.distance, samples
-    )
-    product = torch.fft.fft2(there * _sampled(at, light, samples, at.fill))
-    return torch.fft.ifft2(product * _passed(at, samples, colour, at.iris, light.device))
+    first, wavelength, wide = at.first, at.wavelengths[colour], _wide(at, colour)
+    passed = _passed(at, samples, colour, first.iris, light.device, wide)
+    there = _sampled(at, amplitudes, samples, first.fill, passed, wide)
+    there = _spread_freely(at, there, wavelength, first.distance, samples)
+    product = torch.fft.fft2(there * _sampled(at, light, samples, at.fill, wide=wide))
+    return torch.fft.ifft2(product * _passed(at, samples, colour, at.iris, light.device, wide))
 
 
 def _spread_freely(at, field, wavelength, distance, samples):

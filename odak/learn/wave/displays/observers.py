@@ -19,8 +19,9 @@ from odak._torch_private import in_own_precision
 from odak.learn.perception import Viewer, Viewing
 from odak.learn.wave.fields import intensity
 
-# Pixels on either side, beside half the camera's, that a mean is computed from; see _weights.
-_REACH = 4
+# Pixels on either side, beside half the camera's, that a mean is computed from; see _taps. Paths of light give the
+# points of as many beyond each rim.
+REACH = 4
 # Pixels whose means are one product of matrices.
 _BLOCK = 16
 # Places in a pixel of the panel, along each axis, at which a camera is judged.
@@ -181,7 +182,7 @@ class Observer:
         return down, across
 
     @in_own_precision
-    def recorded(self, points: torch.Tensor, pitches: Sequence[float]) -> torch.Tensor:
+    def recorded(self, points: torch.Tensor, pitches: Sequence[float], beyond: int = 0) -> torch.Tensor:
         """Return means over the camera's pixels about all pixels of an image, on one grid or on four.
 
         Parameters
@@ -191,6 +192,9 @@ class Observer:
             its middle.
         pitches : sequence of float
             Distances of the image's pixels along rows and columns in metres.
+        beyond : int
+            Pixels of these that lie beyond each rim of the image, which means about its outermost pixels need: four
+            for a camera of the image's pitch.
 
         Returns
         -------
@@ -201,10 +205,10 @@ class Observer:
         planes, samples, _, rows, columns = points.shape
         values = points.permute(0, 3, 1, 4, 2).reshape(planes, rows * samples, columns * samples)
         if self._blurs:
-            return self._recorded_between(values, samples, (rows, columns), pitches)
+            return self._recorded_between(values, samples, (rows - 2 * beyond, columns - 2 * beyond), pitches, beyond)
         grids = 1 if self.registered else 2
         for axis, side in zip((-1, -2), self.sides(pitches)[::-1], strict=True):
-            values = _filtered(values, samples, side, grids, axis)
+            values = _filtered(values, samples, side, grids, axis, beyond)
         return torch.stack([values[:, y::grids, x::grids] for y in range(grids) for x in range(grids)])
 
     def wanted(self, target: torch.Tensor, pitches: Sequence[float]) -> torch.Tensor:
@@ -313,10 +317,11 @@ class Observer:
         wide = torch.nn.functional.pad(target, (around,) * 4, mode="replicate")
         return torch.nn.functional.pixel_shuffle(torch.nn.functional.conv2d(wide, shares), places)[:, 0]
 
-    def _recorded_between(self, values, samples, shape, pitches):
+    def _recorded_between(self, values, samples, shape, pitches, beyond):
         """Return :meth:`recorded` for values of planes, by products of spectra of what is continued beyond its ends."""
-        around = samples * max(_REACH, self._rim(shape, pitches))
-        wide = _continued(_continued(values, around, around, -1), around, around, -2)
+        around = samples * max(REACH, self._rim(shape, pitches))
+        more = around - samples * beyond
+        wide = _continued(_continued(values, more, more, -1), more, more, -2)
         size = wide.shape[-2:]
         spectrum = torch.fft.rfft2(wide) * self._passed(size, 1 / samples, shape, pitches).to(wide)
         down, across = _frequencies(size, 1 / samples)
@@ -569,19 +574,23 @@ def _shares(count: int, places: np.ndarray, side: float) -> np.ndarray:
     return covered / covered.sum(1, keepdims=True)
 
 
-def _filtered(values: torch.Tensor, samples: int, side: float, grids: int, axis: int) -> torch.Tensor:
-    """Return means of some side about pixels along an axis of ``[planes, ..., ...]``, `grids` for each pixel."""
-    here, beyond = (part.to(values) for part in _weights(samples, side, grids))
-    reach, step, count = _reach(samples, side), len(here), values.shape[axis] // samples
+def _filtered(values: torch.Tensor, samples: int, side: float, grids: int, axis: int, beyond: int) -> torch.Tensor:
+    """Return means of some side about pixels along an axis of ``[planes, ..., ...]``, `grids` for each pixel.
+
+    Values have some pixels more beyond each end.
+    """
+    here, after = (part.to(values) for part in _weights(samples, side, grids))
+    reach, step, count = _reach(samples, side), len(here), values.shape[axis] // samples - 2 * beyond
     blocks = -(-count * samples // step)
-    values = _continued(values, reach, (blocks + 1) * step - values.shape[axis] - reach, axis)
+    before = reach - beyond * samples
+    values = _continued(values, before, (blocks + 1) * step - values.shape[axis] - before, axis)
     values = values.unflatten(axis, (blocks + 1, step))
     # A block of means depends on the points of its own block and on the first ones of the next.
     if axis == -2:
-        means = here.mT @ values[:, :-1] + beyond.mT @ values[:, 1:, : len(beyond)]
+        means = here.mT @ values[:, :-1] + after.mT @ values[:, 1:, : len(after)]
         whole = means.flatten(1, 2)[:, : count * grids]
     else:
-        means = values[..., :-1, :] @ here + values[..., 1:, : len(beyond)] @ beyond
+        means = values[..., :-1, :] @ here + values[..., 1:, : len(after)] @ after
         whole = means.flatten(-2)[..., : count * grids]
     if grids == 1:
         return whole
@@ -600,7 +609,7 @@ def _continued(values, before, after, axis):
 
 
 def _reach(samples: int, side: float) -> int:
-    return samples * (_REACH + math.ceil(max(0.0, side - 1) / 2))
+    return samples * (REACH + math.ceil(max(0.0, side - 1) / 2))
 
 
 @_array.constant_in_graphs
@@ -629,15 +638,16 @@ def _taps(samples: int, side: float, place: float, reach: int) -> tuple[np.ndarr
     """Return the weights of a mean about a place of a pixel, of an intensity that is known at points of each pixel.
 
     The intensity has frequencies up to samples/2 cycles per pixel, at which its spectrum, an autocorrelation, falls to
-    zero. The spectrum of the weights is the nearest one to the mean's sin(πsf)/(πsf), by least squares with the square
-    of that fall. The second result is the first point that has a weight, `reach` points before the middle of the pixel.
+    zero. The spectrum of the weights is the nearest one to the mean's sin(πsf)/(πsf), by least squares with a weight
+    that falls alike. The second result is the first point that has a weight, `reach` points before the middle of the
+    pixel.
     """
     cycles = np.linspace(0, samples / 2, 64 * samples)
     middle = place * samples
     # Distances from the place of the points on one side of it, which lie alike on the other.
     lags = np.arange(reach + 1) if middle == int(middle) else np.arange(reach) + 0.5
     columns = np.cos(2 * np.pi * cycles[:, None] * lags / samples) * np.where(lags == 0, 1, 2)
-    weight = (1 - cycles / (samples / 2))[:, None] ** 2 + 1e-4
+    weight = (1 - cycles / (samples / 2))[:, None] ** 1.5 + 3e-3
     half = np.linalg.lstsq(columns * weight, np.sinc(side * cycles)[:, None] * weight, rcond=None)[0][:, 0]
     whole = np.concatenate([half[:0:-1] if lags[0] == 0 else half[::-1], half])
     return whole / whole.sum(), round(middle - lags[-1]) + reach

@@ -114,6 +114,8 @@ class Path:
     def points(self, kept: Kept, lights: Lights, colour: int, planes: Sequence[int]) -> torch.Tensor:
         """Return the fields of some images at the points of pixels, ``[..., F, planes·samples², rows, columns]``.
 
+        Among them are :data:`odak.learn.wave.displays.observers.REACH` rows and columns beyond each rim.
+
         Parameters
         ----------
         kept : Kept

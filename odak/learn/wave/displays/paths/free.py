@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
+from scipy.fft import next_fast_len
 
 from odak import _array, _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import tensor
+from odak.learn.wave.displays.observers import REACH
 from odak.learn.wave.displays.panels import Iris
 from odak.learn.wave.displays.paths.base import Path, checked_numbers, keep, listed
 from odak.learn.wave.training import generator_from
@@ -21,6 +23,8 @@ from odak.wave.transfer_functions import Request, divided_pitch, plane_wave_tran
 
 # Where an iris passes fewer periods across the panel, its spot is wider than all that is computed.
 _FEWEST_PERIODS = 0.5
+# Pixels along an axis from which on points beyond the rim may lack the light of as many pixels at the other rim.
+_LARGE = 128
 
 
 @_validate.takes_units("distances", "relay", "jitter")
@@ -114,6 +118,15 @@ class FreePath(Path):
         space = self.ends if isinstance(self.ends, Free) else Free(self.ends)
         net = tuple(float(z) - space.relay for z in _validate.numbers(space.distances))
         keep(self, distances=net, window=self.sizes, samples=2 * self.passing(self.iris))
+        if space.mask is None:
+            # A round stop is sampled on the grid of the window.
+            least = 2 * _LARGE if isinstance(self.iris, Iris) else 0
+            wider = (4 * next_fast_len(-(-max(n + REACH, least) // 4), True) for n in self.sizes)
+            keep(self, window=tuple(n if n >= _LARGE else more for n, more in zip(self.sizes, wider, strict=True)))
+        elif min(self.sizes) < 2 * REACH:
+            raise ValueError(
+                f"mask must be for a panel of {2 * REACH} rows and columns at least, got {list(self.sizes)}"
+            )
         if isinstance(self.iris, Iris):
             across = min(n * p for n, p in zip(self.sizes, self.pitches, strict=True))
             periods = across * min(self.iris.cutoff(wavelength) for wavelength in self.wavelengths)
@@ -145,7 +158,8 @@ class FreePath(Path):
         """Return the fields of some images at the points of pixels."""
         (light,) = lights
         # One kernel for each plane and point of a pixel takes one transform back, but a single forward one.
-        return convolve(light.unsqueeze(-3), self.kernels(kept, colour, light.dtype, planes))
+        light = torch.nn.functional.pad(light.unsqueeze(-3), (REACH,) * 4)
+        return convolve(light, self.kernels(kept, colour, light.dtype, planes))
 
     def middles(self, kept, lights, colour):
         """Return the fields of all images at the middles of pixels."""

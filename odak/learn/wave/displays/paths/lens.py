@@ -9,6 +9,7 @@ from typing import Any
 import torch
 
 from odak.instruments import Lens
+from odak.learn.wave.displays.observers import REACH
 from odak.learn.wave.displays.panels import Iris
 from odak.learn.wave.displays.paths.base import Path, keep
 from odak.learn.wave.displays.paths.two_panels import not_behind
@@ -37,7 +38,7 @@ class LensPath(Path):
     def points(self, kept, lights, colour, planes):
         """Return the fields of some images at the points of pixels."""
         light, quarters = lights[0].unsqueeze(-3), itertools.product((0.0, 0.5), repeat=2)
-        return torch.cat([self._focused(kept, light, colour, half) for half in quarters], -3)
+        return torch.cat([self._focused(kept, light, colour, half, REACH) for half in quarters], -3)
 
     def middles(self, kept, lights, colour):
         """Return the fields of all images at the middles of pixels."""
@@ -60,11 +61,18 @@ class LensPath(Path):
         """Return where the images are, in words."""
         return f"lens of {1e3 * self.ends.focal_length:.4g} mm"
 
-    def _focused(self, kept, light, colour, beside=(0.0, 0.0)):
-        """Return the field behind the lens, at the middles of the points of an image or a part of one beside them."""
+    def _focused(self, kept, light, colour, beside=(0.0, 0.0), beyond=0):
+        """Return the field behind the lens, at the middles of the points of an image or a part of one beside them.
+
+        It reaches some points beyond each rim, where the next orders begin.
+        """
         lit = torch.fft.ifftshift(light * self._before(kept, colour, light.dtype, beside), dim=(-2, -1))
-        behind = kept(LensPath._behind_lens, self, colour, light.dtype, beside)
-        return torch.fft.fftshift(torch.fft.fft2(lit, norm="ortho"), dim=(-2, -1)) * behind
+        behind = kept(LensPath._behind_lens, self, colour, light.dtype, beside, beyond)
+        field = torch.fft.fftshift(torch.fft.fft2(lit, norm="ortho"), dim=(-2, -1))
+        if beyond:
+            rows, columns = (torch.arange(-beyond, n + beyond, device=field.device) % n for n in self.sizes)
+            field = field.index_select(-2, rows).index_select(-1, columns)
+        return field * behind
 
     def _before(self, kept, colour, dtype, beside=(0.0, 0.0)):
         return kept(LensPath._before_lens, self, colour, dtype, beside)
@@ -78,10 +86,10 @@ class LensPath(Path):
         turn = 2 * math.pi * torch.remainder(cycles, 1)
         return torch.polar(torch.ones_like(turn), turn).to(device, dtype)
 
-    def _behind_lens(self, device, colour, dtype, beside):
+    def _behind_lens(self, device, colour, dtype, beside, beyond):
         """Return the factor of the field behind the lens, which its pixels envelop."""
         frequencies = [
-            (torch.arange(n, dtype=torch.float64) - n // 2 + part) / n
+            (torch.arange(-beyond, n + beyond, dtype=torch.float64) - n // 2 + part) / n
             for n, part in zip(self.sizes, beside, strict=True)
         ]
         return self._envelope(frequencies, colour).to(device, dtype.to_real())

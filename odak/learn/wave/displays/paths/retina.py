@@ -7,6 +7,7 @@ import torch
 
 from odak._warnings import SamplingWarning, warn
 from odak.instruments import Lens
+from odak.learn.wave.displays.observers import REACH
 from odak.learn.wave.displays.panels import AmplitudePanel, Iris
 from odak.learn.wave.displays.paths.base import Path, keep, listed
 from odak.learn.wave.eyes import Eyes, Sight, seen_by_eye
@@ -50,7 +51,8 @@ class RetinaPath(Path):
         """Return the fields of all images at the middles of pixels."""
         light = lights[0].unsqueeze(-3)
         eyes = range(len(self.ends))
-        return torch.stack([self._seen(kept, light, colour, eye)[..., 0, 0, :, :] for eye in eyes], -3)
+        parts = (self._to_middles(kept, light, colour, eye) for eye in eyes)
+        return torch.cat([seen_by_eye(light, *part) for part in parts], -3)
 
     def replaced(self, kept, amplitudes, light, colour):
         """Return the light on the panel of images whose amplitudes are replaced."""
@@ -102,23 +104,27 @@ class RetinaPath(Path):
         rows, columns = self.sizes
         return (
             seen_by_eye(light, *self._parts(kept, light, colour, eye))[..., 0, :, :]
-            .unflatten(-2, (rows, self.samples))
-            .unflatten(-1, (columns, self.samples))
+            .unflatten(-2, (rows + 2 * REACH, self.samples))
+            .unflatten(-1, (columns + 2 * REACH, self.samples))
             .movedim((-3, -1), (-4, -3))
         )
 
     def _back(self, kept, amplitudes, light, colour, eye):
         """Return the light on the panel, by the adjoint, of the image of an eye with its amplitudes replaced."""
-        down, across, pupil, *back = self._parts(kept, light, colour, eye)
-        # Every so many rows of the matrices are the middles of pixels.
-        back_down, back_across = (matrix[:: self.samples] for matrix in back)
+        down, across, pupil, back_down, back_across = self._to_middles(kept, light, colour, eye)
         shown = seen_by_eye(light, down, across, pupil, back_down, back_across)
         there = back_down.mH @ (amplitudes * unit_phasor(shown.angle())) @ back_across.conj() * pupil.conj()
         return down.mH @ there @ across.conj()
+
+    def _to_middles(self, kept, light, colour, eye):
+        """Return the arguments of :func:`odak.learn.wave.eyes.seen_by_eye` that lead to the middles of pixels."""
+        *there, down, across = self._parts(kept, light, colour, eye)
+        rows, columns = (slice(REACH * self.samples, (REACH + n) * self.samples, self.samples) for n in self.sizes)
+        return *there, down[rows], across[columns]
 
     def _parts(self, kept, light, colour, eye):
         """Return the arguments of :func:`odak.learn.wave.eyes.seen_by_eye` after the light."""
         return [kept(RetinaPath._of_eye, self, colour, eye, part, light.dtype) for part in range(5)]
 
     def _of_eye(self, device, colour, eye, part, dtype):
-        return torch.from_numpy(self.sight(colour, eye).part(part, self.samples)).to(device, dtype)
+        return torch.from_numpy(self.sight(colour, eye).part(part, self.samples, REACH)).to(device, dtype)

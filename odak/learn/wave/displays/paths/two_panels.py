@@ -9,6 +9,7 @@ import torch
 from scipy.fft import next_fast_len
 
 from odak import _array
+from odak.learn.wave.displays.observers import REACH
 from odak.learn.wave.displays.panels import Iris
 from odak.learn.wave.displays.paths.base import keep
 from odak.learn.wave.displays.paths.free import FreePath, PixelTransfer
@@ -16,8 +17,9 @@ from odak.wave.linear_kernels import linear_kernel
 from odak.wave.torch_convolution import convolve
 from odak.wave.transfer_functions import Request, divided_pitch
 
-# Pixels around a modulator, at least, in which the light of its edges is followed behind another panel.
-_MARGIN = 32
+# Pixels around a modulator, at least, in which the light of its edges is followed behind another panel, and in which
+# that of a small one is, whose edges are a larger part of it.
+_MARGIN, _SMALLEST = 32, 256
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class TwoPanelsPath(FreePath):
         super().__post_init__()
         if self.samples > 2:
             raise ValueError(not_behind(f"iris={self.iris!r}"))
-        rows, columns = (next_fast_len(n + 2 * _MARGIN) for n in self.sizes)
+        rows, columns = (next_fast_len(max(n + 2 * _MARGIN, _SMALLEST)) for n in self.sizes)
         keep(self, window=(rows, columns))
 
     @classmethod
@@ -40,15 +42,17 @@ class TwoPanelsPath(FreePath):
 
     def points(self, kept, lights, colour, planes):
         """Return the fields of some images at the points of pixels."""
-        return self._through_both(kept, lights, colour, self.kernels(kept, colour, lights[1].dtype, planes))
+        return self._through_both(kept, lights, colour, self.kernels(kept, colour, lights[1].dtype, planes), REACH)
 
     def middles(self, kept, lights, colour):
         """Return the fields of all images at the middles of pixels."""
         kernels = self.kernels(kept, colour, lights[1].dtype, range(len(self.distances)))
         return self._through_both(kept, lights, colour, kernels[:: self.samples**2])
 
-    def _through_both(self, kept, lights, colour, kernels):
+    def _through_both(self, kept, lights, colour, kernels, beyond=0):
         """Return the fields ``[..., F, kernel, rows, columns]`` of the light of two panels, filtered by kernels.
+
+        They reach some pixels beyond each rim.
 
         The modulator multiplies the light of the first panel, which holds the diffraction orders that pass its stop.
         Frequencies of the modulator up to one order beyond these reach the images, and with one sample more in each
@@ -71,7 +75,7 @@ class TwoPanelsPath(FreePath):
             product = torch.cat([whole.narrow(axis, 0, n), whole.narrow(axis, 2 * n * finer - n, n)], axis)
         shown = torch.fft.ifft2(product[..., None, :, :] * kernels)
         for axis, n, m in zip((-2, -1), window, self.sizes, strict=True):
-            shown = shown.narrow(axis, (n - m) // 2, m)
+            shown = shown.narrow(axis, (n - m) // 2 - beyond, m + 2 * beyond)
         return shown
 
     def _between(self, device, colour, finer, dtype) -> torch.Tensor:
