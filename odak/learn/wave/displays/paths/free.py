@@ -123,10 +123,6 @@ class FreePath(Path):
             least = 2 * _LARGE if isinstance(self.iris, Iris) else 0
             wider = (4 * next_fast_len(-(-max(n + REACH, least) // 4), True) for n in self.sizes)
             keep(self, window=tuple(n if n >= _LARGE else more for n, more in zip(self.sizes, wider, strict=True)))
-        elif min(self.sizes) < 2 * REACH:
-            raise ValueError(
-                f"mask must be for a panel of {2 * REACH} rows and columns at least, got {list(self.sizes)}"
-            )
         if isinstance(self.iris, Iris):
             across = min(n * p for n, p in zip(self.sizes, self.pitches, strict=True))
             periods = across * min(self.iris.cutoff(wavelength) for wavelength in self.wavelengths)
@@ -144,9 +140,11 @@ class FreePath(Path):
             raise ValueError("distances must be without a mask or method where more than one order passes the iris")
         if space.mask is not None:
             whole = tuple(2 * n for n in self.sizes)
-            if self.first is not None or tuple(space.mask.shape) not in (self.sizes, whole):
+            small = min(self.sizes) < 2 * REACH
+            if self.first is not None or small or tuple(space.mask.shape) not in (self.sizes, whole):
                 got = "two panels" if self.first is not None else list(space.mask.shape)
-                raise ValueError(f"mask must be {list(self.sizes)} or {list(whole)}, for one panel, got {got}")
+                sizes = f"{list(self.sizes)} or {list(whole)}, at least {2 * REACH} along each axis"
+                raise ValueError(f"mask must be {sizes}, for one panel, got {got}")
             keep(self, mask=zero_pad(space.mask, whole).reshape(whole))
 
     @classmethod

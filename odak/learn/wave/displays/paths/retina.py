@@ -101,13 +101,9 @@ class RetinaPath(Path):
 
     def _seen(self, kept, light, colour, eye):
         """Return the field on a retina at the points of a pixel, ``[..., samples, samples, rows, columns]``."""
-        rows, columns = self.sizes
-        return (
-            seen_by_eye(light, *self._parts(kept, light, colour, eye))[..., 0, :, :]
-            .unflatten(-2, (rows + 2 * REACH, self.samples))
-            .unflatten(-1, (columns + 2 * REACH, self.samples))
-            .movedim((-3, -1), (-4, -3))
-        )
+        seen = seen_by_eye(light, *self._parts(kept, light, colour, eye))[..., 0, :, :]
+        points = seen.unflatten(-2, (-1, self.samples)).unflatten(-1, (-1, self.samples))
+        return points.movedim((-3, -1), (-4, -3))
 
     def _back(self, kept, amplitudes, light, colour, eye):
         """Return the light on the panel, by the adjoint, of the image of an eye with its amplitudes replaced."""
