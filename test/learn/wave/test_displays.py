@@ -938,7 +938,8 @@ def test_what_does_not_fit_free_space():
     panel = Modulator((16, 20), PITCH)
     with pytest.raises(ValueError, match="without a mask or method where more than one order passes the iris"):
         Display(panel, WAVELENGTH, Free(1e-3, method="Transfer Function Fresnel"), iris=None)
-    with pytest.raises(ValueError, match=r"mask must be \[16, 20\] or \[32, 40\], at least 8 along each axis, for one panel, got \[16, 16\]"):
+    message = r"mask must be \[16, 20\] or \[32, 40\], at least 8 along each axis, for one panel, got \[16, 16\]"
+    with pytest.raises(ValueError, match=message):
         Display(panel, WAVELENGTH, Free(1e-3, mask=torch.ones(16, 16)))
     with pytest.raises(ValueError, match="for one panel, got two panels"):
         Display(replace(panel, lit_through=AmplitudePanel()), WAVELENGTH, Free(1e-3, mask=torch.ones(16, 20)))
