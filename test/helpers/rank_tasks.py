@@ -7,7 +7,7 @@ import torch
 import torch._dynamo
 import torch.distributed as dist
 
-from odak.learn.wave import Descent, Display, Iris, Modulator, Run, across_ranks, optimise, propagate_beam
+from odak.learn.wave import Descent, Display, Modulator, Run, across_ranks, optimise, propagate_beam
 
 LIGHT = (None, 2e-3, 8e-6, 532e-9)
 
@@ -118,7 +118,7 @@ def colour_display():
     """Return a display of two colours, two planes and two frames, both colours in both frames."""
     powers = torch.rand(2, 2, generator=torch.Generator().manual_seed(2)) + 0.1
     panel = Modulator((12, 16), 8e-6, bits=None)
-    return Display(panel, [639e-9, 473e-9], [2e-3, 3e-3], 2, powers, iris=Iris(3e-3, 0.1))
+    return Display(panel, [639e-9, 473e-9], [2e-3, 3e-3], 2, powers)
 
 
 def pictures(count):

@@ -44,7 +44,7 @@ after = seen(panel.modulator.shown(phases.detach())).detach()
 for picture in (before, after):
     error = (picture - photo) ** 2
     here, over = (-10 * part.mean().log10() for part in (error[angle < 1], error))
-    print(f"{here:.0f} dB at the gaze (1°), {over:.0f} dB over the picture")
+    print(f"≈ {here:.0f} dB at the gaze (1°), ≈ {over:.0f} dB over the picture")
 eye = [surface(-s.radius, thickness=-s.thickness, material=s.material, semi_diameter=4)
        for s in optics.navarro_eye().surfaces]
 near |= {"image": surface(12.0, semi_diameter=10), "fields": [-0.6, 0, 0.6]}

@@ -58,7 +58,7 @@ alone = optimise(seen_from(places[1:2]), targets[1], run=run)
 # The hologram of one view, judged at all three places.
 beside = seen_from(places).judge(alone.phases)[0]
 beside = beside / beside.amax((2, 3), keepdim=True)
-print("PSNR:", ", ".join(f"{float(value):.1f} dB" for value in hologram.psnr))
+print("PSNR:", ", ".join(f"{float(value):.0f} dB" for value in hologram.psnr))
 
 # %%
 # Targets, the hologram of three views, and that of one.

@@ -438,7 +438,8 @@ class MetamericLoss(_StatisticsLoss, Seen):
         _validate.image("image", image, axes=4)
         gaze = gaze_at(viewing, gaze)
         gaze = point("gaze", ((0.0, 0.0) if equi else (0.5, 0.5)) if gaze is None else gaze)
-        view = map(float, geometry(viewing, real_image_width, real_viewing_distance))
+        view = _validate.constants(real_image_width=real_image_width, real_viewing_distance=real_viewing_distance)
+        view = map(float, geometry(viewing, *view))
         where = (_validate.constant("alpha", alpha), *view, gaze, mode, equi)
         return statistics_maps(*self._parts(image, where))
 

@@ -261,6 +261,8 @@ def test_metamers_keep_edges_that_short_displacements_fray():
         assert 0 < missing(joint, False) < 0.75 * earlier
 
 
+# Forty evaluations are enough for what is asked of it here, and fewer than it takes to converge.
+@pytest.mark.filterwarnings("ignore::odak.ConvergenceWarning")
 @pytest.mark.slow
 def test_texture_has_moments_of_details_it_was_not_made_from():
     centres = 96 * noise(60, 2, seed=5)

@@ -52,10 +52,10 @@ def test_runs_come_near_the_best_of_all_patterns():
     scale = (images * target).sum((1, 2), True) / images.square().sum((1, 2), True)
     least = float((scale * images - target).square().mean((1, 2)).min())
     found = [
-        loss_of(display, target, optimise(display, target, run=quick(45, seed=s), observer=REGISTERED).phases)
+        loss_of(display, target, optimise(display, target, run=quick(200, seed=s), observer=REGISTERED).phases)
         for s in range(8)
     ]
-    assert least * (1 - 1e-4) <= min(found) <= 1.6 * least
+    assert least * (1 - 1e-4) <= min(found) <= 1.3 * least
 
 
 @pytest.mark.parametrize(("bits", "frames", "gain"), [(1, 1, 3.0), (1, 3, 5.0), (2, 2, 3.0)])
@@ -87,8 +87,8 @@ def test_as_good_as_a_direct_search():
             losses = (scale * images - target).square().mean((1, 2))
             if float(losses.min()) < best * (1 - 1e-4):
                 best, changed, start = float(losses.min()), True, tried[int(losses.argmin())]
-    found = [optimise(display, target, run=quick(120, seed=s), observer=REGISTERED).phases for s in range(2)]
-    assert min(loss_of(display, target, phases) for phases in found) < 1.26 * best
+    found = [optimise(display, target, run=quick(120, seed=s), observer=REGISTERED).phases for s in range(4)]
+    assert min(loss_of(display, target, phases) for phases in found) < 1.4 * best
 
 
 @pytest.mark.parametrize("iterations", [1, 2, 5])

@@ -2,8 +2,9 @@
 
 They keep the defaults and results of their releases and name their successors. Iterations, starts, schedules,
 encodings, transfer functions and bounds are those of the newer modules, which import none of these: where both are
-asked for the same, descent by L-BFGS and alternating projections find the same patterns, and the fields of
-:class:`propagator` are those of :meth:`Display.fields`. What stays here is what a display does not compute to 1e-6:
+asked for the same, alternating projections find the same patterns and descent by L-BFGS patterns of one quality; the
+fields of :class:`propagator` are those of :meth:`Display.fields` to 3e-4, which computes small panels on larger grids.
+What stays here is what a display does not compute to 1e-6:
 
 - `single_plane`: pixels that are points, batches of pictures, targets of a given brightness, Adam at a constant rate,
   a camera in the loop, a range of phases below 2π, lenses of points, smoothing before the double-phase encoding
