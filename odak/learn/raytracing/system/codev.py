@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import os
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -322,7 +323,9 @@ def _number(line: int, key: str, word: str) -> float:
     return float(word)
 
 
-def read_seq(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optical_system, ZmxReport]:
+def read_seq(
+    path: str | os.PathLike[str], glasses: Mapping[Any, Any] | None = None
+) -> tuple[optical_system, ZmxReport]:
     """Read a lens of CODE V from its sequence file.
 
     Parameters
@@ -792,7 +795,7 @@ def _factors(numbers, count: int) -> list[list[float]] | None:
     return rows if any(map(any, rows)) else None
 
 
-def write_seq(system: optical_system, path: Any) -> None:
+def write_seq(system: optical_system, path: str | os.PathLike[str]) -> None:
     """Write a system as a sequence file of CODE V, every digit of its numbers.
 
     Parameters

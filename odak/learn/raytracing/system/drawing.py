@@ -7,6 +7,7 @@ report shows all of them, the prescription and first-order properties in one HTM
 import html
 import io
 import math
+import os
 from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any
@@ -1255,7 +1256,7 @@ def report_figures(
 
 def lens_report(
     system: optical_system,
-    path: Any,
+    path: str | os.PathLike[str],
     aim: str = "paraxial",
     figures: dict[str, Figure] | None = None,
     quality: FieldQuality | None = None,

@@ -4,6 +4,7 @@ The commands follow the OSLO Program Reference (Lambda Research Corporation, 201
 """
 
 import math
+import os
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -41,7 +42,9 @@ _INERT = frozenset(("DES", "NOT", "SNO", "TCE", "APCK", "GSP", "PFM", "CBK", "CH
 _POINT = "// field point"
 
 
-def read_len(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optical_system, ZmxReport]:
+def read_len(
+    path: str | os.PathLike[str], glasses: Mapping[Any, Any] | None = None
+) -> tuple[optical_system, ZmxReport]:
     """Read a lens file of OSLO.
 
     Parameters
@@ -297,7 +300,7 @@ def _glass(number: int, words: list[str], waves: list[float], context: Context):
     return within(number, glass_by_name(number, name, context, "read_len"), context)
 
 
-def write_len(system: optical_system, path: Any) -> None:
+def write_len(system: optical_system, path: str | os.PathLike[str]) -> None:
     """Write a system as a lens file of OSLO, every digit of its numbers.
 
     Parameters

@@ -4,6 +4,7 @@ import codecs
 import dataclasses
 import json
 import math
+import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -65,7 +66,7 @@ def sample_systems() -> tuple[str, ...]:
     return tuple(sorted(path.stem.removeprefix("system_") for path in FOLDER.glob("system_*.json")))
 
 
-def load_system(path: Any) -> optical_system:
+def load_system(path: str | os.PathLike[str]) -> optical_system:
     """Return a sample system by its name, or one from a JSON file.
 
     Parameters
@@ -100,7 +101,7 @@ def load_system(path: Any) -> optical_system:
     return told_impossible(found)
 
 
-def save_system(system: optical_system, path: Any) -> None:
+def save_system(system: optical_system, path: str | os.PathLike[str]) -> None:
     """Write a system as JSON, every digit of its numbers.
 
     Parameters

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -202,7 +203,9 @@ THIN = 0.1
 DEFAULT_F_NUMBER = 10.0
 
 
-def read_zmx(path: Any, glasses: Mapping[Any, Any] | None = None) -> tuple[optical_system, ZmxReport]:
+def read_zmx(
+    path: str | os.PathLike[str], glasses: Mapping[Any, Any] | None = None
+) -> tuple[optical_system, ZmxReport]:
     """Read a sequential Zemax file.
 
     Parameters
@@ -1072,7 +1075,7 @@ def _widest_stop(system, sizes) -> float:
 _APERTURES = {"EPD": "ENPD {} ", "F-number": "FNUM {} 0", "NA": "OBNA {} 0", "stop": "FLOA"}
 
 
-def write_zmx(system: optical_system, path: Any) -> None:
+def write_zmx(system: optical_system, path: str | os.PathLike[str]) -> None:
     """Write a system as a Zemax text file, every digit of its numbers.
 
     Parameters
