@@ -162,7 +162,7 @@ def _index_of(match):
         for name in sorted(by_name, key=str.lower):
             if name.strip("_")[0].upper() == initial:
                 links = ", ".join(f"[{path.rpartition('.')[0]}]({entries()[path]}.md#{path})" for path in by_name[name])
-                lines.append(f"- `{name}`: {links}")
+                lines.append(f'- <a id="{name}"></a>`{name}`: {links}')
         lines.append("")
     return "\n".join(lines)
 

@@ -13,6 +13,7 @@ from . import raytracing as raytracing
 from . import tools as tools
 from . import visualize as visualize
 from . import wave as wave
+from ._find import find as find
 from ._version import __version__ as __version__
 from ._version import pi as pi
 from ._version import version_info as version_info

@@ -19,6 +19,7 @@ pytest.importorskip("mkdocs", reason="what builds the site is not installed: pip
 
 from bs4 import BeautifulSoup
 from documentation import ROOT, script
+from searched import SEARCHED, found_by_title
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 # A page inside a frame as wide as a phone, and the number of pixels by which its content is wider.
@@ -120,6 +121,14 @@ def test_public_names_have_one_entry_and_earlier_anchors_stay(site):
     assert sorted(listed) == sorted(reference.entries())
     for page, anchor, path in reference.former_anchors():
         assert soup_of(site / "reference" / page / "index.html").find(id=anchor), f"{page}: {anchor}, now {path}"
+
+
+def test_the_search_finds_what_readers_call_otherwise(site):
+    index = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))
+    assert index["config"]["pipeline"] == ["stopWordFilter"]  # beginnings of words are compared, not their stems
+    assert index["config"]["fields"]["tags"]["boost"] == index["config"]["fields"]["title"]["boost"]
+    for words, location in SEARCHED.items():
+        assert location in found_by_title(index, words), words
 
 
 @pytest.fixture(scope="module")
