@@ -112,6 +112,9 @@ def takes_operators(*tensors: torch.Tensor) -> bool:
         return False
     kinds = [level.key() for level in torch._C._functorch.get_interpreter_stack() or ()]
     transforms = torch._C._functorch.TransformType
+    if transforms.Jvp in kinds and torch.is_grad_enabled() and any(as_constant(t).requires_grad for t in tensors):
+        # Rules for forward mode have no graph: the result would lack the derivatives of a derivative.
+        return False
     return kinds.count(transforms.Jvp) <= 1 and set(kinds) <= {transforms.Jvp, transforms.Vmap}
 
 

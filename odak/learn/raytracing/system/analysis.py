@@ -32,7 +32,7 @@ from odak.learn.raytracing.system.pupils import (
     weights_of,
 )
 from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
-from odak.learn.raytracing.system.specification import checked_weights
+from odak.learn.raytracing.system.specification import checked_weights, largest_of, plain
 from odak.learn.raytracing.system.surfaces import (
     checked_system,
     is_break,
@@ -383,7 +383,7 @@ def distortion_grid(
     ((5, 5, 2), True)
     """
     points = _validate.integer("points", points, minimum=2)
-    largest = max(math.hypot(*field) for field in checked_system(system).fields)
+    largest = plain(largest_of(checked_system(system).fields))
     if not largest:
         raise ValueError("system must have a field off the axis")
     if system.at_infinity and largest >= 90:

@@ -15,11 +15,11 @@ from odak.catalog.materials import MICROMETRES, Material, material, model_glass,
 from odak.learn.raytracing.system.paraxial import first_order
 from odak.learn.raytracing.system.specification import AIR, MIRROR, SystemAperture
 from odak.learn.raytracing.system.surfaces import (
-    checked_system,
     coordinate_break,
     is_break,
     optical_system,
     surface,
+    without_derivatives,
 )
 from odak.learn.raytracing.system.system_files import (
     FAR,
@@ -828,7 +828,7 @@ def write_seq(system: optical_system, path: str | os.PathLike[str]) -> None:
     >>> again.name
     'Double Gauss f/2'
     """
-    path, text = _text("path", path), _seq_text(checked_system(system))
+    path, text = _text("path", path), _seq_text(without_derivatives(system))
     with replacing(path) as stream:
         stream.write(text.encode("utf-8"))
 

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 
 from odak import _validate
-from odak.learn.raytracing.system.surfaces import Row, checked_system, is_break, optical_system
+from odak.learn.raytracing.system.surfaces import Row, is_break, optical_system, without_derivatives
 
 # Powers of the factor by which settings of configurations grow; angles, glasses and temperatures stay.
 _SETTINGS = {"thickness": 1, "curvature": -1, "semi_diameter": 1, "object_distance": 1}
@@ -42,7 +42,7 @@ def scaled_system(system: optical_system, factor: float) -> optical_system:
     2.0
     """
     factor = _validate.constant("factor", factor, positive=True)
-    found = copy.deepcopy(checked_system(system))
+    found = copy.deepcopy(without_derivatives(system))
     items: list[Any] = [*found.surfaces, *([] if found.image is None else [found.image])]
     with torch.no_grad():
         for i, item in enumerate(items):
@@ -110,7 +110,7 @@ def flipped_system(system: optical_system, first: int = 0, last: int = -1) -> op
     >>> round(float(there.back_focal_distance + here.front_focal_distance), 9)
     0.0
     """
-    found = copy.deepcopy(checked_system(system))
+    found = copy.deepcopy(without_derivatives(system))
     items: list[Any] = list(found.surfaces)
     first, last = (_validate.place_in(n, v, len(items)) for n, v in (("first", first), ("last", last)))
     if not first <= last:

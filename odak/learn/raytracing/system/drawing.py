@@ -54,6 +54,7 @@ from odak.learn.raytracing.system.pupils import (
     vignetting_factors,
 )
 from odak.learn.raytracing.system.sketches import SystemScene, field_label, system_scene, unit_of
+from odak.learn.raytracing.system.specification import largest_of, plain
 from odak.learn.raytracing.system.surfaces import checked_system, is_break, is_glass, optical_system
 from odak.learn.raytracing.system.system_files import system_to_dict
 from odak.learn.raytracing.system.tracing import curved_paths, ray_paths
@@ -596,7 +597,7 @@ def _map_pupil(axes, inside: torch.Tensor, values: torch.Tensor, limits, scale: 
 
 def _over_field(system, points: int, off_axis: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
     """Return numbers up to the largest field and the fields ``[points, 2]`` of these along y."""
-    largest = max(math.hypot(*field) for field in system.fields)
+    largest = plain(largest_of(system.fields))
     if off_axis and not largest:
         raise ValueError("system must have a field off the axis")
     heights = torch.linspace(0, largest, points, dtype=torch.float64, device="cpu")

@@ -211,12 +211,11 @@ def _lattice(half, grid) -> torch.Tensor:
 
 def _fields_of(system, ideal: torch.Tensor, prescription) -> torch.Tensor:
     """Return the field points ``[F, 2]`` of ideal image points."""
-    with torch.no_grad():
-        unit = torch.tensor([[0.0, 1.0]], dtype=torch.float64)
-        place = paraxial_points(system, prescription, unit)[0, 1]
-        if not system.at_infinity:
-            return ideal / place
-        return torch.rad2deg(torch.atan(ideal / (place / math.tan(math.radians(1.0)))))
+    unit = torch.tensor([[0.0, 1.0]], dtype=torch.float64)
+    place = paraxial_points(system, prescription, unit)[0, 1]
+    if not system.at_infinity:
+        return ideal / place
+    return torch.rad2deg(torch.atan(ideal / (place / math.tan(math.radians(1.0)))))
 
 
 def _chief(system, options) -> torch.Tensor:

@@ -403,7 +403,7 @@ class _Characteristic:
         front, behind = numbers.index[0, 0], numbers.index[0, -1]
 
         def rays(u, v):
-            depth = torch.full_like(u, -system.object_distance)
+            depth = -system.object_distance + 0 * u
             return Rays(x.expand_as(u), y.expand_as(u), depth, u, v, (1 - u * u - v * v).sqrt())
 
         def missed(u, v):

@@ -17,7 +17,7 @@ from odak.catalog.materials import MICROMETRES, tabulated
 from odak.learn.raytracing.system.codev import glass_by_name
 from odak.learn.raytracing.system.paraxial import first_order
 from odak.learn.raytracing.system.specification import AIR, MIRROR, SystemAperture
-from odak.learn.raytracing.system.surfaces import checked_system, is_break, optical_system, surface
+from odak.learn.raytracing.system.surfaces import is_break, optical_system, surface, without_derivatives
 from odak.learn.raytracing.system.system_files import (
     FAR,
     Context,
@@ -334,7 +334,7 @@ def write_len(system: optical_system, path: str | os.PathLike[str]) -> None:
     >>> again.name
     'Double Gauss f/2'
     """
-    path, text = _text("path", path), _len_text(checked_system(system))
+    path, text = _text("path", path), _len_text(without_derivatives(system))
     with replacing(path) as stream:
         stream.write(text.encode("utf-8"))
 

@@ -8,7 +8,14 @@ import torch
 from odak import _array, _show, _validate
 from odak._array import is_readable
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
-from odak.learn.raytracing.system.specification import Conjugates, SystemAperture, SystemRecord, Wavelengths
+from odak.learn.raytracing.system.specification import (
+    Conjugates,
+    SystemAperture,
+    SystemRecord,
+    Wavelengths,
+    condition,
+    largest_of,
+)
 from odak.learn.raytracing.system.surfaces import Coating, checked_system, is_break, optical_system, surface
 from odak.raytracing.gradients import AxialGradient, RadialGradient, step
 
@@ -243,7 +250,7 @@ def paraxial_rays(system: optical_system, field: Any = None, prescription: Presc
     p = _at_one_wavelength(system, None, prescription)
     check_media(system, p)
     index, pupil = signed_indices(system, p), entrance_pupil(system, prescription=p)
-    size = max(math.hypot(*point) for point in system.fields) if field is None else _validate.constant("field", field)
+    size = largest_of(system.fields) if field is None else condition("field", field)
     if system.at_infinity:
         slope = _field_slope(size) + 0 * pupil.distance
         starts = (pupil.radius, 0 * pupil.radius), (-pupil.distance * slope, slope)
@@ -259,8 +266,10 @@ def paraxial_rays(system: optical_system, field: Any = None, prescription: Presc
     return ParaxialRays(*(torch.stack(torch.broadcast_tensors(*values), -1) for values in found))
 
 
-def _field_slope(angle: float) -> float:
+def _field_slope(angle: Any) -> Any:
     """Return the slope of the paraxial chief ray of a field angle in degrees; where it has no tangent, the angle."""
+    if isinstance(angle, torch.Tensor):
+        return torch.where(angle.abs() < 90, torch.tan(torch.deg2rad(angle)), torch.deg2rad(angle))
     return math.tan(math.radians(angle)) if abs(angle) < 90 else math.radians(angle)
 
 
@@ -531,8 +540,7 @@ def seidel_sums(system: optical_system, field: Any = None, prescription: Prescri
     waves = waves if len(waves) == p.index.shape[-2] else [0.0]
     ends = [p.index[..., waves.index(wave), :] for wave in (min(waves), max(waves))]
     spread = (ends[0] - ends[1]) * n / one.index[..., 0, :]
-    largest = max(math.hypot(*point) for point in system.fields)
-    size = largest if field is None else _validate.constant("field", field)
+    size = largest_of(system.fields) if field is None else condition("field", field)
     if system.at_infinity:
         chief_slope = _field_slope(size) + 0 * pupil.distance
         y, u = pupil.radius, 0 * pupil.radius

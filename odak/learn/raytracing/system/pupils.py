@@ -13,7 +13,7 @@ from odak._array import is_compiling, is_readable
 from odak.learn._tensors import checked_device, checked_dtype
 from odak.learn.raytracing.system.paraxial import entrance_pupil
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
-from odak.learn.raytracing.system.specification import is_number
+from odak.learn.raytracing.system.specification import is_number, plain, stacked
 from odak.learn.raytracing.system.surfaces import checked_system, is_break, optical_system
 from odak.learn.raytracing.system.tracing import Rays, Traced, in_surface_frame, trace
 from odak.raytracing.batches import needs_gradient
@@ -422,7 +422,7 @@ def pupil_factors(system: optical_system, fields: torch.Tensor) -> torch.Tensor 
         )
     own, factors = (
         torch.tensor(value, dtype=fields.dtype, device=fields.device)
-        for value in (system.fields, system.vignetting_factors)
+        for value in (plain(system.fields), system.vignetting_factors)
     )
     same = (fields[:, None] == own).all(-1)
     # The first of equal field points.
@@ -442,7 +442,7 @@ def field_points(system: Any, fields: Any = None) -> torch.Tensor:
     pairs = [_validate.several("fields", point, 2) for point in points]
     if not pairs:
         raise ValueError("fields must contain at least one number y or pair (x, y), got an empty sequence")
-    return torch.tensor(pairs, dtype=torch.float64)
+    return stacked(pairs)
 
 
 def through_pupil(system, points: torch.Tensor, fields: torch.Tensor, prescription, aim: str) -> Rays:
@@ -457,7 +457,7 @@ def through_pupil(system, points: torch.Tensor, fields: torch.Tensor, prescripti
 def real_places(system, numbers: Prescription, pupil, points: torch.Tensor, fields: torch.Tensor) -> tuple[Any, ...]:
     """Return coordinates (x, y) of rays that pass the stop at given points, and whether they are across the fields."""
     # Of a device that is not read, the system's own fields decide.
-    given = fields.flatten().tolist() if is_readable(fields) else sum(system.fields, ())
+    given = fields.flatten().tolist() if is_readable(fields) else [v for point in plain(system.fields) for v in point]
     wide = system.at_infinity and max(map(abs, given)) > WIDE
     return *aimed(system, numbers, pupil, points, fields, wide), wide
 
@@ -545,7 +545,7 @@ def _near(system, fields, bend, sx, sy) -> Rays:
     sx, sy = sx - bend * fields[..., 0], sy - bend * fields[..., 1]
     w = 1 / (1 + sx * sx + sy * sy).sqrt()
     x, y = (fields[..., i].expand(sx.shape) for i in range(2))
-    return Rays(x, y, torch.full_like(sx, -system.object_distance), sx * w, sy * w, w)
+    return Rays(x, y, -system.object_distance + 0 * sx, sx * w, sy * w, w)
 
 
 def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: torch.Tensor, wide: bool = False):
@@ -580,7 +580,7 @@ def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: to
     """
     given: Any = (numbers, pupil, points, fields)
     constants = _constant(given)
-    graph = needs_gradient(*_values(numbers), points, fields)
+    graph = needs_gradient(*_values(numbers), *pupil[:5], system.object_distance, points, fields)
     # The search has no derivatives: it is done apart from transforms of torch.func where these wrap no number of it.
     apart = _is_plain(system, *constants)
     with _torch_private.without_derivatives() if apart else torch.no_grad():
@@ -589,9 +589,11 @@ def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: to
     if jacobian is not None:
         # One more step with a graph carries the gradient; its Jacobian has none.
         errors = _misses(system, numbers, pupil, fields, wide)
-        ex, ey, kept = errors(x, y, points)
-        dx, dy = _newton([torch.where(kept & found, value, 0.0) for value in (ex, ey)], jacobian)
-        x, y = x - dx, y - dy
+        # Another one carries the second derivatives, which gradients of forward derivatives need.
+        for _ in range(2 if _torch_private.in_functional_transform() else 1):
+            ex, ey, kept = errors(x, y, points)
+            dx, dy = _newton([torch.where(kept & found, value, 0.0) for value in (ex, ey)], jacobian)
+            x, y = x - dx, y - dy
     return torch.where(found, x, torch.inf), torch.where(found, y, torch.inf)
 
 
@@ -609,6 +611,8 @@ def _is_plain(system, numbers: Prescription, pupil, points, fields) -> bool:
     """Return whether a search has nothing but tensors on the processor that no transform wraps."""
     image = [] if system.image is None else [*system.image.parameters(), *system.image.buffers()]
     values = [points, fields, *image, *_values(numbers)]
+    if isinstance(system.object_distance, torch.Tensor):
+        values.append(system.object_distance)
     if not all(value.device.type == "cpu" for value in values):
         return False
     return not is_compiling() and not _torch_private.is_wrapped(*values, *pupil[:5], *pupil.middle)
@@ -758,7 +762,7 @@ def _key(system, numbers: Prescription, pupil, fields: torch.Tensor, wide: bool)
     for value in values:
         digest.update(value.detach().contiguous().numpy())
     shapes = tuple(tuple(value.shape) for value in values)
-    return system.stop, system.object_distance, system.telecentric, wide, kinds, classes, shapes, digest.digest()
+    return system.stop, plain(system.object_distance), system.telecentric, wide, kinds, classes, shapes, digest.digest()
 
 
 def _chief_rays(errors, middle, centre, fields, step, radius):

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
+from odak.learn.raytracing.system.specification import plain
 from odak.learn.raytracing.system.surfaces import drawn_radii, is_break, is_glass, optical_system
 from odak.learn.raytracing.system.tracing import ray_paths
 
@@ -103,7 +104,7 @@ def system_scene(system: optical_system, rays: Any, lead: float = 0.25) -> Syste
 
 def field_label(system: optical_system, i: int) -> str:
     """Return a field point as it is written in figures."""
-    x, y = system.fields[i]
+    x, y = plain(system.fields[i])
     unit = "°" if system.at_infinity else f" {unit_of(system)}"
     # Two decimals, of small numbers two digits.
     x, y = (f"{value:.2g}" if 0 < abs(value) < 0.1 else f"{round(value, 2):g}" for value in (x, y))

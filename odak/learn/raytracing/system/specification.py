@@ -8,10 +8,11 @@ from typing import Any
 
 import torch
 
-from odak import _validate
+from odak import _array, _torch_private, _validate
 from odak._lengths import expansion_in, in_metres, light_in
 from odak.catalog.materials import Material, check_weather
 from odak.catalog.materials import material as find_material
+from odak.raytracing.geometry import safe_sqrt
 
 MIRROR, AIR = "mirror", "air"
 APERTURES = ("EPD", "F-number", "NA", "stop")
@@ -23,8 +24,8 @@ class SystemAperture:
 
     Parameters
     ----------
-    aperture : float
-        Size, in the sense of `aperture_type`.
+    aperture : float or torch.Tensor
+        Size, in the sense of `aperture_type`; differentiable.
     aperture_type : str
         "EPD": diameter of the entrance pupil. "F-number": focal length over that diameter. "NA": n·sin of the marginal
         ray's angle, in object space for a near object, in image space (paraxially) for an object at infinity. "stop":
@@ -45,12 +46,12 @@ class SystemAperture:
     SystemAperture(aperture=0.1, aperture_type='NA', telecentric=True)
     """
 
-    aperture: float
+    aperture: float | torch.Tensor
     aperture_type: str = "EPD"
     telecentric: bool = False
 
     def __post_init__(self) -> None:
-        set_(self, aperture=_validate.constant("aperture", self.aperture, positive=True))
+        set_(self, aperture=condition("aperture", self.aperture, positive=True))
         set_(self, aperture_type=_validate.one_of("aperture_type", self.aperture_type, APERTURES))
         if _validate.flag("telecentric", self.telecentric) and self.aperture_type not in ("NA", "stop"):
             raise ValueError(
@@ -65,8 +66,8 @@ class Fields:
     Parameters
     ----------
     fields : sequence
-        Numbers y or pairs (x, y). Angles in degrees for an object at infinity, heights otherwise. Angles of 90 and more
-        are along x or y alone and need rays that are aimed, ``aim="real"``.
+        Numbers y or pairs (x, y), or a tensor of them; differentiable. Angles in degrees for an object at infinity,
+        heights otherwise. Angles of 90 and more are along x or y alone and need rays that are aimed, ``aim="real"``.
     field_weights : sequence of float, optional
         Weight of each point in the merit function of :class:`lens_design`; equal by default.
     vignetting_factors : sequence of sequence of float, optional
@@ -143,8 +144,8 @@ class Conjugates:
 
     Parameters
     ----------
-    object_distance : float
-        From the object to the first vertex.
+    object_distance : float or torch.Tensor
+        From the object to the first vertex; differentiable.
     object_material : str, float or Material
         Medium in front of the first surface, from the object on: the oil of an immersion objective, the water in front
         of an eye. Angles and numerical apertures in object space are measured in it. The image lies in the medium
@@ -167,15 +168,15 @@ class Conjugates:
     Conjugates(object_distance=25.0, object_material=1.33, afocal=False)
     """
 
-    object_distance: float = math.inf
+    object_distance: float | torch.Tensor = math.inf
     object_material: Any = AIR
     afocal: bool = False
 
     def __post_init__(self) -> None:
-        (distance,) = _validate.constants(object_distance=self.object_distance)
-        set_(self, object_distance=float(number_or_infinity("object_distance", distance)))
-        if not self.object_distance > 0:
-            raise ValueError(f"object_distance must be positive or infinite, got {self.object_distance}")
+        distance = number_or_infinity("object_distance", self.object_distance)
+        if _array.is_readable(distance) and not distance > 0:
+            raise ValueError(f"object_distance must be positive or infinite, got {plain(distance)}")
+        set_(self, object_distance=_kept(distance))
         try:
             medium = checked_medium(self.object_material)
         except (TypeError, ValueError) as error:
@@ -228,12 +229,31 @@ def set_(held: Any, **values: Any) -> None:
         object.__setattr__(held, name, value)
 
 
+def condition(name: str, value, *, positive: bool = False):
+    """Return one number as a float; as a float64 tensor without axes where it has derivatives."""
+    return _kept(_validate.number(name, value, positive=positive))
+
+
+def _kept(value):
+    if isinstance(value, torch.Tensor) and (value.requires_grad or _torch_private.is_transformed(value)):
+        return value.double().reshape(())
+    return float(value)
+
+
+def plain(value):
+    """Return a number, or nested lists of numbers, of tensors and tuples."""
+    if isinstance(value, torch.Tensor):
+        return _torch_private.as_constant(value).detach().tolist()
+    return [plain(entry) for entry in value] if isinstance(value, (tuple, list)) else value
+
+
 def number_or_infinity(name: str, value):
-    """Return a real number that may be infinite."""
+    """Return a real number that may be infinite; an infinite one as a float."""
     if isinstance(value, Real) and not isinstance(value, bool) and math.isinf(value):
         return value
-    if isinstance(value, torch.Tensor) and value.numel() == 1 and bool(torch.isinf(value.detach()).all()):
-        return value
+    single = isinstance(value, torch.Tensor) and value.numel() == 1 and not _torch_private.is_wrapped(value)
+    if single and bool(torch.isinf(value.detach()).all()):
+        return float(_validate.constants(**{name: value})[0])
     return _validate.number(name, value)
 
 
@@ -265,15 +285,35 @@ def checked_wavelengths(values, unit: str | None = None) -> tuple[float, ...]:
     return found
 
 
-def checked_fields(values) -> tuple[tuple[float, float], ...]:
+def checked_fields(values) -> tuple[tuple[Any, Any], ...]:
     """Return field points, numbers y or pairs (x, y), as pairs."""
     _validate.listed("fields", values, "a sequence of numbers y or pairs (x, y)")
-    (values,) = _validate.constants(fields=values)
-    values = values.tolist() if hasattr(values, "tolist") else values
+    if hasattr(values, "tolist"):
+        values = values.unbind() if isinstance(values, torch.Tensor) else values.tolist()
     points = [(0.0, value) if is_number(value) else tuple(value) for value in values]
     if not points or any(len(point) != 2 for point in points):
         raise ValueError(f"fields must be numbers y or pairs (x, y), at least one, got {values!r}")
-    return tuple((_validate.constant("fields", x), _validate.constant("fields", y)) for x, y in points)
+    return tuple((condition("fields", x), condition("fields", y)) for x, y in points)
+
+
+def stacked(points) -> torch.Tensor:
+    """Return pairs (x, y) of numbers and tensors as one float64 tensor ``[F, 2]``, on the device of the tensors."""
+    held = [value for point in points for value in point if isinstance(value, torch.Tensor)]
+    if not held:
+        return torch.tensor([tuple(point) for point in points], dtype=torch.float64)
+    like = held[0]
+    return torch.stack(
+        [torch.stack([torch.as_tensor(v, device=like.device).double().reshape(()) for v in point]) for point in points]
+    )
+
+
+def largest_of(points):
+    """Return the largest distance of field points from the axis, with its derivatives if they have any."""
+    sizes = [math.hypot(*plain(point)) for point in points]
+    chosen = points[sizes.index(max(sizes))]
+    if any(isinstance(value, torch.Tensor) for value in chosen):
+        return safe_sqrt(stacked([chosen]).square().sum())
+    return max(sizes)
 
 
 def is_number(value) -> bool:

@@ -1,5 +1,6 @@
 """Optical systems: surfaces, their coatings, coordinate breaks, their sequence, and their numbers as tensors."""
 
+import copy
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -32,6 +33,7 @@ from odak.learn.raytracing.system.specification import (
     checked_settings,
     checked_wavelengths,
     number_or_infinity,
+    plain,
 )
 from odak.raytracing.apertures import Aperture, CircularAperture, CombinedAperture
 from odak.raytracing.components import terms
@@ -762,7 +764,7 @@ class optical_system(torch.nn.Module):
     surfaces : sequence of surface
         In the order in which light meets them, coordinate breaks among them. The image plane follows, at the last
         one's thickness.
-    aperture : float or SystemAperture
+    aperture : float, torch.Tensor or SystemAperture
         Diameter of the entrance pupil; the object states other sizes.
     fields : sequence or Fields
         Field points, numbers y or pairs (x, y); the object has their weights and vignetting factors too. The axis by
@@ -798,6 +800,9 @@ class optical_system(torch.nn.Module):
     wherever rays are launched from one of the system's own field points, and move the chief ray, which goes through the
     centre of the vignetted pupil. Other field points have the whole pupil.
 
+    Aperture, fields and distance of the object may be tensors that require gradients: gradients by them pass through
+    tracing and analysis. Copies, files and figures have their numbers.
+
     The system has what the five objects contain as attributes of the same names. All of these are also taken as
     arguments, which is the older form: ``optical_system(surfaces, 8.0, "F-number", object_distance=50.0)``.
 
@@ -811,16 +816,16 @@ class optical_system(torch.nn.Module):
     99.65
     """
 
-    aperture: float
+    aperture: float | torch.Tensor
     aperture_type: str
     telecentric: bool
-    fields: tuple[tuple[float, float], ...]
+    fields: tuple[tuple[Any, Any], ...]
     field_weights: tuple[float, ...] | None
     vignetting_factors: tuple[tuple[float, ...], ...] | None
     wavelengths: tuple[float, ...]
     reference: int
     wavelength_weights: tuple[float, ...] | None
-    object_distance: float
+    object_distance: float | torch.Tensor
     object_material: Any
     surfaces: Any  # a Row, whose items a type checker takes for any modules of torch
     afocal: bool
@@ -842,7 +847,7 @@ class optical_system(torch.nn.Module):
     def __init__(
         self,
         surfaces: Sequence[surface],
-        aperture: float | SystemAperture,
+        aperture: float | torch.Tensor | SystemAperture,
         *,
         fields: Iterable[Any] | Fields | None = None,
         wavelengths: float | str | Sequence[float | str] | Wavelengths | None = None,
@@ -870,12 +875,12 @@ class optical_system(torch.nn.Module):
             )
         self.surfaces, self.image = Row(surfaces, self.object_material), image
         if self.aperture_type in ("EPD", "stop"):
-            _tell_curvatures(surfaces, self.aperture / 2, self.unit)
+            _tell_curvatures(surfaces, plain(self.aperture) / 2, self.unit)
         self.settings = checked_settings(self.settings, len(surfaces), self.unit)
 
     def extra_repr(self) -> str:
         """Return the conditions of use in lines."""
-        fields = ", ".join(f"({x:g}, {y:g})" if x else f"{y:g}" for x, y in self.fields)
+        fields = ", ".join(f"({x:g}, {y:g})" if x else f"{y:g}" for x, y in plain(self.fields))
         lines = [
             f"lengths in {self.unit}",
             f"aperture={self.aperture:g} ({self.aperture_type})",
@@ -897,13 +902,13 @@ class optical_system(torch.nn.Module):
                 f"{self.aperture_type!r} and image {image!r:.60}"
             )
         front: Any = 1.0 if self.at_infinity else self._front(self.wavelengths[self.reference])
-        if self.aperture_type == "NA" and self.aperture >= front:
+        if self.aperture_type == "NA" and plain(self.aperture) >= front:
             medium = "air" if front == 1 else "a medium of this index"
             raise ValueError(
                 f"aperture must be below {front:g} as a numerical aperture in {medium}, got {self.aperture}"
             )
         if self.at_infinity and any(
-            max(map(abs, f)) >= 90 and (min(map(abs, f)) or max(map(abs, f)) >= 180) for f in self.fields
+            max(map(abs, f)) >= 90 and (min(map(abs, f)) or max(map(abs, f)) >= 180) for f in plain(self.fields)
         ):
             raise ValueError(
                 f"fields must be below 90 degrees from the axis, or below 180 along x or y alone, got {self.fields}"
@@ -914,7 +919,7 @@ class optical_system(torch.nn.Module):
     @property
     def at_infinity(self) -> bool:
         """Whether the object is infinitely far away."""
-        return math.isinf(self.object_distance)
+        return not isinstance(self.object_distance, torch.Tensor) and math.isinf(self.object_distance)
 
     def prescription(self, wavelengths: Sequence[float | str] | torch.Tensor | None = None) -> Prescription:
         """Return the system's numbers as tensors, differentiable in those that are parameters.
@@ -1132,6 +1137,14 @@ def checked_system(system: optical_system) -> optical_system:
             kinds = "a tuple with one in front, as readers of files return: unpack it, system, report = read_zmx(path)"
         raise TypeError(f"system must be an optical_system, got {kinds}")
     return system
+
+
+def without_derivatives(system: optical_system) -> optical_system:
+    """Return a system whose aperture, fields and object distance are plain numbers, with the same surfaces."""
+    found = copy.copy(checked_system(system))
+    found.aperture, found.object_distance = plain(system.aperture), plain(system.object_distance)
+    found.fields = tuple(tuple(point) for point in plain(system.fields))
+    return found
 
 
 def _image(value) -> surface | None:

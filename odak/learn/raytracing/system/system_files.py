@@ -27,7 +27,7 @@ from odak.catalog.materials import (  # noqa: F401
 )
 from odak.learn.raytracing.system.paraxial import entrance_pupil, first_order
 from odak.learn.raytracing.system.pupils import at_stop, through_places, trace_fields
-from odak.learn.raytracing.system.specification import AIR, PARTS
+from odak.learn.raytracing.system.specification import AIR, PARTS, plain
 from odak.learn.raytracing.system.surfaces import (
     Coating,
     checked_system,
@@ -151,16 +151,16 @@ def system_to_dict(system: optical_system) -> dict[Any, Any]:
     """
     checked_system(system)
     surfaces = [_entry(item, i == system.stop) for i, item in enumerate(own_surfaces(system))]
-    finite = None if system.at_infinity else system.object_distance
+    finite = None if system.at_infinity else plain(system.object_distance)
     return {
         "name": system.name,
         "source": system.source,
         "unit": system.unit,
-        "aperture": system.aperture,
+        "aperture": plain(system.aperture),
         "aperture_type": system.aperture_type,
         "wavelengths": list(system.wavelengths),
         "reference": system.reference,
-        "fields": [list(field) for field in system.fields],
+        "fields": plain(system.fields),
         "object_distance": finite,
         **({} if system.image is None else {"image": _shape(system.image)}),
         **({"telecentric": True} if system.telecentric else {}),
@@ -245,13 +245,6 @@ def _by_fields(item: Any) -> dict:
         raise ValueError("a graded index given by a function cannot be written: derive a class from Gradient")
     values = {field.name: plain(getattr(item, field.name)) for field in dataclasses.fields(item)}
     return {"kind": type(item).__name__} | values
-
-
-def plain(value):
-    """Return a number, or nested lists of numbers, of tensors and tuples."""
-    if hasattr(value, "detach"):
-        return value.detach().tolist()
-    return [plain(entry) for entry in value] if isinstance(value, (tuple, list)) else value
 
 
 def _kinds(base: type) -> dict[str, type]:

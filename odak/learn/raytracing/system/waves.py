@@ -1071,7 +1071,7 @@ def exit_field(
     if isinstance(field, (torch.Tensor, list, tuple)):
         point = field_points(system, [field] if not isinstance(field, torch.Tensor) else field[None])[0]
     else:
-        point = torch.tensor(system.fields[_place("field", field, len(system.fields), 0)], dtype=torch.float64)
+        point = field_points(system)[_place("field", field, len(system.fields), 0)]
     point = point.to(system.surfaces[0].thickness.device)
     distance = _exit_pupil(system, prescription) if distance is None else _validate.number("distance", distance)
     rays = RayMap(system, prescription, place, point, distance, plane == "chief")

@@ -18,11 +18,11 @@ from odak.learn.raytracing.system.paraxial import first_order, matrix, signed_in
 from odak.learn.raytracing.system.pupils import trace_fields
 from odak.learn.raytracing.system.specification import AIR, MIRROR, SETTINGS, SystemAperture
 from odak.learn.raytracing.system.surfaces import (
-    checked_system,
     coordinate_break,
     is_break,
     optical_system,
     surface,
+    without_derivatives,
 )
 from odak.learn.raytracing.system.system_files import (
     FACTORS,
@@ -1103,7 +1103,7 @@ def write_zmx(system: optical_system, path: str | os.PathLike[str]) -> None:
     >>> round(float(first_order(again).focal_length - first_order(lens).focal_length), 6)
     0.0
     """
-    path, text = _text("path", path), _zmx_text(checked_system(system))
+    path, text = _text("path", path), _zmx_text(without_derivatives(system))
     with replacing(path) as stream:
         stream.write(text.encode("utf-8"))
 
