@@ -2,13 +2,15 @@
 
 import functools
 import sys
+from collections.abc import Callable, Iterator, Sequence
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeGuard, TypeVar
 
 import array_api_compat
 import array_api_compat.numpy
 
 if TYPE_CHECKING:
+    import numpy as np
     import torch
 
 
@@ -46,6 +48,7 @@ class Array(Protocol):
         ...
 
     def __len__(self) -> int: ...
+    def __iter__(self) -> Iterator[Any]: ...
     def __getitem__(self, key: Any, /) -> Any: ...
     def __add__(self, other: Any, /) -> Any: ...
     def __radd__(self, other: Any, /) -> Any: ...
@@ -69,8 +72,37 @@ class Array(Protocol):
     def __ge__(self, other: Any, /) -> Any: ...
 
 
+class ChunkedArray(Array, Protocol):
+    """An array whose values are computed where they are asked for, such as one of Dask."""
+
+    def compute(self, **options: Any) -> "np.ndarray":
+        """Return the values, computed."""
+        ...
+
+    def map_blocks(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> "ChunkedArray":
+        """Return what a function makes of each chunk."""
+        ...
+
+
+class NumberedDevice(Protocol):
+    """A device of CuPy or JAX."""
+
+    @property
+    def id(self) -> int:
+        """Number of the device among those of its kind."""
+        ...
+
+
 # In signatures: the result is an array of the library of the argument.
 ArrayT = TypeVar("ArrayT", bound=Array)
+# Several numbers, such as a place (y, x) or angles about three axes.
+Numbers: TypeAlias = Sequence[float | Array] | Array
+if TYPE_CHECKING:
+    Device: TypeAlias = str | torch.device | NumberedDevice | None
+    DType: TypeAlias = str | type | np.dtype | torch.dtype | None
+    Seed: TypeAlias = int | np.random.Generator | torch.Generator | None
+else:  # torch is not imported before it is used
+    Device, DType, Seed = str | NumberedDevice | None, str | type | None, int | None
 # It takes over what NumPy has at run time, unseen by a type checker.
 numpy_namespace: Any = array_api_compat.numpy
 _PLAIN = (int, float, complex, bool, str, list, tuple, type(None))

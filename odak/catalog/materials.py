@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from numbers import Real
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -27,6 +27,8 @@ from odak.tools.paths import naming, regular_file, validate_path
 LINE_D, LINE_F, LINE_C, LINE_G = 0.5875618, 0.4861327, 0.6562725, 0.4358343
 MEDIA = ("air", "vacuum")
 HERZBERGER_POLE = 0.1673**2
+# An index is an array where the wavelength is one.
+Wavelength = TypeVar("Wavelength", bound=float | Array)
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ class Material:
         if self.expansion is not None:
             expansion_in(f"expansion of {self.name}", self.expansion)
 
-    def at(self, temperature: Any, pressure: Any = 101325.0) -> "Material":
+    def at(self, temperature: float | Array, pressure: float | Array = 101325.0) -> "Material":
         """Return the material at a temperature in degrees Celsius, in air of a pressure in pascal.
 
         Parameters
@@ -98,7 +100,7 @@ class Material:
         """
         return replace(self, environment=(temperature, pressure))
 
-    def index(self, wavelength: Any) -> Any:
+    def index(self, wavelength: Wavelength) -> Wavelength:
         """Return the index as published at `wavelength` micrometres (an array in double precision or a number)."""
         return FORMULAS[self.formula].compute(wavelength**2, self.coefficients)
 
@@ -597,9 +599,9 @@ _found: dict[str, Material] = {}
 
 def air_index(
     wavelength: float | Array,
-    temperature: Any = 15.0,
-    pressure: Any = 101325.0,
-    humidity: Any = 0.0,
+    temperature: float | Array = 15.0,
+    pressure: float | Array = 101325.0,
+    humidity: float | Array = 0.0,
     carbon_dioxide: float = 450.0,
     unit: str = "m",
 ) -> float | Array:
@@ -721,13 +723,13 @@ def _compressibility(kelvin, pressure, share):
 
 
 def refractive_index(
-    name: Any,
+    name: str | Material,
     wavelength: float | Array,
     unit: str = "m",
     medium: str | None = None,
     extrapolate: bool = False,
-    temperature: Any = None,
-    pressure: Any = None,
+    temperature: float | Array | None = None,
+    pressure: float | Array | None = None,
 ) -> float | Array:
     """Return the refractive index of a material.
 
@@ -854,7 +856,7 @@ def _thermal_data() -> dict:
 
 
 def internal_transmittance(
-    name: Any, wavelength: float | Array, thickness: float | Array, unit: str = "m"
+    name: str | Material, wavelength: float | Array, thickness: float | Array, unit: str = "m"
 ) -> float | Array:
     """Return the internal transmittance of a thickness of glass, without the losses at its faces.
 
@@ -949,7 +951,7 @@ def _extinctions() -> dict[Any, Any]:
     return {"grids": held["grids"], "makers": makers}
 
 
-def abbe_number(name: Any) -> float:
+def abbe_number(name: str | Material) -> float:
     """Return the Abbe number (n_d − 1)/(n_F − n_C) of a material, from its formula.
 
     Parameters
@@ -1101,7 +1103,7 @@ def nearest_materials(nd: float, vd: float, count: int = 3, makers: Iterable[str
     return tuple(sorted(apart, key=lambda name: (apart[name], name))[: _validate.integer("count", count, minimum=1)])
 
 
-def load_materials(path: Any, replace: bool = False) -> tuple[str, ...]:
+def load_materials(path: str | os.PathLike[str], replace: bool = False) -> tuple[str, ...]:
     """Add the materials of a file to the catalogue of this process.
 
     Parameters

@@ -2,10 +2,10 @@
 
 import difflib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,6 +20,15 @@ from odak.tools.transformation import apply_matrix, rotation_matrix
 
 NO_SHIFT = (0.0, 0.0, 0.0)
 _DATA = Path(__file__).parent / "data" / "plano_convex_lenses.json"
+
+
+class SurfaceFigure(Protocol):
+    """A figure to which surfaces can be added."""
+
+    @property
+    def add_surface(self) -> Callable[..., object]:
+        """Function that adds a surface, see :meth:`odak.visualize.plotly.rayshow.add_surface`."""
+        ...
 
 
 class plane_detector:
@@ -174,7 +183,7 @@ class plane_detector:
         """Return the phase of the field in radians, ``[n0, n1, channels]``."""
         return np.angle(self.field)
 
-    def plot_detector(self, figure: Any, channel: int = 0, plot_type: str = "intensity") -> None:
+    def plot_detector(self, figure: SurfaceFigure, channel: int = 0, plot_type: str = "intensity") -> None:
         """Draw the detector into a figure that has `add_surface`.
 
         Parameters
@@ -305,7 +314,7 @@ class thin_diffuser:
         new_rays[~inside] = np.nan
         return new_rays.reshape(-1, 2, 3), normal, distance
 
-    def plot_diffuser(self, figure: Any) -> None:
+    def plot_diffuser(self, figure: SurfaceFigure) -> None:
         """Draw the diffuser into a figure that has `add_surface`."""
         check_figure(figure)
         x, y, z = np.moveaxis(self._grid(10), -1, 0)
@@ -554,7 +563,7 @@ def is_ahead(rays: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.sum((points - rays[..., 0, :]) * rays[..., 1, :], axis=-1) > 0
 
 
-def check_figure(figure: Any) -> None:
+def check_figure(figure: object) -> None:
     """Raise TypeError unless surfaces can be added to a figure."""
     if not callable(getattr(figure, "add_surface", None)):
         raise TypeError(f"figure must have a method add_surface, got {type(figure).__name__}")

@@ -7,13 +7,18 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from odak import _array, _validate
-from odak._array import Array, ArrayT
+from odak._array import Array, ArrayT, Device, DType
 
 DEGREE = _array.numpy_namespace.pi / 180
 
 
 def electricfield(
-    px: complex | Array, py: complex | Array, *, xp: ModuleType | None = None, device: Any = None, dtype: Any = None
+    px: complex | Array,
+    py: complex | Array,
+    *,
+    xp: ModuleType | None = None,
+    device: Device = None,
+    dtype: DType = None,
 ) -> Array:
     """Return the Jones vector of the amplitudes `px` and `py`.
 
@@ -148,7 +153,7 @@ def cascade(*matrices: Array) -> Array:
 
 @_validate.takes_units(degrees=("angle",))
 def polarizer(
-    angle: complex | Array = 0.0, *, xp: ModuleType | None = None, device: Any = None, dtype: Any = None
+    angle: complex | Array = 0.0, *, xp: ModuleType | None = None, device: Device = None, dtype: DType = None
 ) -> Array:
     """Return the Jones matrix of an ideal linear polariser.
 
@@ -187,8 +192,8 @@ def diattenuator(
     angle: complex | Array = 0.0,
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
-    dtype: Any = None,
+    device: Device = None,
+    dtype: DType = None,
 ) -> Array:
     """Return the Jones matrix of a partial polariser.
 
@@ -234,8 +239,8 @@ def retarder(
     angle: complex | Array = 0.0,
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
-    dtype: Any = None,
+    device: Device = None,
+    dtype: DType = None,
 ) -> Array:
     """Return the Jones matrix of a wave plate of any retardance.
 
@@ -275,7 +280,7 @@ def retarder(
 
 @_validate.takes_units(degrees=("angle",))
 def quarter_wave_plate(
-    angle: float | Array = 0.0, *, xp: ModuleType | None = None, device: Any = None, dtype: Any = None
+    angle: float | Array = 0.0, *, xp: ModuleType | None = None, device: Device = None, dtype: DType = None
 ) -> Array:
     """Return the Jones matrix of a quarter-wave plate: :func:`retarder` of 90°.
 
@@ -309,7 +314,7 @@ def quarter_wave_plate(
 
 @_validate.takes_units(degrees=("angle",))
 def half_wave_plate(
-    angle: float | Array = 0.0, *, xp: ModuleType | None = None, device: Any = None, dtype: Any = None
+    angle: float | Array = 0.0, *, xp: ModuleType | None = None, device: Device = None, dtype: DType = None
 ) -> Array:
     """Return the Jones matrix of a half-wave plate: :func:`retarder` of 180°.
 
@@ -342,7 +347,9 @@ def half_wave_plate(
 
 
 @_validate.takes_units(degrees=("angle",))
-def rotator(angle: complex | Array, *, xp: ModuleType | None = None, device: Any = None, dtype: Any = None) -> Array:
+def rotator(
+    angle: complex | Array, *, xp: ModuleType | None = None, device: Device = None, dtype: DType = None
+) -> Array:
     """Return the Jones matrix of a rotation of the polarisation, as an optically active crystal or a Faraday cell does.
 
     Parameters
@@ -374,7 +381,7 @@ def rotator(angle: complex | Array, *, xp: ModuleType | None = None, device: Any
 
 
 def circular_polarizer(
-    handedness: str = "right", *, xp: ModuleType | None = None, device: Any = None, dtype: Any = None
+    handedness: str = "right", *, xp: ModuleType | None = None, device: Device = None, dtype: DType = None
 ) -> Array:
     """Return the Jones matrix of an ideal (homogeneous) circular polariser.
 
@@ -418,8 +425,8 @@ def mirror(
     ry: complex | Array = 1.0,
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
-    dtype: Any = None,
+    device: Device = None,
+    dtype: DType = None,
 ) -> Array:
     """Return the Jones matrix of a mirror: diag(rx, −ry), which swaps right and left.
 
@@ -504,7 +511,7 @@ def stack_matrix(xp: Any, rows: Any, dtype: Any) -> Any:
     return xp.reshape(xp.stack(flat, axis=-1), (*flat[0].shape, size, size))
 
 
-def common(xp: ModuleType | None = None, device: Any = None, dtype: Any = None, **values: Any) -> Any:
+def common(xp: ModuleType | None = None, device: Device = None, dtype: DType = None, **values: Any) -> Any:
     """Return the namespace, the complex dtype of the result, and the values in double precision on one device."""
     given = {name: _validate.given(name, value) for name, value in values.items()}
     xp, device, real = _array.placement(*values.values(), xp=xp, device=device)
@@ -683,7 +690,7 @@ def mueller(matrix: ArrayT) -> ArrayT:
 
 
 def depolarizer(
-    kept: complex | Array = 0.0, *, xp: ModuleType | None = None, device: Any = None, dtype: Any = None
+    kept: complex | Array = 0.0, *, xp: ModuleType | None = None, device: Device = None, dtype: DType = None
 ) -> Array:
     """Return the Mueller matrix of an ideal depolariser, which no Jones matrix describes.
 

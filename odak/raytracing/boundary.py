@@ -476,7 +476,7 @@ _GOLDEN = (np.sqrt(5) - 1) / 2
 
 
 def intersection_kernel_for_parametric_surfaces(
-    distance: Array, ray: Array, parametric_surface: Any, surface_function: Callable[..., Any]
+    distance: Array, ray: Array, parametric_surface: object, surface_function: Callable[..., Any]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a surface's function at given distances along rays, and the points there.
 
@@ -555,7 +555,7 @@ def _two(name: str, values) -> tuple[Any, ...]:
 
 def intersect_parametric(
     ray: Array,
-    parametric_surface: Any,
+    parametric_surface: object,
     surface_function: Callable[..., Any],
     surface_normal_function: Callable[..., Any],
     target_error: float = 0.00000001,

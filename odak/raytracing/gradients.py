@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, ClassVar, NamedTuple
 
-from odak._array import Array, broadcast, is_readable, is_torch, namespace
+from odak._array import Array, Numbers, broadcast, is_readable, is_torch, namespace
 from odak.raytracing import components as vec
 from odak.raytracing.batches import needs_gradient
 from odak.raytracing.geometry import epsilon
@@ -102,7 +102,7 @@ class RadialGradient(Gradient):
     (1964), section 28.
     """
 
-    coefficients: Any = ()
+    coefficients: Numbers = ()
 
     def squared(self, x: Array, y: Array, z: Array, base: Any) -> tuple[Any, ...]:
         """Return the square of the index and its derivatives."""
@@ -127,7 +127,7 @@ class AxialGradient(Gradient):
         a1, a2, …
     """
 
-    coefficients: Any = ()
+    coefficients: Numbers = ()
 
     def squared(self, x: Array, y: Array, z: Array, base: Any) -> tuple[Any, ...]:
         """Return the square of the index and its derivatives."""
@@ -152,7 +152,7 @@ class FunctionGradient(Gradient):
         Numbers that the function takes, which may be varied.
     """
 
-    parameters_of_function: Any = ()
+    parameters_of_function: Numbers = ()
     ranks: ClassVar[Mapping[str, int]] = {"parameters_of_function": 1}
     function: ClassVar[Any] = None
 

@@ -6,19 +6,12 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from odak._array import Array, complex_dtype, namespace
+from odak._array import Array, Numbers, complex_dtype, namespace
 from odak.raytracing import components as vec
 from odak.raytracing.batches import in_pieces
 from odak.raytracing.geometry import dot, finite_rays, safe_divide, safe_sqrt
 from odak.raytracing.intersections import RayStatus, status_array
-from odak.raytracing.surfaces import (
-    Parametric,
-    ZernikeFreeform,
-    grid_reader,
-    polynomial_in,
-    xy_polynomial,
-    zernike_sag,
-)
+from odak.raytracing.surfaces import Parametric, ZernikeFreeform, grid_reader, polynomial_in, xy_polynomial, zernike_sag
 
 
 class Fresnel(NamedTuple):
@@ -211,7 +204,7 @@ class Phase(Parametric):
         """Return the phase over 2π at x, y of the vertex plane, and its derivatives by x and by y."""
         raise NotImplementedError(f"{type(self).__name__} must define cycles(x, y)")
 
-    def covers(self, x: Array, y: Array) -> Any:
+    def covers(self, x: Array, y: Array) -> bool | Array:
         """Return where the phase is known, bool; True for everywhere. Rays elsewhere are vignetted."""
         return True
 
@@ -264,9 +257,9 @@ class LinearGrating(Phase):
     projected along z (Welford, Aberrations of Optical Systems, 1986, section 5.6).
     """
 
-    frequency_x: Any = 0.0
-    frequency_y: Any = 0.0
-    order: Any = 1.0
+    frequency_x: float | Array = 0.0
+    frequency_y: float | Array = 0.0
+    order: float | Array = 1.0
 
     def cycles(self, x: Array, y: Array) -> tuple[Any, ...]:
         """Return the phase over 2π and its derivatives."""
@@ -290,8 +283,8 @@ class RadialGrating(Phase):
     The phase is 2π·m·f·r. Its gradient has no direction at the centre, where rays are not deflected.
     """
 
-    frequency: Any = 0.0
-    order: Any = 1.0
+    frequency: float | Array = 0.0
+    order: float | Array = 1.0
 
     def cycles(self, x: Array, y: Array) -> tuple[Any, ...]:
         """Return the phase over 2π and its derivatives."""
@@ -324,8 +317,8 @@ class HologramPhase(Phase):
     """
 
     phase: Any = ((0.0,) * 4,) * 4
-    pitch: Any = 1.0
-    order: Any = 1.0
+    pitch: float | Array = 1.0
+    order: float | Array = 1.0
     ranks: ClassVar[Mapping[str, int]] = {"phase": 2}
 
     @classmethod
@@ -384,7 +377,7 @@ class HologramPhase(Phase):
                 found[b][a] = _nearest_branch(found[b][a], found[b - 1 if b > 1 else b + 1][a])
         return found
 
-    def covers(self, x: Array, y: Array) -> Any:
+    def covers(self, x: Array, y: Array) -> bool | Array:
         """Return whether x, y lie within the samples that have neighbours."""
         inside = True
         for value, n in ((x, self.phase.shape[-1]), (y, self.phase.shape[-2])):
@@ -455,9 +448,9 @@ class RadialPhase(Phase):
         Diffraction order.
     """
 
-    coefficients: Any = ()
-    radius: Any = 1.0
-    order: Any = 1.0
+    coefficients: Numbers = ()
+    radius: float | Array = 1.0
+    order: float | Array = 1.0
 
     def cycles(self, x: Array, y: Array) -> tuple[Any, ...]:
         """Return the phase over 2π and its derivatives."""
@@ -487,9 +480,9 @@ class PolynomialPhase(Phase):
         Diffraction order.
     """
 
-    coefficients: Any = ()
-    radius: Any = 1.0
-    order: Any = 1.0
+    coefficients: Numbers = ()
+    radius: float | Array = 1.0
+    order: float | Array = 1.0
 
     def cycles(self, x: Array, y: Array) -> tuple[Any, ...]:
         """Return the phase over 2π and its derivatives."""
@@ -518,9 +511,9 @@ class ZernikePhase(Phase):
         Diffraction order.
     """
 
-    coefficients: Any = ()
-    radius: Any = 1.0
-    order: Any = 1.0
+    coefficients: Numbers = ()
+    radius: float | Array = 1.0
+    order: float | Array = 1.0
 
     def cycles(self, x: Array, y: Array) -> tuple[Any, ...]:
         """Return the phase over 2π and its derivatives."""
@@ -555,8 +548,8 @@ class IdealLens(Phase):
     of height h from the front focal point. A mirror reverses the direction along z. The lens is flat, in air.
     """
 
-    focal_length: Any = 1.0
-    vergence: Any = 0.0
+    focal_length: float | Array = 1.0
+    vergence: float | Array = 0.0
 
     def powers(self, wavelength: Any) -> tuple[Any, ...]:
         """Return 1/f twice."""

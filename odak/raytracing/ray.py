@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from odak import _array, _show, _validate
-from odak._array import Array, is_readable, namespace
+from odak._array import Array, ArrayT, is_readable, namespace
 from odak._warnings import AccuracyWarning, warn
 from odak.raytracing import arguments, geometry
 from odak.raytracing.geometry import safe_sqrt
@@ -13,7 +13,7 @@ from odak.tools.transformation import rotation_matrix
 
 
 @_validate.takes_units(degrees=("abg",))
-def create_ray(x0y0z0: Array, abg: Array) -> Any:
+def create_ray(x0y0z0: ArrayT, abg: ArrayT) -> ArrayT:
     """Return the ray from a point with given angles to the three axes.
 
     Parameters
@@ -316,9 +316,9 @@ class FieldRays(NamedTuple):
     (0.0005, -0.005)
     """
 
-    ray: Any
-    power: Any
-    path: Any
+    ray: Array
+    power: Array
+    path: Array
 
     def __repr__(self) -> str:
         return _show.one_line(self)

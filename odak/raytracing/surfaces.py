@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from odak import _validate
-from odak._array import Array, cast, device_of, is_array, is_readable, is_torch, namespace
+from odak._array import Array, Numbers, cast, device_of, is_array, is_readable, is_torch, namespace
 from odak.raytracing import arguments, intersections
 from odak.raytracing import components as vec
 from odak.raytracing.batches import CHUNK, in_pieces
@@ -109,7 +109,7 @@ class Shape(Parametric):
         curvature, _ = self.base()
         return curvature, curvature
 
-    def covers(self, x: Array, y: Array) -> Any:
+    def covers(self, x: Array, y: Array) -> bool | Array:
         """Return where the surface is defined, as a bool array; True if that is everywhere.
 
         Parameters
@@ -173,8 +173,8 @@ class Conic(Shape):
     1.0
     """
 
-    curvature: Any = 0.0
-    conic: Any = 0.0
+    curvature: float | Array = 0.0
+    conic: float | Array = 0.0
     closed_form: ClassVar[bool] = True
 
     def sag(self, x: Array, y: Array) -> Sag:
@@ -210,7 +210,7 @@ class EvenAsphere(Conic):
     0.56
     """
 
-    coefficients: Any = ()
+    coefficients: Numbers = ()
     closed_form: ClassVar[bool] = False
 
     def sag(self, x: Array, y: Array) -> Sag:
@@ -250,8 +250,8 @@ class ZernikeFreeform(Conic):
     1.732051
     """
 
-    coefficients: Any = ()
-    radius: Any = 1.0
+    coefficients: Numbers = ()
+    radius: float | Array = 1.0
     closed_form: ClassVar[bool] = False
 
     def sag(self, x: Array, y: Array) -> Sag:
@@ -289,10 +289,10 @@ class Toroid(Shape):
     1.0
     """
 
-    curvature_x: Any = 0.0
-    curvature_y: Any = 0.0
-    conic: Any = 0.0
-    coefficients: Any = ()
+    curvature_x: float | Array = 0.0
+    curvature_y: float | Array = 0.0
+    conic: float | Array = 0.0
+    coefficients: Numbers = ()
 
     def sag(self, x: Array, y: Array) -> Sag:
         """Return height and derivatives at x, y; see :func:`toroid_sag`."""
@@ -336,10 +336,10 @@ class SplineFreeform(Shape):
     0.05
     """
 
-    heights: Any
-    size: Any
-    curvature: Any = 0.0
-    conic: Any = 0.0
+    heights: Sequence[Numbers] | Array
+    size: Numbers
+    curvature: float | Array = 0.0
+    conic: float | Array = 0.0
     ranks: ClassVar[Mapping[str, int]] = {"heights": 2, "size": 1}
 
     @classmethod
@@ -384,7 +384,7 @@ class SplineFreeform(Shape):
         """Return the second derivatives at the vertex."""
         return _curvatures_by_differences(self, terms(self.size)[0])
 
-    def covers(self, x: Array, y: Array) -> Any:
+    def covers(self, x: Array, y: Array) -> bool | Array:
         """Return whether x, y lie within the extents."""
         width, height = terms(self.size)
         return (abs(x) <= width / 2) & (abs(y) <= height / 2)
@@ -414,7 +414,7 @@ class OddAsphere(Conic):
     0.24
     """
 
-    coefficients: Any = ()
+    coefficients: Numbers = ()
     closed_form: ClassVar[bool] = False
 
     def sag(self, x: Array, y: Array) -> Sag:
@@ -463,10 +463,10 @@ class Biconic(Shape):
     1.0
     """
 
-    curvature_x: Any = 0.0
-    curvature_y: Any = 0.0
-    conic_x: Any = 0.0
-    conic_y: Any = 0.0
+    curvature_x: float | Array = 0.0
+    curvature_y: float | Array = 0.0
+    conic_x: float | Array = 0.0
+    conic_y: float | Array = 0.0
 
     def sag(self, x: Array, y: Array) -> Sag:
         """Return height and derivatives at x, y."""
@@ -517,8 +517,8 @@ class PolynomialFreeform(Conic):
     0.6
     """
 
-    coefficients: Any = ()
-    radius: Any = 1.0
+    coefficients: Numbers = ()
+    radius: float | Array = 1.0
     closed_form: ClassVar[bool] = False
 
     def sag(self, x: Array, y: Array) -> Sag:
@@ -563,8 +563,8 @@ class ChebyshevFreeform(Conic):
     0.5
     """
 
-    coefficients: Any = ((0.0,),)
-    size: Any = (1.0, 1.0)
+    coefficients: Sequence[Numbers] | Array = ((0.0,),)
+    size: Numbers = (1.0, 1.0)
     closed_form: ClassVar[bool] = False
     ranks: ClassVar[Mapping[str, int]] = {"coefficients": 2, "size": 1}
 
@@ -591,7 +591,7 @@ class ChebyshevFreeform(Conic):
         """Return the second derivatives at the vertex."""
         return _curvatures_by_differences(self, terms(self.size)[0])
 
-    def covers(self, x: Array, y: Array) -> Any:
+    def covers(self, x: Array, y: Array) -> bool | Array:
         """Return whether x, y lie within the extents."""
         width, height = terms(self.size)
         return (abs(x) <= width) & (abs(y) <= height)
@@ -636,9 +636,9 @@ class QbfsAsphere(Shape):
     1.0
     """
 
-    curvature: Any = 0.0
-    coefficients: Any = ()
-    radius: Any = 1.0
+    curvature: float | Array = 0.0
+    coefficients: Numbers = ()
+    radius: float | Array = 1.0
 
     def sag(self, x: Array, y: Array) -> Sag:
         """Return height and derivatives at x, y."""
@@ -730,8 +730,8 @@ class QconAsphere(Conic):
     1.12
     """
 
-    coefficients: Any = ()
-    radius: Any = 1.0
+    coefficients: Numbers = ()
+    radius: float | Array = 1.0
     closed_form: ClassVar[bool] = False
 
     def sag(self, x: Array, y: Array) -> Sag:
@@ -870,7 +870,7 @@ def polynomial_in(s: Any, coefficients: Any) -> Any:
     return value, slope
 
 
-def xy_polynomial(x: Array, y: Array, coefficients: Array | Sequence[float]) -> tuple[Any, ...]:
+def xy_polynomial(x: Array, y: Array, coefficients: Numbers) -> tuple[Any, ...]:
     """Return Σ a_j·x^p·y^q in the order x, y, x², xy, y², x³, …, and its derivatives by x and by y."""
     given = terms(coefficients)
     value = along_x = along_y = 0.0 * (x + y)

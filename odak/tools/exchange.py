@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from odak import _array, _validate
+from odak._array import Array
 from odak.tools.matrix import convert_to_numpy
 from odak.tools.paths import regular_file, temporary_name, validate_path
 
@@ -25,7 +26,7 @@ SMALLEST_PAGE = 18
 
 @_validate.takes_units("pitch", "wavelength", "distance")
 def to_xarray(
-    field: Any,
+    field: Array,
     pitch: float | Sequence[float],
     wavelength: float | Sequence[float] | None = None,
     distance: float | Sequence[float] | None = None,
@@ -98,7 +99,7 @@ def to_xarray(
 @_validate.takes_units("pitch", "wavelength")
 def save_ome_tiff(
     filename: str | os.PathLike[str],
-    field: Any,
+    field: Array,
     pitch: float | Sequence[float],
     spacing: float | None = None,
     wavelength: float | Sequence[float] | None = None,

@@ -20,7 +20,7 @@ import zlib
 from collections.abc import Callable, Iterable, Sequence
 from numbers import Real
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from typing import Any, BinaryIO, Literal, TypeVar
 
 import numpy as np
 from PIL import Image, UnidentifiedImageError
@@ -34,6 +34,9 @@ from odak.tools.paths import extension_of, regular_file, replacing, temporary_na
 from odak.tools.paths import get_base_filename as get_base_filename
 from odak.tools.paths import validate_cwd as validate_cwd
 from odak.tools.paths import validate_path as validate_path
+
+# What is written is returned.
+Settings = TypeVar("Settings")
 
 _UNITS = ("bytes", "KB", "MB", "GB", "TB", "PB", "EB")
 
@@ -269,7 +272,7 @@ def copy_file(source: str | os.PathLike[str], destination: str | os.PathLike[str
 _FLAGS = ("w", "a", "x", "r+", "w+", "a+")
 
 
-def save_dictionary(settings: Any, filename: str | os.PathLike[str]) -> Any:
+def save_dictionary(settings: Settings, filename: str | os.PathLike[str]) -> Settings:
     """Write settings as JSON, indented by four, with non-ASCII characters as they are.
 
     Parameters
@@ -318,7 +321,7 @@ def _plain(value):
     raise TypeError(f"settings must be serialisable as JSON, got a {type(value).__name__}: {value!r:.80}")
 
 
-def load_dictionary(filename: str | os.PathLike[str]) -> Any:
+def load_dictionary(filename: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a JSON file.
 
     Parameters

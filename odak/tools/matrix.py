@@ -155,7 +155,7 @@ def quantize(image_field: ArrayT, bits: int = 4) -> ArrayT:
     return xp.astype(levels, xp.int64)
 
 
-def generate_2d_gaussian(kernel_length: Sequence[int] = (21, 21), nsigma: Sequence[float] = (3.0, 3.0)) -> Any:
+def generate_2d_gaussian(kernel_length: Sequence[int] = (21, 21), nsigma: Sequence[float] = (3.0, 3.0)) -> np.ndarray:
     """Return a Gaussian kernel that sums to one.
 
     Parameters

@@ -6,12 +6,11 @@ Sizes, radii, centres and angles may be arrays of any library: the points are th
 import math
 from collections.abc import Iterable, Sequence
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 
 from odak import _array, _validate
-from odak._array import Array, ArrayT
+from odak._array import Array, ArrayT, Device, DType
 from odak.tools.transformation import apply_matrix, rotation_matrix
 
 _ORIGIN = (0.0, 0.0, 0.0)
@@ -79,8 +78,8 @@ def sphere_sample(
     k: Sequence[float] | Array = (1, 2),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
-    dtype: Any = None,
+    device: Device = None,
+    dtype: DType = None,
 ) -> Array:
     """Return points of a sphere on a grid of polar and azimuthal angles.
 
@@ -130,8 +129,8 @@ def sphere_sample_uniform(
     k: Sequence[float] | Array = (1, 2),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
-    dtype: Any = None,
+    device: Device = None,
+    dtype: DType = None,
 ) -> Array:
     """Return the points of :func:`sphere_sample` in a sheared order of the two angles; they are not uniform in area.
 
@@ -185,8 +184,8 @@ def box_volume_sample(
     angles: Sequence[float] | Array = _ORIGIN,
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
-    dtype: Any = None,
+    device: Device = None,
+    dtype: DType = None,
 ) -> Array:
     """Return the centres of the cells that a box is cut into.
 
@@ -237,8 +236,8 @@ def circular_sample(
     angles: Sequence[float] | Array = _ORIGIN,
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
-    dtype: Any = None,
+    device: Device = None,
+    dtype: DType = None,
 ) -> Array:
     """Return points of a disc on a polar grid, equally spaced in radius and angle, without the centre.
 
@@ -291,8 +290,8 @@ def circular_uniform_random_sample(
     *,
     seed: int | np.random.Generator | None = None,
     xp: ModuleType | None = None,
-    device: Any = None,
-    dtype: Any = None,
+    device: Device = None,
+    dtype: DType = None,
 ) -> Array:
     """Return independent random points of uniform density on a disc.
 
@@ -344,8 +343,8 @@ def circular_uniform_sample(
     angles: Sequence[float] | Array = _ORIGIN,
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
-    dtype: Any = None,
+    device: Device = None,
+    dtype: DType = None,
 ) -> Array:
     """Return points of a disc on rings whose number of points grows with their radius.
 
@@ -408,8 +407,8 @@ def grid_sample(
     angles: Sequence[float] | Array = _ORIGIN,
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
-    dtype: Any = None,
+    device: Device = None,
+    dtype: DType = None,
 ) -> Array:
     """Return points of a rectangle on a regular grid, its edges included.
 

@@ -339,7 +339,7 @@ def cross_product(vector1: Array, vector2: Array) -> Array:
     return xp.astype(product, xp.float32) if xp is _array.numpy_namespace else product
 
 
-def same_side(p1: Array, p2: Array, a: Array, b: Array) -> Any:
+def same_side(p1: Array, p2: Array, a: Array, b: Array) -> bool | Array:
     """Return whether p1 and p2 lie on the same side of the line through a and b.
 
     Parameters

@@ -3,11 +3,17 @@
 import math
 from collections.abc import Iterable, Sequence
 from numbers import Real
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from odak import _array, _validate
+
+if TYPE_CHECKING:
+    import torch
+
+# What is checked is returned.
+Value = TypeVar("Value", bound="float | _array.Array")
 
 
 def copy_dict_with_keys(d: dict[Any, Any], keys: Iterable[Any] | None = None) -> dict[Any, Any] | None:
@@ -38,7 +44,7 @@ def copy_dict_with_keys(d: dict[Any, Any], keys: Iterable[Any] | None = None) ->
     return dict(d) if keys is None else {key: d[key] for key in keys if key in d}
 
 
-def validate_positive_parameter(value: Any, name: str = "value", allow_zero: bool = False) -> Any:
+def validate_positive_parameter(value: Value, name: str = "value", allow_zero: bool = False) -> Value:
     """Return a number or an array after checking that it is positive.
 
     Parameters
@@ -70,7 +76,7 @@ def validate_positive_parameter(value: Any, name: str = "value", allow_zero: boo
     """
     _validate.instance("name", name, str, "a string")
     allow_zero = _validate.flag("allow_zero", allow_zero)
-    if _array.is_array(value) and not isinstance(value, np.generic):
+    if not isinstance(value, (float, int, np.generic)) and _array.is_array(value):
         xp = _array.namespace(value)
         if not xp.isdtype(value.dtype, ("real floating", "integral")):
             raise TypeError(f"{name} must be numeric and real, got an array of {value.dtype}")
@@ -86,7 +92,7 @@ def validate_positive_parameter(value: Any, name: str = "value", allow_zero: boo
 
 def create_group_tensor(
     number_of_elements: int, group_percentages: Sequence[float] | None = None, number_of_groups: int | None = None
-) -> Any:
+) -> "torch.Tensor":
     """Return the group number of each element; the groups are consecutive and ascending.
 
     Parameters

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.special
 
 from odak import _array, _validate
-from odak._array import Array, namespace
+from odak._array import Array, Device, namespace
 from odak.wave.elements import grid_positions, share_in_disc, single_numbers, spiral_parts
 from odak.wave.sampling import plain_numbers, warn_of_beam, warn_of_factor, warn_of_power, warn_of_tilt
 from odak.wave.transfer_functions import pitches
@@ -32,7 +32,7 @@ def gaussian_beam(
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return a Gaussian beam at a distance from its waist.
 
@@ -99,7 +99,7 @@ def hermite_gaussian_beam(
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return a Hermite–Gauss mode at a distance from its waist.
 
@@ -217,7 +217,7 @@ def laguerre_gaussian_beam(
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return a Laguerre–Gauss mode, which carries an optical vortex, at a distance from its waist.
 
@@ -297,7 +297,7 @@ def bessel_beam(
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return a Bessel beam: plane waves on a cone, which keep their transverse profile.
 
@@ -376,7 +376,7 @@ def airy_beam(
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return a finite-energy Airy beam, whose peak follows a parabola.
 
@@ -463,7 +463,7 @@ def flat_top_beam(
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return the amplitude of a flat-top beam, a super-Gaussian.
 

@@ -4,12 +4,12 @@ import inspect
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from odak import _array, _show, _validate
-from odak._array import Array, phasor_of_cycles
+from odak._array import Array, Numbers, phasor_of_cycles
 from odak._warnings import SamplingWarning, warn
 from odak.jones.calculus import polarizer, retarder
 from odak.wave.elements import share_in_disc, share_in_strip, thin_lens
@@ -30,20 +30,27 @@ from odak.wave.sampling import (
 from odak.wave.transfer_functions import check_geometry, fraction_of_cycles, pitches
 from odak.wave.windows import propagate_to_window
 
+if TYPE_CHECKING:
+    import PIL.Image
+
+# In signatures: a pixel pitch, of rows and columns alike or each; and a ray matrix, for both axes or each.
+Pitch: TypeAlias = float | Sequence[float] | Array
+RayMatrix: TypeAlias = Sequence[Sequence[float | Array]] | Array
+RayMatrices: TypeAlias = RayMatrix | tuple[RayMatrix, RayMatrix]
 _PADDED = (True, False, True)
 
 
 @_validate.takes_units("dx", "wavelength", "path_length")
 def propagate_abcd(
     field: Array,
-    matrix: Any,
-    dx: float | Sequence[float],
+    matrix: RayMatrices,
+    dx: Pitch,
     wavelength: float | Array,
-    output_dx: float | Sequence[float] | None = None,
+    output_dx: Pitch | None = None,
     output_shape: Sequence[int] | None = None,
-    path_length: float = 0.0,
-    offset: Sequence[float] = (0.0, 0.0),
-) -> tuple[Any, ...]:
+    path_length: float | Array = 0.0,
+    offset: Numbers = (0.0, 0.0),
+) -> tuple[Array, Any]:
     """Propagate a field through a first-order system of lenses, mirrors and spaces, given by its ray matrix.
 
     The pitch of the result is free, so that one step goes from a display of 300 mm to an image of 30 mm, through a
@@ -107,7 +114,7 @@ def propagate_abcd(
         for pitch in () if given is None else pitches(given, name):
             _validate.number(name, pitch, positive=True)
     xp = _array.namespace(field)
-    matrices = matrix if _is_pair(matrix) else (matrix, matrix)
+    matrices: Any = matrix if _is_pair(matrix) else (matrix, matrix)
     counts = tuple(field.shape[-2:]) if output_shape is None else _validate.size("output_shape", output_shape)
     given = (None, None) if output_dx is None else pitches(output_dx, "output_dx")
     like = xp.zeros((1, 1), dtype=xp.float64, device=_array.device_of(field))
@@ -416,17 +423,17 @@ class FreeSpace:
     [[1.0, 0.19999999999999998], [0.0, 1.0]]
     """
 
-    distance: Any
+    distance: float | Array
     propagation_type: str = "auto"
-    window_shape: Any = None
-    window_dx: Any = None
-    offset: Any = (0.0, 0.0)
-    index: Any = 1.0
+    window_shape: Sequence[int] | None = None
+    window_dx: Pitch | None = None
+    offset: Numbers = (0.0, 0.0)
+    index: float | Array = 1.0
 
     def __post_init__(self) -> None:
         _validate.real("index", self.index, positive=True)
 
-    def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
+    def apply(self, field: Array, pitch: Pitch, wavelength: float | Array) -> tuple[Array, Pitch]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -452,7 +459,7 @@ class FreeSpace:
         )
         return window, pitch if self.window_dx is None else self.window_dx
 
-    def matrix(self) -> Any:
+    def matrix(self) -> list[list[float | Array]]:
         """Return the ray matrix."""
         return [[1.0, self.distance / self.index], [0.0, 1.0]]
 
@@ -493,15 +500,15 @@ class ThinLens:
     [[1.0, 0.0], [-2.0, 1.0]]
     """
 
-    focal: Any
-    offset: Any = (0.0, 0.0)
+    focal: float | Array
+    offset: Numbers = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         # Infinity is a lens without power.
         if not (isinstance(self.focal, float) and math.isinf(self.focal)):
             _validate.real("focal", self.focal, nonzero=True)
 
-    def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
+    def apply(self, field: Array, pitch: Pitch, wavelength: float | Array) -> tuple[Array, Pitch]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -532,7 +539,7 @@ class ThinLens:
         focal, wave = (_per_field(value, y) for value in (self.focal, wavelength))
         return field * phasor_of_cycles(-(y**2 + x**2) / (2 * focal * wave), field.dtype)
 
-    def matrix(self) -> Any:
+    def matrix(self) -> list[list[float | Array]]:
         """Return the ray matrix."""
         return [[1.0, 0.0], [-1 / self.focal, 1.0]]
 
@@ -575,13 +582,13 @@ class CircularAperture:
     1.0
     """
 
-    radius: Any
-    offset: Any = (0.0, 0.0)
+    radius: float | Array
+    offset: Numbers = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         _validate.real("radius", self.radius, positive=True)
 
-    def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
+    def apply(self, field: Array, pitch: Pitch, wavelength: float | Array) -> tuple[Array, Pitch]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -599,7 +606,7 @@ class CircularAperture:
         share = share_in_disc(y, x, (dy, dx), radius)
         return _through("CircularAperture", field, xp.astype(share, field.dtype)), pitch
 
-    def extent(self) -> tuple[Any, ...]:
+    def extent(self) -> tuple[Any, Any]:
         """Return height and width in metres."""
         return 2 * self.radius, 2 * self.radius
 
@@ -629,15 +636,15 @@ class RectangularAperture:
     1.0
     """
 
-    height: Any
-    width: Any
-    offset: Any = (0.0, 0.0)
+    height: float | Array
+    width: float | Array
+    offset: Numbers = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         _validate.real("height", self.height, positive=True)
         _validate.real("width", self.width, positive=True)
 
-    def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
+    def apply(self, field: Array, pitch: Pitch, wavelength: float | Array) -> tuple[Array, Pitch]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -659,7 +666,7 @@ class RectangularAperture:
         note_loss("RectangularAperture", field, result, "aperture")
         return result, pitch
 
-    def extent(self) -> tuple[Any, ...]:
+    def extent(self) -> tuple[Any, Any]:
         """Return height and width in metres."""
         return self.height, self.width
 
@@ -683,9 +690,9 @@ class Mask:
     [[0.5, 0.5], [0.5, 0.5]]
     """
 
-    transmission: Any
+    transmission: Array | Callable[[], Array]
 
-    def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
+    def apply(self, field: Array, pitch: Pitch, wavelength: float | Array) -> tuple[Array, Pitch]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -729,11 +736,11 @@ class PhaseModulator:
     [1.0, 1.0, -1.0, -1.0]
     """
 
-    phase: Any
+    phase: Array | Callable[[], Array]
     samples: int = 1
-    angle: Any = None
+    angle: float | Array | None = None
 
-    def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
+    def apply(self, field: Array, pitch: Pitch, wavelength: float | Array) -> tuple[Array, Pitch]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -777,9 +784,9 @@ class Polarizer:
     0.25
     """
 
-    angle: Any = 0.0
+    angle: float | Array = 0.0
 
-    def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
+    def apply(self, field: Array, pitch: Pitch, wavelength: float | Array) -> tuple[Array, Pitch]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -820,10 +827,10 @@ class WavePlate:
     [0.0, 1.0]
     """
 
-    retardance: Any
-    angle: Any = 0.0
+    retardance: float | Array
+    angle: float | Array = 0.0
 
-    def apply(self, field: Array, pitch: float | Sequence[float] | Array, wavelength: float | Array) -> tuple[Any, ...]:
+    def apply(self, field: Array, pitch: Pitch, wavelength: float | Array) -> tuple[Array, Pitch]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -871,12 +878,12 @@ class FirstOrderSystem:
     4.0
     """
 
-    abcd: Any
-    path_length: Any = 0.0
-    output_dx: Any = None
-    output_shape: Any = None
+    abcd: RayMatrices
+    path_length: float | Array = 0.0
+    output_dx: Pitch | None = None
+    output_shape: Sequence[int] | None = None
 
-    def apply(self, field: Array, pitch: float | Sequence[float], wavelength: float | Array) -> tuple[Any, ...]:
+    def apply(self, field: Array, pitch: Pitch, wavelength: float | Array) -> tuple[Array, Pitch]:
         """Return the field behind the element and its pixel pitch.
 
         Parameters
@@ -890,7 +897,7 @@ class FirstOrderSystem:
         """
         return propagate_abcd(field, self.abcd, pitch, wavelength, self.output_dx, self.output_shape, self.path_length)
 
-    def matrix(self) -> Any:
+    def matrix(self) -> RayMatrices:
         """Return the ray matrix."""
         return self.abcd
 
@@ -918,10 +925,10 @@ class BenchPlane(NamedTuple):
     [0.0, 0.0, 0.05]
     """
 
-    position: Any
-    field: Any
-    pitch: Any
-    element: Any
+    position: float | Array
+    field: Array
+    pitch: Pitch
+    element: object
 
     def __repr__(self) -> str:
         return _show.one_line(self)
@@ -988,7 +995,7 @@ class optical_bench:
             known = _known_all(_length(element))
             table.append((f"{1e3 * place:.6g} mm", _show.one_line(element)))
             place += math.nan if known is None else abs(known[0])
-        matrices = self.matrix()
+        matrices: Any = self.matrix()
         for axis, matrix in zip(("rows", "columns"), matrices if _is_pair(matrices) else [matrices], strict=False):
             entries = _known(*(value for row in matrix for value in row))
             name = f"ray matrix, {axis}" if _is_pair(matrices) else "ray matrix"
@@ -1003,7 +1010,7 @@ class optical_bench:
     def _drawn_height(self) -> float:
         """Return half the height of the smallest aperture, 1 mm without one."""
         sizes = [
-            float(element.radius if isinstance(element, CircularAperture) else element.height / 2)
+            float(element.extent()[0]) / 2
             for element in self.elements
             if isinstance(element, (CircularAperture, RectangularAperture))
         ]
@@ -1053,7 +1060,7 @@ class optical_bench:
             position = position + _length(element)
             yield position, light, element
 
-    def matrix(self) -> Any:
+    def matrix(self) -> RayMatrices:
         """Return the ray matrix ``[[A, B], [C, D]]`` of the whole bench, as nested lists of its numbers.
 
         A tuple of two (rows, columns) if an element has a matrix for each axis.
@@ -1068,7 +1075,7 @@ class optical_bench:
         both = any(_is_pair(element.matrix()) for element in self.elements if hasattr(element, "matrix"))
         return tuple(totals) if both else totals[0]
 
-    def draw(self, height: float, width: int = 900) -> Any:
+    def draw(self, height: float, width: int = 900) -> "PIL.Image.Image":
         """Return a drawing of the bench: its elements to scale along the axis, and paraxial rays through it.
 
         Parameters
@@ -1138,9 +1145,9 @@ class Light:
     """
 
     field: Any
-    pitch: Any
-    lenses: tuple[Any, ...] = ()
-    openings: tuple[Any, ...] = ()
+    pitch: Pitch
+    lenses: tuple["ThinLens", ...] = ()
+    openings: tuple["CircularAperture | RectangularAperture", ...] = ()
     coarse: float = 0.0
 
     def sampled(self, wavelength: float | Array) -> Any:
@@ -1193,6 +1200,7 @@ class Light:
         Lenses of the powers Pᵢ with their axes at cᵢ are one lens and a prism of the slope Σ Pᵢcᵢ. Light goes straight
         on to B times the slope, where it has D times the slope.
         """
+        matrix: Any
         power = sum(1 / lens.focal for lens in self.lenses)
         slopes = [sum(lens.offset[axis] / lens.focal for lens in self.lenses) for axis in (0, 1)]
         if isinstance(element, FreeSpace):
@@ -1202,7 +1210,7 @@ class Light:
             matrix, length, offset = element.abcd, element.path_length, (0.0, 0.0)
             out, shape = element.output_dx, element.output_shape
         matrices = matrix if _is_pair(matrix) else (matrix, matrix)
-        total = tuple([[row[0] - row[1] * power, row[1]] for row in m] for m in matrices)
+        total: Any = tuple([[row[0] - row[1] * power, row[1]] for row in m] for m in matrices)
         places = tuple(
             place - m[0][1] * slope if _array.is_array(slope) or slope else place
             for place, m, slope in zip(offset, matrices, slopes, strict=True)
@@ -1262,18 +1270,18 @@ def _known_all(value) -> list[float] | None:
     return _validate.numbers(value) if _array.is_readable(value) else None
 
 
-def _draw_element(pen, element, at: Callable[..., Any], tall: float, wing: float) -> None:
+def _draw_element(pen, element: Any, at: Callable[..., Any], tall: float, wing: float) -> None:
     """Draw a lens as an arrow, an aperture as two bars, and a mask as a dashed line."""
     top = 0.95 * tall
     (x, high), (_, low) = at(top), at(-top)
     if isinstance(element, ThinLens):
-        bend = wing if float(element.focal) > 0 else -wing
+        bend = wing if _validate.numbers(element.focal)[0] > 0 else -wing
         pen.line([(x, high), (x, low)], fill="#1f4e9c", width=2)
         for y, sign in ((high, 1), (low, -1)):
             pen.line([(x - wing, y + sign * bend), (x, y), (x + wing, y + sign * bend)], fill="#1f4e9c", width=2)
     elif isinstance(element, (CircularAperture, RectangularAperture)):
-        half = float(element.radius if isinstance(element, CircularAperture) else element.height / 2)
-        centre = float(element.offset[0])
+        half = float(element.extent()[0]) / 2
+        centre = _validate.numbers(element.offset[0])[0]
         for sign in (1, -1):
             edge = min(max(centre + sign * half, -top), top)
             pen.line([at(sign * top), at(edge)], fill="black", width=5)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from odak import _array, _validate
-from odak._array import Array, phasor_of_cycles
+from odak._array import Array, Device, Numbers, phasor_of_cycles
 from odak.wave.fourier import centred
 from odak.wave.transfer_functions import check_geometry, pitches
 from odak.wave.windows import GUARD, propagate_to_window
@@ -20,9 +20,9 @@ _COPIES = 8
 
 @_validate.takes_units("distance", "dx", "window_dx", "offset")
 def propagate_partially_coherent(
-    field: Any,
-    spectrum: Any,
-    source: Any,
+    field: Array | Callable[..., Any],
+    spectrum: float | Array | tuple[Numbers, Numbers],
+    source: tuple[Array, Array] | None,
     distance: float | Array,
     dx: float | Sequence[float] | Array,
     window_shape: Sequence[int] | None = None,
@@ -192,7 +192,7 @@ def _source(source, field):
 
 @_validate.takes_units("wavelength", "width")
 def gaussian_spectrum(
-    wavelength: float, width: float, count: int = 9, *, xp: ModuleType | None = None, device: Any = None
+    wavelength: float, width: float, count: int = 9, *, xp: ModuleType | None = None, device: Device = None
 ) -> tuple[Array, Array]:
     """Return wavelengths and weights of a quadrature over a Gaussian spectral line.
 
@@ -251,7 +251,7 @@ def disk_source(
     center: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> tuple[Array, Array]:
     """Return directions and weights of a quadrature over a uniformly bright disk.
 

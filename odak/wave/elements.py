@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from odak import _array, _validate
-from odak._array import Array, is_array, namespace, phasor, phasor_of_cycles
+from odak._array import Array, Device, is_array, namespace, phasor, phasor_of_cycles
 from odak._warnings import SamplingWarning, warn
 from odak.tools.zernike import check_mode, jacobi, zernike_norm
 from odak.wave.sampling import FOCAL, Weaker, plain_numbers, sampled_axes, warn_beyond_nyquist, warn_of_tilt
@@ -25,7 +25,7 @@ def lens_phase(
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return the phase of a thin lens, −π·r²/(λf), on the field's own grid (optical axis at index n // 2).
 
@@ -491,7 +491,7 @@ def circular_aperture(
     inner_radius: float | Array = 0.0,
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return the transmission of a disc or a ring, with the pixels of its edges weighted by the area inside.
 
@@ -545,7 +545,7 @@ def rectangular_aperture(
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return the transmission of a rectangle, with the pixels of its edges weighted by the area inside.
 
@@ -645,7 +645,7 @@ def axicon_phase(
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return the phase of a thin axicon, −k(n − 1)·tan(angle)·r.
 
@@ -710,7 +710,7 @@ def spiral_phase(
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return the phase of a spiral plate, charge times the azimuth.
 
@@ -757,7 +757,7 @@ def cylindrical_lens_phase(
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return the phase of a thin cylindrical lens, −π·s²/(λf), s being the distance from its axis line.
 
@@ -823,7 +823,7 @@ def aspheric_lens_phase(
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return the phase of a thin plano-aspheric lens, −k(n − 1)·sag(r).
 
@@ -900,7 +900,7 @@ def metalens_phase(
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return the phase that focuses a plane wave without spherical aberration, −k(√(r² + f²) − |f|), f > 0.
 
@@ -965,7 +965,7 @@ def fresnel_zone_plate(
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return the transmission of a binary Fresnel zone plate.
 
@@ -1050,7 +1050,7 @@ def dammann_grating(
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return the binary phase of a Dammann grating, which splits a beam into equal ones.
 
@@ -1161,7 +1161,7 @@ def zernike_phase(
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return the aberration Σ c·Z as a phase, each Z a Zernike polynomial of root mean square 1 over the disc.
 
@@ -1248,7 +1248,7 @@ def zernike_basis(
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return Zernike polynomials of root mean square 1, for sums that are taken again and again.
 

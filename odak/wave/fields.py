@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from odak import _array, _validate
-from odak._array import Array, ArrayT
+from odak._array import Array, ArrayT, Seed
 from odak._warnings import ArgumentWarning, warn
 
 # Where the default unit is the millimetre: wavelengths below 10 nm, and apertures of fewer wavelengths, are likely in
@@ -318,7 +318,7 @@ def add_phase(field: Array, new_phase: Array) -> Array:
     return field * _array.phasor(new_phase, field.dtype)
 
 
-def add_random_phase(field: Array, seed: Any = None) -> Array:
+def add_random_phase(field: Array, seed: Seed = None) -> Array:
     """Return `field` with a phase added that is uniform between 0 and π.
 
     Parameters
@@ -750,7 +750,7 @@ def _interleave_columns(first, second):
     return xp.reshape(xp.stack([first, second], axis=-1), (*batch, rows, 2 * columns))
 
 
-def uniform(shape: tuple[int, ...], seed: Any, like: Any) -> Any:
+def uniform(shape: tuple[int, ...], seed: Seed, like: Any) -> Any:
     """Return numbers between 0 and 1, float64, in the library and on the device of an array.
 
     Parameters
@@ -788,7 +788,7 @@ _CHUNK_BYTES = 1 << 22
 
 def electric_field_per_plane_wave(
     amplitude: float | Array, opd: float | Array, k: float, phase: float | Array = 0, w: float = 0, t: float = 0
-) -> Any:
+) -> complex | Array:
     """Return A·exp(i(−ω·t + k·opd + phase))/opd².
 
     Parameters

@@ -7,7 +7,7 @@ from types import ModuleType
 from typing import Any
 
 from odak import _array, _validate
-from odak._array import Array
+from odak._array import Array, Device, DType, Numbers
 from odak._warnings import SamplingWarning, warn
 from odak.wave.elements import zernike_modes
 from odak.wave.propagation import padding_flags, propagate_beam
@@ -26,8 +26,8 @@ def pupil_function(
     obscuration: float | Array = 0.0,
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
-    dtype: Any = None,
+    device: Device = None,
+    dtype: DType = None,
 ) -> Array:
     """Return the pupil of a lens, on the frequencies of the image that it forms.
 
@@ -233,7 +233,7 @@ def incoherent_focal_stack_rgbd(
     masks: Array,
     distances: Array,
     dx: float | Sequence[float],
-    wavelengths: Any,
+    wavelengths: float | Numbers,
     zero_padding: Sequence[bool] = (True, False, True),
     apertures: float | Array = 1.0,
     alpha: float | Array = 0.5,

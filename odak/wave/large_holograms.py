@@ -14,7 +14,7 @@ import numpy as np
 from scipy import fft
 
 from odak import _array, _validate
-from odak._array import Array
+from odak._array import Array, ChunkedArray
 from odak._bars import tqdm
 from odak._warnings import AccuracyWarning, warn
 from odak.tools.paths import validate_path
@@ -36,7 +36,7 @@ _NAMED = 5
 
 @_validate.takes_units("distance", "dx", "wavelength")
 def hologram_in_chunks(
-    target: Any,
+    target: Array,
     folder: str | os.PathLike[str],
     iterations: int,
     distance: float,
@@ -45,9 +45,9 @@ def hologram_in_chunks(
     propagation_type: str = "Bandlimited Angular Spectrum",
     method: str = "gradient descent",
     learning_rate: float = 0.1,
-    initial_phase: Any = None,
+    initial_phase: Array | None = None,
     progress: bool = True,
-) -> Any:
+) -> ChunkedArray:
     """Compute a phase-only hologram of an image that may be larger than memory, its state being kept on disk.
 
     After each iteration the state is stored in `folder`, in Zarr's format; what the one before had stored is removed

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from odak import _array, _validate
-from odak._array import Array
+from odak._array import Array, Seed
 from odak.wave.fields import (
     calculate_amplitude,
     calculate_intensity,
@@ -38,7 +38,7 @@ def gerchberg_saxton(
     slm_range: float = 6.28,
     propagation_type: str = "auto",
     initial_phase: np.ndarray | None = None,
-    seed: Any = None,
+    seed: Seed = None,
     *,
     pixel_fill: float | None = None,
     accelerated: bool = False,
@@ -115,7 +115,7 @@ def retrieve(
     slm_range: Any,
     propagation_type: Any,
     initial_phase: Any,
-    seed: Any,
+    seed: Seed,
     *,
     fill: Any = None,
     cutoff: Any = None,
@@ -349,7 +349,7 @@ def spot_hologram(
     phases: Array | None = None,
     illumination: Array | None = None,
     fixed_phase_after: int | None = None,
-    seed: Any = None,
+    seed: Seed = None,
 ) -> tuple[Any, ...]:
     """Return a phase-only hologram that focuses light into points of space, of equal or given intensities.
 
@@ -476,7 +476,7 @@ def weighted_gerchberg_saxton(
     illumination: Array | None = None,
     initial_phase: Array | None = None,
     fixed_phase_after: int | None = None,
-    seed: Any = None,
+    seed: Seed = None,
 ) -> tuple[Any, ...]:
     """Return a phase-only hologram whose far field, as in the focal plane of a lens, has the target's amplitude.
 

@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Any
 
 from odak import _array, _validate
-from odak._array import Array, cast, is_array, namespace, phasor_of_cycles
+from odak._array import Array, Device, cast, is_array, namespace, phasor_of_cycles
 from odak._warnings import SamplingWarning, warn
 from odak.jones.calculus import check_angle, matrix_on_axes, retarder, stack_matrix, stokes
 from odak.jones.thin_films import check_stack, stack_response
@@ -170,7 +170,7 @@ def q_plate(
     angle: float = 0.0,
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return the Jones matrices of a q-plate: a retarder whose fast axis rotates with the azimuth.
 
@@ -300,7 +300,7 @@ def thin_film_transfer(
     *,
     reflect: bool = False,
     xp: ModuleType | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> Array:
     """Return the transfer function of a stack of thin films for the transverse components of a polarised field.
 

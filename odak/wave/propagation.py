@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import Any
 
 from odak import _array, _validate
-from odak._array import Array
+from odak._array import Array, Device, DType
 from odak._warnings import ArgumentWarning, SamplingWarning, warn
 from odak.tools.matrix import crop_center, zero_pad
 from odak.wave.fields import budgets, note_loss, power_of
@@ -1089,8 +1089,8 @@ def get_propagation_kernel(
     samples: Sequence[int] = (1, 1, 1, 1),
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
-    dtype: Any = None,
+    device: Device = None,
+    dtype: DType = None,
 ) -> Array:
     """Return the centred transfer function of a method.
 

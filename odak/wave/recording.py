@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from odak import _array, _validate
-from odak._array import Array
+from odak._array import Array, Device, DType
 from odak._warnings import SamplingWarning, warn
 from odak.wave.sampling import warn_of_tilt
 from odak.wave.transfer_functions import pitches
@@ -27,8 +27,8 @@ def reference_wave(
     amplitude: float | Array = 1.0,
     *,
     xp: ModuleType | None = None,
-    device: Any = None,
-    dtype: Any = None,
+    device: Device = None,
+    dtype: DType = None,
 ) -> Array:
     """Return a plane wave on a camera, the reference of a recorded hologram.
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from odak import _array, _validate
-from odak._array import Array
+from odak._array import Array, Numbers
 from odak._warnings import AccuracyWarning, warn
 from odak.wave.fourier import (
     InterpolatedSpectrum,
@@ -45,12 +45,12 @@ def propagate_to_tilted_plane(
     wavelength: float | Array,
     distance: float | Array,
     dx: float | Sequence[float] | Array,
-    angles: Any = (0.0, 0.0, 0.0),
+    angles: Numbers = (0.0, 0.0, 0.0),
     window_shape: Sequence[int] | None = None,
     window_dx: Array | None = None,
-    offset: Any = (0.0, 0.0),
+    offset: Numbers = (0.0, 0.0),
     guard: float = GUARD,
-    source_angles: Any = (0.0, 0.0, 0.0),
+    source_angles: Numbers = (0.0, 0.0, 0.0),
 ) -> Array:
     """Propagate a field to a plane that is rotated about its intersection with the optical axis.
 

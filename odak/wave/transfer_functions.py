@@ -24,7 +24,7 @@ import numpy as np
 import scipy.fft
 
 from odak import _array, _validate
-from odak._array import Array, convolve_plainly, make_complex, numpy_namespace, phasor_of_cycles
+from odak._array import Array, Device, DType, convolve_plainly, make_complex, numpy_namespace, phasor_of_cycles
 from odak._warnings import ArgumentWarning, warn
 from odak.tools.matrix import zero_pad
 
@@ -772,8 +772,8 @@ def make_grid(
     samples: Any = (1, 1, 1, 1),
     *,
     xp: Any = None,
-    device: Any = None,
-    dtype: Any = None,
+    device: Device = None,
+    dtype: DType = None,
 ) -> Grid:
     """Return the sampling grid of a kernel after checking its arguments."""
     size = _validate.size("nu, nv", (nu, nv))
@@ -868,7 +868,7 @@ def convolve_in_chunks(field: Any, kernel: Any) -> Any:
     return window[..., :columns].astype(field.dtype)
 
 
-def whole_lines(field: Any, axis: int, length: int, dtype: Any = None) -> Any:
+def whole_lines(field: Any, axis: int, length: int, dtype: DType = None) -> Any:
     """Return a Dask array in chunks of whole lines along `axis`: as many as fill a chunk at this length and dtype."""
     other = -3 - axis
     lines = lines_per_chunk(length, field.dtype if dtype is None else dtype)

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.fft
 
 from odak import _array, _validate
-from odak._array import Array, phasor_of_cycles
+from odak._array import Array, Numbers, phasor_of_cycles
 from odak._warnings import SamplingWarning, warn
 from odak.wave.fields import budgets, note_loss
 from odak.wave.fourier import Line, from_line, to_line
@@ -291,7 +291,7 @@ def propagate_to_window(
     dx: float | Sequence[float] | Array,
     window_shape: Sequence[int] | None = None,
     window_dx: float | Sequence[float] | Array | None = None,
-    offset: Any = (0.0, 0.0),
+    offset: Numbers = (0.0, 0.0),
     guard: float = GUARD,
 ) -> Array:
     """Propagate a field to a window with its own pitch, number of samples and place.

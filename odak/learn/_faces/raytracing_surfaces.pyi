@@ -11,7 +11,7 @@ import odak.raytracing.surfaces
 
 def intersect_parametric(
     ray: torch.Tensor,
-    parametric_surface: torch.Tensor,
+    parametric_surface: object,
     surface_function: collections.abc.Callable[..., typing.Any],
     surface_normal_function: collections.abc.Callable[..., typing.Any] = ...,
     target_error: float = 1e-08,

@@ -44,6 +44,6 @@ def same_side(
     p2: torch.Tensor,
     a: torch.Tensor,
     b: torch.Tensor,
-) -> torch.Tensor:
+) -> bool | torch.Tensor:
     """Return whether p1 and p2 lie on the same side of the line through a and b."""
     ...

@@ -61,9 +61,9 @@ def propagate_beam(
     ...
 
 def propagate_partially_coherent(
-    field: torch.Tensor,
-    spectrum: torch.Tensor,
-    source: torch.Tensor,
+    field: torch.Tensor | collections.abc.Callable[..., typing.Any],
+    spectrum: float | torch.Tensor | tuple[collections.abc.Sequence[float | torch.Tensor] | torch.Tensor, collections.abc.Sequence[float | torch.Tensor] | torch.Tensor],
+    source: tuple[torch.Tensor, torch.Tensor] | None,
     distance: float | torch.Tensor,
     dx: float | collections.abc.Sequence[float] | torch.Tensor,
     window_shape: collections.abc.Sequence[int] | None = None,

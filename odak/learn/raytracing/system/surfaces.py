@@ -975,7 +975,8 @@ class optical_system(torch.nn.Module):
             power = (after - before) * item.shape.curvatures()[1]
             phase = phases[i]
             if isinstance(phase, IdealLens):
-                appended, given = self.afocal and i + 1 == len(phases), phase.vergence
+                given: Any = phase.vergence
+                appended = self.afocal and i + 1 == len(phases)
                 # Not a lens in an image of the object, and not the one that stands for an image at infinity.
                 away = abs(height) > 1e-9 * abs(phase.focal_length * slope)
                 own = sign * slope / (before * torch.where(away, height, 1.0))
