@@ -32,6 +32,7 @@ REASONS = {
         raytracing/system/prescriptions: _view of
         raytracing/system/waves: _view field_modulation field_quality relative_illumination
         wave/holograms/result: _view
+        wave/holograms/eyeboxes: *
         wave/pictures: _view
         wave/gaussians/sets: _points save_splats
         tools/iterations: go iterate minimise
@@ -67,13 +68,15 @@ REASONS = {
         tools/transformation: quaternion_to_rotation_matrix
         wave/displays/display: _amplitudes
         wave/displays/parts: frames_lit
+        wave/displays/paths/base: nearness
+        wave/displays/paths/retina: nearness
         wave/holograms/bounds: least_error_of_band least_error_of_light tell_bounds
         wave/holograms/optimising: optimise
         wave/pictures: _primaries _sources light_of
         wave/holograms/starts: starting_phases
         wave/holograms/targets: checked_target
         wave/older/eyebox: eyebox_hologram
-        wave/eyes: __post_init__ angles_of_each of_each seen
+        wave/eyes: __post_init__ angles_of_each of_each seen within
         wave/gaussians/scene: chosen
         wave/gaussians/sets: prune
         wave/loss: _checked_geometry _checked_picture
@@ -108,6 +111,7 @@ REASONS = {
         perception/pyramids: keep _quadrature_taps
         perception/quality: <module>
         wave/displays/paths/free: renew
+        wave/holograms/scenery: *
     """,
     "on the CPU only: an extreme that is read spares work there, and the device takes another way": """
         raytracing/boundary: _picked

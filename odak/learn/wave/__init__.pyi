@@ -134,9 +134,13 @@ from .gaussians import load_splats as load_splats
 from .gaussians import save_splats as save_splats
 from .gaussians import spherical_harmonics as spherical_harmonics
 from .gaussians import view_colours as view_colours
+from .holograms.eyeboxes import EyeboxMap as EyeboxMap
+from .holograms.eyeboxes import eyebox_map as eyebox_map
 from .holograms.optimising import optimise as optimise
 from .holograms.problem import Problem as Problem
 from .holograms.result import DisplayedHologram as DisplayedHologram
+from .holograms.scenery import DepthScene as DepthScene
+from .holograms.scenery import LightField as LightField
 from .holograms.solvers.descent import Descent as Descent
 from .holograms.solvers.double_phase import DoublePhase as DoublePhase
 from .holograms.solvers.levels import LevelSearch as LevelSearch

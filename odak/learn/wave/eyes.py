@@ -18,6 +18,8 @@ from odak.wave.viewing import ROTATION_RADIUS
 _POINTS, _BESIDE = 32, 6
 # Times the width of an image that its points resolve, and pixels of this width at the rims of the panel.
 _FINER, _RIMS = 1.25, 8
+# Steps along rows and columns of a sequence that fills a square evenly: 1/g and 1/g² with g³ = g + 1.
+_STEPS = np.array([0.7548776662466927, 0.5698402909980532])
 # Share of what points resolve that is whole.
 _WHOLE = 0.6
 
@@ -87,6 +89,65 @@ class Eyes:
         if self.focus is not None:
             keep("focus", tuple(of_each("focus", focus, places).tolist()))
         keep("rotation", tuple(map(tuple, angles_of_each(rotation, len(places)).tolist())))
+
+    @classmethod
+    @_validate.takes_units("distance", "box", "diameter", "focus")
+    def within(
+        cls,
+        distance: float | Lens,
+        box: float | Sequence[float],
+        count: int,
+        diameter: float | Sequence[float] = (2e-3, 6e-3),
+        focus: float | Sequence[float] | None = None,
+        seed: int = 0,
+    ) -> "Eyes":
+        """Return pupils drawn at random in an eyebox: what a hologram is to be optimised for, or judged by.
+
+        Parameters
+        ----------
+        distance : float or odak.instruments.Lens
+            Distance from the panel to the pupils in metres, or the eyepiece before them.
+        box : float or sequence of float
+            Height and width in metres of the area of the pupils' middles, about the axis.
+        count : int
+            Number of pupils.
+        diameter : float or sequence of float
+            Diameter of the pupils in metres, or the least and the largest.
+        focus : float or sequence of float, optional
+            Distance in metres on which the eyes are focused, or the nearest and the furthest, infinity included,
+            between which it is drawn evenly in dioptres; by default the panel.
+        seed : int
+            Seed of the random numbers. All are spread evenly: the middles over the area, and diameters and focuses one
+            in each of `count` equal intervals.
+
+        Returns
+        -------
+        Eyes
+            The pupils.
+
+        Examples
+        --------
+        >>> from odak.learn.wave import Eyes
+        >>> eyes = Eyes.within(0.1, (2e-3, 4e-3), 16, focus=(0.25, float("inf")))
+        >>> len(eyes), min(eyes.diameter) < 2.5e-3 < 5.5e-3 < max(eyes.diameter)
+        (16, True)
+        """
+        count = _validate.integer("count", count, minimum=1)
+        draw = np.random.default_rng(_validate.integer("seed", seed, minimum=0))
+        even = [(draw.permutation(count) + draw.random(count)) / count for _ in range(2)]
+        # Roberts' sequence, which fills an area evenly, from a random place on.
+        places = (draw.random(2) + np.arange(count)[:, None] * _STEPS) % 1 - 0.5
+        sides = np.array(_validate.pair("box", box))
+        least, most = _validate.pair("diameter", diameter, positive=True)
+        foci = None
+        if focus is not None:
+            near, far = np.broadcast_to(np.asarray(focus, float), 2)
+            if not min(near, far) > 0:
+                raise ValueError(f"focus must be positive distances, infinity included; got {focus!r:.80}")
+            dioptres = 1 / near + (1 / far - 1 / near) * even[1]
+            foci = [1 / one if one > 0 else math.inf for one in dioptres.tolist()]
+        positions = (places * sides).tolist()
+        return cls(distance, positions, (least + (most - least) * even[0]).tolist(), foci)
 
     def __len__(self) -> int:
         return len(self.positions)

@@ -6,7 +6,17 @@ import math
 import torch
 from api_sweep.build import Build, tensor, tensor_field
 
-from odak.learn.wave import Observer, Run, display_model, focal_surface_light_propagation, propagator
+from odak.learn.wave import (
+    Display,
+    Eyes,
+    Modulator,
+    Observer,
+    Run,
+    display_model,
+    focal_surface_light_propagation,
+    optimise,
+    propagator,
+)
 
 COLOUR = 515e-9
 
@@ -54,6 +64,16 @@ def _in(name):
 
 def _squared_error(image, target, *others):
     return ((image - target) ** 2).mean()
+
+
+def _looked_at(folder):
+    """Return a display of the size of the picture and the views in these examples."""
+    return Display(Modulator((32, 48), 8e-6), COLOUR, Eyes(0.1, diameter=2e-3))
+
+
+def _seen_by_eyes(folder):
+    display = Display(Modulator((32, 48), 8e-6), COLOUR, Eyes(0.1, diameter=2e-3))
+    return optimise(display, torch.ones(32, 48), run=Run(1, progress=False, seed=0))
 
 
 def _twice(part):
@@ -304,6 +324,18 @@ BY_CALL = {
         "phases": tensor(32, 48),
     },
     "odak.learn.wave.Display.lit_by": {"powers": tensor(1, 1)},
+    "odak.learn.wave.Display.looked_at": {"eyes": Eyes(0.1)},
+    "odak.learn.wave.DepthScene.images": {"display": Build(_looked_at)},
+    "odak.learn.wave.LightField.images": {"display": Build(_looked_at)},
+    "odak.learn.wave.eyebox_map": {
+        "hologram": Build(_seen_by_eyes),
+        "target": tensor(32, 48),
+        "box": 1e-3,
+        "diameter": 2e-3,
+        "steps": 2,
+        "foci": [0.1],
+        "distance": 0.1,
+    },
     "odak.learn.wave.optimise": {"target": tensor(48, 64), "run": Run(iterations=3, progress=False)},
     "odak.learn.wave.propagator": {"distances": tensor(1) * 1e-3},
     "odak.learn.wave.propagator.init_distances": {"distances": tensor(1) * 1e-3},

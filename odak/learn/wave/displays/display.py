@@ -380,6 +380,36 @@ class Display(Prepared, torch.nn.Module):
         given = self.modulator, self.wavelengths, self.path.ends, self.frames, powers, self.profile
         return Display(*given, self.iris, self.medium).to(self.powers.device)
 
+    def looked_at(self, eyes: Eyes) -> "Display":
+        """Return the same display with eyes that look at it in place of its planes or eyes.
+
+        Use it to see what eyes see that patterns were not optimised for.
+
+        Parameters
+        ----------
+        eyes : Eyes
+            The eyes.
+
+        Raises
+        ------
+        ValueError
+            If the display has a stop, a mask, a second panel or a medium, through which eyes cannot look.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.wave import Display, Eyes, Modulator
+        >>> display = Display(Modulator((32, 48), 8e-6), 532e-9, 2e-3)
+        >>> display.looked_at(Eyes(0.1, [(0.0, 0.0), (0.0, 1e-3)])).shape
+        (2, 1, 32, 48)
+        """
+        if not isinstance(eyes, Eyes):
+            raise TypeError(f"eyes must be odak.learn.wave.Eyes, got {type(eyes).__name__}")
+        if getattr(self.path, "mask", None) is not None:
+            raise ValueError("eyes cannot look at a display with a mask in the Fourier plane")
+        given = self.modulator, self.wavelengths, eyes, self.frames, self.powers, self.profile
+        return Display(*given, self.iris, self.medium).to(self.powers.device)
+
     def _lights(self, phases: torch.Tensor, amplitudes: torch.Tensor | None = None) -> Lights:
         """Return what each panel does to the light, in the order in which it meets them, ``[..., F, rows, columns]``.
 

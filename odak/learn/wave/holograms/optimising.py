@@ -22,6 +22,7 @@ from odak.learn.wave.displays.parts import copied_to, shared_among, streamed
 from odak.learn.wave.holograms.bounds import tell_bounds
 from odak.learn.wave.holograms.problem import Problem, Solver
 from odak.learn.wave.holograms.result import DisplayedHologram
+from odak.learn.wave.holograms.scenery import Scenery
 from odak.learn.wave.holograms.solvers.descent import Descent
 from odak.learn.wave.holograms.solvers.double_phase import DoublePhase
 from odak.learn.wave.holograms.solvers.levels import FEW_BITS, LevelSearch
@@ -42,7 +43,7 @@ SOLVERS: dict[str, Callable] = {
 }
 # Loss of quality by rounding to levels, in decibels, of which is warned where a search over levels is possible.
 _ROUNDED = 3.0
-Target = torch.Tensor | tuple[torch.Tensor, torch.Tensor] | FocalTargets
+Target = torch.Tensor | tuple[torch.Tensor, torch.Tensor] | FocalTargets | Scenery
 
 
 @overload
@@ -94,13 +95,14 @@ def optimise(
     ----------
     display : Display
         The display.
-    target : torch.Tensor, tuple of torch.Tensor, multiplane_loss or list of them
+    target : torch.Tensor, tuple of torch.Tensor, DepthScene, LightField, multiplane_loss or list of them
         Intensities 0 … 1, ``[rows, columns]`` for one plane and colour, ``[C, rows, columns]`` for one plane, or
         ``[D, C, rows, columns]``; eyes that get no targets of their own see the same. Its brightness is free: the
         sources of each colour are dimmed to it. A picture with depth is a pair of ``[C, rows, columns]`` and a depth
         ``[rows, columns]``, 0 the first plane and 1 the last: each pixel is in focus on its own plane, and blurred on
-        the others by the cone of its light. For another blur, give a :class:`odak.learn.wave.multiplane_loss`. A list
-        is of several pictures, each with a hologram of its own.
+        the others by the cone of its light. For another blur, give a :class:`odak.learn.wave.multiplane_loss`. A
+        :class:`DepthScene`, a :class:`LightField` or another object with a method ``images(display)`` gives what each
+        plane or pupil is to show. A list is of several pictures, each with a hologram of its own.
     loss : callable, optional
         ``loss(images, target)``, both ``[D, C, rows, columns]``; the mean squared error by default, for a picture with
         depth its :class:`odak.learn.wave.multiplane_loss`. One that takes a `generator` is given one.

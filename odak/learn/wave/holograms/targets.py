@@ -4,6 +4,7 @@ from odak import _validate
 from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import floating
 from odak.learn.wave.displays.panels import Iris
+from odak.learn.wave.holograms.scenery import Scenery
 from odak.learn.wave.loss import multiplane_loss
 from odak.learn.wave.training import checked_intensities
 
@@ -30,7 +31,8 @@ def focal_targets(display, target):
 
 def checked_target(display, target):
     """Return a target ``[D, C, rows, columns]`` on the device of a display after checking that it fits."""
-    target = checked_intensities("target", floating("target", target))
+    target = target.images(display) if isinstance(target, Scenery) else floating("target", target)
+    target = checked_intensities("target", target)
     planes, colours, rows, columns = display.shape
     accepted = {(planes, colours, rows, columns)}
     # Eyes may all see the same.

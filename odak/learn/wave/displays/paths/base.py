@@ -160,6 +160,50 @@ class Path:
         """
         return None
 
+    def aperture(self, colour: int, image: int) -> tuple[torch.Tensor, torch.Tensor, bool]:
+        """Return which rays form an image: the middle and half widths of their bundle, and whether it is round.
+
+        Rays to planes are told apart by their slopes along rows and columns, those to eyes by where they meet the plane
+        of the pupil, in metres.
+        """
+        slopes = [self.wavelengths[colour] / self.medium / (2 * pitch) for pitch in self.pitches]
+        if (cutoff := self.cutoff(colour)) is not None:
+            slopes = [self.wavelengths[colour] / self.medium * cutoff] * 2
+        return torch.zeros(2, dtype=torch.float64), torch.tensor(slopes, dtype=torch.float64), cutoff is not None
+
+    def nearness(self, depths: torch.Tensor | None) -> torch.Tensor:
+        """Return what grows towards the viewer and shifts images in proportion; of the panel without depths.
+
+        Depths in metres are distances from the panel here, towards the viewer.
+        """
+        if depths is None:
+            return torch.zeros((), dtype=torch.float64)
+        if not bool(depths.isfinite().all()):
+            raise ValueError("depth must be finite distances from the panel, got infinity")
+        return depths
+
+    def displaced(self, colour: int, image: int, nearness: torch.Tensor, rays: torch.Tensor) -> torch.Tensor:
+        """Return by how many pixels, along rows and columns, points of a scene appear beside their place in a picture.
+
+        The picture is that of the scene from the middle of all rays: along the axis, or from a pupil on the axis.
+
+        Parameters
+        ----------
+        colour, image : int
+            Which wavelength, and which image.
+        nearness : torch.Tensor
+            See :meth:`nearness`, ``[L]``.
+        rays : torch.Tensor
+            Rays ``[N, 2]`` as :meth:`aperture` tells them apart.
+
+        Returns
+        -------
+        torch.Tensor
+            Pixels ``[N, L, 2]``.
+        """
+        away = self.distances[image] - nearness
+        return rays[:, None] * away[:, None] / torch.tensor(self.pitches, dtype=torch.float64)
+
     def cutoff(self, colour: int) -> float | None:
         """Return the highest frequency that a round iris passes, in cycles per metre; None without one."""
         return self.iris.cutoff(self.wavelengths[colour]) if isinstance(self.iris, Iris) else None

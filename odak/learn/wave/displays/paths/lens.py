@@ -57,6 +57,10 @@ class LensPath(Path):
         down, across = (length / (n * p) for n, p in zip(self.sizes, self.pitches, strict=True))
         return down, across
 
+    def nearness(self, depths):
+        """Refuse pictures with depth, of which a single plane in the far field shows nothing."""
+        raise ValueError("target must be images [rows, columns] for a display behind a lens, got one with depth")
+
     def in_words(self):
         """Return where the images are, in words."""
         return f"lens of {1e3 * self.ends.focal_length:.4g} mm"

@@ -84,6 +84,32 @@ class RetinaPath(Path):
         down, across = (2 * half / sight.box(axis) for axis, half in enumerate(sight.pupil()[1]))
         return down, across
 
+    def aperture(self, colour, image):
+        """Return the middle and half widths of a pupil in metres, which is round."""
+        middle, halves = (torch.tensor(part, dtype=torch.float64) for part in self.sight(colour, image).pupil())
+        return middle, halves, True
+
+    def nearness(self, depths):
+        """Return the reciprocal of distances from the plane of the pupils, infinity included, in 1/m."""
+        if depths is None:
+            _, b, d = self.sight(0, 0).ray_matrix()
+            return torch.tensor(d / b, dtype=torch.float64)
+        if not bool((depths > 0).all()):
+            raise ValueError(f"depth must be positive distances from the pupils, got {float(depths.min()):.4g} m")
+        return 1 / depths
+
+    def displaced(self, colour, image, nearness, rays):
+        """Return by how many pixels points appear beside where a pupil on the axis sees them, ``[N, L, 2]``.
+
+        The panel's pixel D·q + B·t is seen through q with the slope t, a point X of nearness s with t = (X − q)·s. The
+        eye brings together what is at its focus: beside the middle p of its pupil it bends a ray by (q − p)/focus.
+        """
+        sight = self.sight(colour, image)
+        (_, b, d), (middle, _, _) = sight.ray_matrix(), self.aperture(colour, image)
+        beside = (rays - middle)[:, None] * (d - sight.defocus() * b)
+        moved = d * middle + beside - b * nearness[:, None] * rays[:, None]
+        return moved / torch.tensor(self.pitches, dtype=torch.float64)
+
     def _checked(self) -> int:
         """Return how many points of a pixel describe what eyes see; warn where they see no image of the panel."""
         sights = [self.sight(c, e) for c in range(len(self.wavelengths)) for e in range(len(self.ends))]

@@ -1,0 +1,243 @@
+"""Quality of a hologram over an eyebox: what pupils at many places, and eyes of many focuses, see of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import torch
+
+from odak import _show, _validate
+from odak.instruments import Lens
+from odak.learn.wave.displays.display import Display
+from odak.learn.wave.displays.judge import Comparison, judged
+from odak.learn.wave.displays.observers import brightest, decibels, squared_errors
+from odak.learn.wave.eyes import Eyes
+from odak.learn.wave.holograms.result import DisplayedHologram
+from odak.learn.wave.holograms.scenery import Scenery
+from odak.learn.wave.holograms.targets import checked_target
+from odak.learn.wave.pictures import shown_on_a_screen
+
+# Side of a place of the map in the drawing, in its units.
+_SIDE = 46
+
+
+@dataclass(frozen=True)
+class EyeboxMap:
+    """What is seen of a hologram over an eyebox; see :func:`eyebox_map`.
+
+    Attributes
+    ----------
+    display : Display
+        The display with the pupils of the map, from row to row.
+    rows : torch.Tensor
+        Places of the pupils' middles along the rows of the display in metres, ``[R]``.
+    columns : torch.Tensor
+        The same along columns, ``[Q]``.
+    psnr : torch.Tensor
+        Peak signal-to-noise ratio at each pupil in decibels, of the colour where it is least, ``[R, Q]``. The
+        brightness of each colour is one for all pupils, the best one.
+    brightness : torch.Tensor
+        Light of the image at each pupil over that of the image wanted there, at that brightness, ``[R, Q]``.
+    images : torch.Tensor
+        What is seen, ``[R, Q, C, rows, columns]``, at that brightness.
+    wanted : torch.Tensor
+        What is to be seen, of the same shape.
+    foci : torch.Tensor
+        Distances in metres on which the eye in the middle is focused, ``[K]``; none if none were given.
+    psnr_of_focus : torch.Tensor
+        Ratio in decibels for each of these, ``[K]``.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import Display, Eyes, Modulator, Run, eyebox_map, optimise
+    >>> display = Display(Modulator((32, 48), 8e-6), 532e-9, Eyes(0.1, diameter=2e-3))
+    >>> hologram = optimise(display, torch.ones(32, 48), run=Run(2, progress=False, seed=0))
+    >>> seen = eyebox_map(hologram, torch.ones(32, 48), (0.0, 2e-3), (1, 3), 2e-3)
+    >>> seen.images.shape
+    torch.Size([1, 3, 1, 32, 48])
+    """
+
+    display: Display = field(repr=False)
+    rows: torch.Tensor
+    columns: torch.Tensor
+    psnr: torch.Tensor
+    brightness: torch.Tensor
+    images: torch.Tensor
+    wanted: torch.Tensor
+    foci: torch.Tensor
+    psnr_of_focus: torch.Tensor
+
+    def __repr__(self) -> str:
+        sides = " × ".join(f"{1e3 * float(axis[-1] - axis[0]):.3g}" for axis in (self.rows, self.columns))
+        least, most = float(self.psnr.min()), float(self.psnr.max())
+        light = f"{float(self.brightness.min()):.2f} to {float(self.brightness.max()):.2f}"
+        return (
+            f"EyeboxMap: {least:.1f} to {most:.1f} dB and {light} of the light at {self.psnr.numel()} pupils of "
+            f"{1e3 * self.display.path.ends.diameter[0]:.3g} mm in {sides} mm"
+        )
+
+    def _repr_html_(self) -> str:
+        return _show.page(self, EyeboxMap._view)
+
+    def _view(self) -> _show.View:
+        """Return what notebooks show: the maps, the curve over focus, and what the corners and the middle see."""
+        corners = {(r, q) for r in (0, len(self.rows) - 1) for q in (0, len(self.columns) - 1)}
+        pictures: list[tuple[str, bytes | str]] = [("quality, light and focus", self.drawing())]
+        for r, q in sorted(corners | {(len(self.rows) // 2, len(self.columns) // 2)}):
+            screen = shown_on_a_screen(self.images[r, q][None], self.display)[0]
+            place = f"{1e3 * float(self.rows[r]):.3g}, {1e3 * float(self.columns[q]):.3g} mm"
+            pictures.append((f"pupil at {place}", _show.png(screen.cpu().movedim(0, -1))))
+        rows = [
+            (f"{focus:.4g} m", f"{ratio:.1f} dB")
+            for focus, ratio in zip(self.foci.tolist(), self.psnr_of_focus.tolist(), strict=True)
+        ]
+        return _show.View(repr(self), pictures, [("focus", "PSNR"), *rows] if rows else [])
+
+    def drawing(self) -> str:
+        """Return the map of quality, the map of light, and the quality over focus, as the text of an SVG file."""
+        parts = [
+            _map(0, "PSNR (dB)", self.psnr, "{:.0f}"),
+            _map(len(self.columns) + 1, "light", self.brightness, "{:.2f}"),
+        ]
+        wide = 2 * (len(self.columns) + 1) * _SIDE
+        if len(self.foci):
+            parts.append(_curve(wide, len(self.rows) * _SIDE, 1 / self.foci, self.psnr_of_focus))
+            wide += 6 * _SIDE
+        high = (len(self.rows) + 2) * _SIDE
+        return (
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {wide} {high}" width="{wide}" '
+            f'font-family="sans-serif" font-size="13" text-anchor="middle">{"".join(parts)}</svg>'
+        )
+
+
+@_validate.takes_units("box", "diameter", "focus", "foci", "distance")
+def eyebox_map(
+    hologram: DisplayedHologram,
+    target: torch.Tensor | Scenery,
+    box: float | Sequence[float],
+    steps: int | Sequence[int] = 5,
+    diameter: float = 3e-3,
+    focus: float | None = None,
+    foci: Sequence[float] = (),
+    distance: float | Lens | None = None,
+) -> EyeboxMap:
+    """Return what pupils all over an eyebox see of a hologram, whatever it was optimised for.
+
+    Use it to judge a near-eye hologram where it was not optimised. What is seen is computed by :meth:`Display.judge`,
+    which shares no transfer functions with what an optimisation descends along.
+
+    Parameters
+    ----------
+    hologram : DisplayedHologram
+        The hologram, of a display with planes or with eyes.
+    target : DepthScene, LightField, object with a method images, or torch.Tensor
+        What is to be seen; a tensor ``[C, rows, columns]`` is the same for all pupils.
+    box : float or sequence of float
+        Height and width in metres of the area of the pupils' middles, about the axis.
+    steps : int or sequence of int
+        Number of pupils along rows and columns.
+    diameter : float
+        Their diameter in metres.
+    focus : float, optional
+        Distance in metres on which the eyes are focused; by default the panel.
+    foci : sequence of float
+        Distances on which the eye in the middle is focused for the quality over focus, infinity included.
+    distance : float or odak.instruments.Lens, optional
+        Distance from the panel to the pupils, or the eyepiece; by default that of the hologram's own eyes.
+
+    Returns
+    -------
+    EyeboxMap
+        Quality, brightness and images at each pupil; it draws itself in a notebook.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import DepthScene, Display, Eyes, Modulator, Run, eyebox_map, optimise
+    >>> scene = DepthScene(torch.ones(32, 48), torch.full((32, 48), 0.2))
+    >>> display = Display(Modulator((32, 48), 8e-6), 532e-9, Eyes.within(0.1, 2e-3, 3, 2e-3))
+    >>> hologram = optimise(display, scene, run=Run(2, progress=False, seed=0))
+    >>> eyebox_map(hologram, scene, 2e-3, 3, 2e-3).psnr.shape
+    torch.Size([3, 3])
+    """
+    if not isinstance(hologram, DisplayedHologram):
+        raise TypeError(f"hologram must be an odak.learn.wave.DisplayedHologram, got {type(hologram).__name__}")
+    own = hologram.display.eyes
+    if distance is None and own is None:
+        raise ValueError("distance must be given for a hologram on planes: that from the panel to the pupils")
+    away = own.distance if distance is None and own is not None else distance
+    counts = [_validate.integer("steps", n, minimum=1) for n in _validate.pair("steps", steps)]
+    foci = [float(one) for one in _validate.listed("foci", foci, "distances in metres")]
+    if not all(one > 0 for one in foci):
+        raise ValueError(f"foci must be positive distances, infinity included; got {foci!r:.80}")
+    down, across = (
+        torch.linspace(-side / 2, side / 2, n, dtype=torch.float64) if n > 1 else torch.zeros(1, dtype=torch.float64)
+        for side, n in zip(_validate.pair("box", box), counts, strict=True)
+    )
+    places = torch.cartesian_prod(down, across).tolist()
+    display = hologram.display.looked_at(Eyes(away, places, diameter, focus))  # type: ignore[arg-type]
+    wanted, images, compared = _judged(hologram, display, target)
+    lights = brightest(compared)
+    images = images * lights[:, None, None].to(images)
+    ratio = decibels(squared_errors(compared, lights)).amin(1)
+    light = (images.mean((-2, -1)) / wanted.mean((-2, -1)).clamp_min(1e-12)).mean(1)
+    curve = torch.zeros(0, dtype=torch.float64)
+    if len(foci):
+        middle = Eyes(away, [(0.0, 0.0)] * len(foci), diameter, foci)  # type: ignore[arg-type]
+        found = _judged(hologram, hologram.display.looked_at(middle), target)[2]
+        curve = decibels(squared_errors(found, lights)).amin(1).cpu()
+    ratio, light, images, wanted = (x.unflatten(0, (len(down), -1)).cpu() for x in (ratio, light, images, wanted))
+    looked = torch.tensor(foci, dtype=torch.float64)
+    return EyeboxMap(display, down, across, ratio, light, images, wanted, looked, curve)
+
+
+def _judged(
+    hologram: DisplayedHologram, display: Display, target: torch.Tensor | Scenery
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return what is wanted, what is seen of a hologram by the eyes of a display, and how the two compare."""
+    wanted = checked_target(display, target)
+    found = judged(display, hologram.phases, hologram.amplitudes, Comparison(hologram.observer, wanted))
+    return wanted, found.areas, found.compared
+
+
+def _map(start: int, title: str, values: torch.Tensor, form: str) -> str:
+    """Return the drawing of a map whose first column is the given one: squares from dark to bright, with numbers."""
+    least, most = float(values.min()), float(values.max())
+    left = (start + 0.5) * _SIDE
+    parts = [_text(left + values.shape[1] * _SIDE / 2, 0.6 * _SIDE, title)]
+    for r, row in enumerate(values.tolist()):
+        for q, value in enumerate(row):
+            x, y = left + q * _SIDE, (r + 1) * _SIDE
+            bright = 35 + 55 * (value - least) / max(most - least, 1e-12)
+            colour = "#ffffff" if bright < 55 else "#202020"
+            parts.append(f'<rect x="{x}" y="{y}" width="{_SIDE}" height="{_SIDE}" fill="hsl(210,60%,{bright:.0f}%)"/>')
+            parts.append(_text(x + _SIDE / 2, y + 0.6 * _SIDE, form.format(value), colour))
+    return "".join(parts)
+
+
+def _curve(left: float, height: float, dioptres: torch.Tensor, ratios: torch.Tensor) -> str:
+    """Return the drawing of quality over focus in dioptres."""
+    order = dioptres.argsort()
+    x, y = dioptres[order], ratios[order].double()
+    ends = [(float(v.min()), max(float(v.max() - v.min()), 1e-9)) for v in (x, y)]
+    wide = 5 * _SIDE
+    points = [
+        (left + wide * (a - ends[0][0]) / ends[0][1], _SIDE + height * (1 - (b - ends[1][0]) / ends[1][1]))
+        for a, b in zip(x.tolist(), y.tolist(), strict=True)
+    ]
+    line = " ".join(f"{a:.1f},{b:.1f}" for a, b in points)
+    best, least = float(y.max()), float(y.min())
+    return (
+        _text(left + wide / 2, 0.6 * _SIDE, f"PSNR over focus: {least:.1f} to {best:.1f} dB")
+        + f'<polyline points="{line}" fill="none" stroke="#2166ac" stroke-width="2"/>'
+        + _text(left + wide / 2, height + 1.6 * _SIDE, f"{float(x[0]):.3g} to {float(x[-1]):.3g} dioptres")
+    )
+
+
+def _text(x: float, y: float, words: str, colour: str = "#808080") -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" fill="{colour}">{words}</text>'
