@@ -147,8 +147,8 @@ class _MovedModules:
 
     def exec_module(self, module: ModuleType) -> None:
         targets = MOVED_MODULES[module.__name__]
-        if isinstance(targets, str):
-            sys.modules[module.__name__] = importlib.import_module(targets)
+        if len(targets) == 1:
+            sys.modules[module.__name__] = importlib.import_module(*targets)
             return
         homes = tuple(importlib.import_module(target) for target in targets)
 

@@ -27,7 +27,7 @@ def test_categories_are_warnings_of_the_package():
 
 @pytest.fixture
 def moved(monkeypatch):
-    monkeypatch.setitem(_moved.MOVED_MODULES, "odak.wave.former", "odak.wave.sampling")
+    monkeypatch.setitem(_moved.MOVED_MODULES, "odak.wave.former", ("odak.wave.sampling",))
     monkeypatch.setitem(_moved.MOVED_MODULES, "odak.wave.split", ("odak.wave.sampling", "odak.tools"))
     yield
     for name in ("odak.wave.former", "odak.wave.split"):
@@ -62,7 +62,6 @@ def test_a_name_found_elsewhere_by_accident_says_where_it_lives(old):
 @pytest.mark.parametrize("old", sorted(_moved.MOVED_MODULES))
 def test_earlier_module_paths_give_names_that_live_elsewhere_now(old):
     module = importlib.import_module(old)
-    targets = _moved.MOVED_MODULES[old]
-    for target in [targets] if isinstance(targets, str) else targets:
+    for target in _moved.MOVED_MODULES[old]:
         home = importlib.import_module(target)
         assert all(getattr(module, name) is not None for name in getattr(home, "__all__", ()))
