@@ -35,6 +35,7 @@ _TABLES = {
     "daylight": "illuminant_cie_daylight.csv",
     "CIE 1995": "samples_cie_1995.csv",
     "CIE 2017": "samples_cie_2017.csv",
+    "pigments": "pigments_stockman_rider_2023.csv",
 }
 
 
@@ -790,128 +791,12 @@ def _checked_spectra(spectra):
     if isinstance(spectra, (str, os.PathLike)):
         return read_spectra(spectra)
     floating_tensor("primaries_spectrum", spectra, "a tensor of real floats or a file")
-    if spectra.ndim != 2 or spectra.shape[0] == 0 or spectra.shape[1] < 2:
-        raise ValueError(f"primaries_spectrum must be [P, S] with two samples or more, got {tuple(spectra.shape)}")
+    _validate.shaped("primaries_spectrum", spectra, "[1 or more, 2 or more], a spectrum for each primary")
     return _validate.real("primaries_spectrum", spectra)
 
 
-# Fourier series in the logarithm of the wavelength, constant, then cosine and sine of each order: logarithms of the
-# absorbances of the pigments. A. Stockman and A. T. Rider, Color Res. Appl. 48, 818 (2023), doi 10.1002/col.22879.
-ABSORBANCES = {
-    "L": (
-        (
-            -42.41760856 - 0.004264105,
-            -2.656791612,
-            75.011093607,
-            56.477062776,
-            7.509397607,
-            9.061442173,
-            -38.068488495,
-            -20.974610259,
-            -6.64274625,
-            -3.785039126,
-            9.322071459,
-            3.134494745,
-            1.603799055,
-            0.439302358,
-            -0.676958684,
-            -0.072988371,
-            -0.07885751,
-        ),
-        553.1,
-    ),
-    "M": (
-        (
-            -210.6568853069 + 0.0005894876,
-            -0.1458073553,
-            386.731976325,
-            305.471058467,
-            5.0218382813,
-            6.838622435,
-            -208.2062335724,
-            -118.4890200521,
-            -5.762586633,
-            -3.7973553168,
-            55.1803460639,
-            19.9728512548,
-            1.8990456325,
-            0.6913410864,
-            -5.0891806213,
-            -0.7070689492,
-            -0.1419926703,
-        ),
-        529.9,
-    ),
-    "S": (
-        (
-            207.3880950935 + 0.0002358232,
-            -6.3065623516,
-            -393.7100478026,
-            -315.6650602846,
-            19.2917535553,
-            19.6414743488,
-            214.2211570447,
-            121.8584683485,
-            -15.1820737886,
-            -8.6774057156,
-            -56.7596380441,
-            -20.6318720369,
-            3.693487504,
-            1.048302248,
-            5.3656615075,
-            0.7898783086,
-            -0.1480357836,
-        ),
-        416.9,
-    ),
-}
-# Densities over the wavelength, in the same form.
-MACULAR = (
-    3712.2037792986,
-    374.1811575175,
-    -7007.6989637831,
-    -5887.2857515364,
-    -633.0475233043,
-    -716.0429039473,
-    4386.8811254914,
-    2882.1092658881,
-    638.1347550701,
-    468.4980700497,
-    -1653.756738812,
-    -817.1240899995,
-    -286.4038978705,
-    -144.7996457395,
-    340.3364828167,
-    115.5652804221,
-    59.1650826447,
-    18.6678197694,
-    -30.2344535413,
-    -5.4683753172,
-    -4.1335064207,
-    -0.5043959566,
-    0.5094171266,
-)
-LENS = (
-    -313.9508632762,
-    -70.3216819666,
-    585.4719725809,
-    471.5395862431,
-    117.3539102044,
-    127.0168222865,
-    -324.4700544731,
-    -188.1638078982,
-    -104.5512488013,
-    -68.3078486904,
-    89.7815373733,
-    33.4498264952,
-    35.272363887,
-    13.6524086627,
-    -8.7568168893,
-    -1.2825766708,
-    -3.5126531075,
-    -0.4477840959,
-    0.0428291365,
-)
+# Wavelengths in nanometres at which the absorbances of the pigments L, M and S have their peaks.
+PEAKS = {"L": 553.1, "M": 529.9, "S": 416.9}
 MACULAR_SCALE, LENS_SCALE = 1.0050048550, 1.0091871745
 LOG_START, LOG_STEP = 2.556302500767287267, 0.1187666467581842301
 # Fractions of the two common variants of the L pigment, the distance between their peaks in nanometres, and the factor
@@ -975,13 +860,8 @@ def individual_cone_fundamentals(
     nm = torch.as_tensor(_validate.real("wavelengths", wavelengths), dtype=torch.float64)
     if nm.ndim != 1 or not len(nm) or float(nm.min()) < AXIS[0] or float(nm.max()) > AXIS[-1]:
         raise ValueError(f"wavelengths must be a list of numbers from 390 to 780 nanometres, got {wavelengths!r:.80}")
-    lens, macular = (_validate.constant(name, one) for name, one in (("lens", lens), ("macular", macular)))
-    for name, value in (("lens", lens), ("macular", macular)):
-        if value < 0:
-            raise ValueError(f"{name} must not be negative, got {value}")
-    densities = [float(one) for one in _validate.several("densities", densities, 3)]
-    if min(densities) <= 0:
-        raise ValueError(f"densities must be positive, got {densities}")
+    lens, macular = (_validate.constant(name, one, least=0) for name, one in (("lens", lens), ("macular", macular)))
+    densities = [float(one) for one in _validate.several("densities", densities, 3, positive=True)]
     shifts = [float(one) for one in _validate.several("shifts", shifts, 3)]
     whole = torch.tensor(AXIS, dtype=torch.float64)
     peaks = _fundamentals(whole, lens, macular, densities, shifts).amax(1, keepdim=True)
@@ -989,10 +869,11 @@ def individual_cone_fundamentals(
 
 
 def _fundamentals(nm, lens, macular, densities, shifts):
-    filters = macular / MACULAR_PEAK * _density(nm, MACULAR, 375.0, 550.0) * MACULAR_SCALE
-    filters = filters + lens / LENS_AT_400 * _density(nm, LENS, 360.0, 660.0) * LENS_SCALE
+    *absorbances, macula, eye_lens = _table("pigments").T.tolist()
+    filters = macular / MACULAR_PEAK * _density(nm, macula, 375.0, 550.0) * MACULAR_SCALE
+    filters = filters + lens / LENS_AT_400 * _density(nm, eye_lens, 360.0, 660.0) * LENS_SCALE
     found = []
-    for (name, (series, peak)), density, shift in zip(ABSORBANCES.items(), densities, shifts, strict=True):
+    for (name, peak), series, density, shift in zip(PEAKS.items(), absorbances, densities, shifts, strict=True):
         moves = [(1.0, shift)]
         if name == "L":
             moves = [(L_SCALE * share, shift + step) for share, step in zip(SHARES, (0.0, VARIANT), strict=True)]

@@ -198,7 +198,7 @@ def test_three_lines_come_back():
 
 
 def test_refused():
-    with pytest.raises(ValueError, match=r"primaries_spectrum must be \[P, S\]"):
+    with pytest.raises(ValueError, match=r"primaries_spectrum must be \[1 or more, 2 or more\]"):
         p.display_color_hvs(primaries_spectrum=torch.ones(301))
     display = p.display_color_hvs()
     with pytest.raises(ValueError, match=r"primaries must be pictures \[..., 3, H, W\]"):
