@@ -80,24 +80,32 @@ def real(name: str, value, *, positive: bool = False, nonzero: bool = False):
     return value
 
 
-def number(name: str, value, *, positive: bool = False, least: float | None = None):
-    """Return `value`, one real number or an array of one, after checking it as :func:`real` does."""
+def number(name: str, value, *, positive: bool = False, **bounds: float):
+    """Return `value`, one real number or an array of one, after checking it as :func:`real` and `within` do."""
     if isinstance(value, (list, tuple)):
         raise TypeError(f"{name} must be one number, got a {type(value).__name__}")
     if is_array(value) and math.prod(value.shape) != 1:
         raise ValueError(f"{name} must be one number, got an array of shape {tuple(value.shape)}")
     value = real(name, value, positive=positive)
-    if least is not None and (not is_array(value) or is_readable(value)) and value < least:
-        raise ValueError(f"{name} must be at least {least}, got {value!r}")
-    return value
+    return within(name, value, **bounds) if bounds and (not is_array(value) or is_readable(value)) else value
 
 
-def constant(name: str, value, *, positive: bool = False, nonzero: bool = False, least: float | None = None) -> float:
+def within(name: str, value, *, least: float = -math.inf, most: float = math.inf, below: float = math.inf):
+    """Return a number after checking that it is from `least` to `most`, and below `below`."""
+    if least <= value <= most and (value < below or below == math.inf):
+        return value
+    words = [f"at least {least}"] * (least > -math.inf) + [f"at most {most}"] * (most < math.inf)
+    words = [f"from {least} to {most}"] if len(words) > 1 else words
+    words += [f"below {below}"] * (below < math.inf)
+    raise ValueError(f"{name} must be {' and '.join(words)}, got {value!r:.80}")
+
+
+def constant(name: str, value, *, positive: bool = False, nonzero: bool = False, **bounds: float) -> float:
     """Return `value`, one real number or an array of one, as a float that carries no derivative.
 
     A tensor that requires a gradient is reported by an AccuracyWarning: the result will not depend on it.
     """
-    value = number(name, real(name, value, nonzero=nonzero), positive=positive, least=least)
+    value = number(name, real(name, value, nonzero=nonzero), positive=positive, **bounds)
     (value,) = constants(**{name: value})
     return float(value)
 
@@ -140,13 +148,11 @@ def numbers(value) -> list[float]:
     return [float(value)]
 
 
-def integer(name: str, value, *, minimum: float = 0) -> int:
-    """Return `value` as an int after checking that it is a whole number of at least `minimum`."""
+def integer(name: str, value, *, minimum: float = 0, most: float = math.inf, below: float = math.inf) -> int:
+    """Return `value` as an int after checking that it is a whole number within bounds, as `within` does."""
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError(f"{name} must be an integer, got {type(value).__name__}")
-    if value < minimum:
-        raise ValueError(f"{name} must be at least {minimum}, got {value}")
-    return int(value)
+    return int(within(name, value, least=minimum, most=most, below=below))
 
 
 def image(name: str, value, *, axes: int = 2):
@@ -185,13 +191,10 @@ def size(name: str, value) -> tuple[int, int]:
 
 def side(name: str, value) -> int:
     """Return the number of samples along an axis: a whole number from 1 to `LONGEST_SIDE`."""
-    count = whole(name, value, minimum=1)
-    if count > LONGEST_SIDE:
-        raise ValueError(f"{name} must be at most {LONGEST_SIDE} samples, got {count}")
-    return count
+    return within(name, whole(name, value, minimum=1), most=LONGEST_SIDE)
 
 
-def whole(name: str, value, *, minimum: float = 0) -> int:
+def whole(name: str, value, *, minimum: float = 0, most: float = math.inf) -> int:
     """Return `value` as :func:`integer` does; floats and tensors of one whole number count too."""
     if is_array(value) and math.prod(value.shape) == 1 and _holds_numbers(value):
         value = numbers(value)[0]
@@ -200,7 +203,7 @@ def whole(name: str, value, *, minimum: float = 0) -> int:
         if not math.isfinite(given) or given != int(given):
             raise ValueError(f"{name} must be a whole number, got {value!r}")
         value = int(given)
-    return integer(name, value, minimum=minimum)
+    return integer(name, value, minimum=minimum, most=most)
 
 
 def array(name: str, value, *, like=None):
@@ -266,8 +269,8 @@ def reals(**values) -> list[Any]:
     return made
 
 
-def shaped(name: str, value, *shape: Any):
-    """Return an array after checking its shape.
+def shaped(name: str, value, accepted: str):
+    """Return an array after checking its shape against the words in which the message states it.
 
     Parameters
     ----------
@@ -275,16 +278,47 @@ def shaped(name: str, value, *shape: Any):
         The argument's name.
     value : array
         What came.
-    *shape : int, str or Ellipsis
-        Lengths of the axes: a letter stands for any length, ``...`` in front for any number of axes.
+    accepted : str
+        Shapes in brackets, such as ``"[3] or [m, 3]"``: a number is that length, ``2 or more`` and ``1 or 3`` are
+        these, a name is any length, and ``...`` in front is any number of axes. The word "empty" behind them excludes
+        axes of no length, and "number" before them lets an array without axes through.
     """
-    last = shape[1:] if shape[0] is ... else shape
-    have = tuple(value.shape[value.ndim - len(last) :]) if value.ndim >= len(last) else ()
-    fits = len(have) == len(last) and (shape[0] is ... or value.ndim == len(shape))
-    if not fits or any(not isinstance(n, str) and n != m for n, m in zip(last, have, strict=True)):
-        wanted = ", ".join("..." if n is ... else str(n) for n in shape)
-        raise ValueError(f"{name} must be [{wanted}], got {list(value.shape)}")
+    shape, forms = value.shape, _FORMS.get(accepted)
+    if forms is None:
+        forms = _FORMS[accepted] = _forms_of(accepted)
+    if not any(_matches(shape, *form) for form in forms) or (0 in shape and "empty" in accepted):
+        raise ValueError(f"{name} must be {accepted}, got {list(shape)}")
     return value
+
+
+def _matches(shape: Sequence[int], free: bool, lengths: list[Sequence[int] | None]) -> bool:
+    """Return whether the axes of a shape, or its last ones where others may come in front, have these lengths."""
+    last = shape[max(len(shape) - len(lengths), 0) :] if free else shape
+    pairs = zip(last, lengths, strict=False)
+    return len(last) == len(lengths) and all(wanted is None or n in wanted for n, wanted in pairs)
+
+
+# What texts of shapes state, which is read once; in plain Python, which torch.compile can follow.
+_FORMS: dict[str, list[tuple[bool, list[Sequence[int] | None]]]] = {}
+
+
+def _forms_of(accepted: str) -> list[tuple[bool, list[Sequence[int] | None]]]:
+    """Return whether axes may come in front, and the lengths of the last ones, of each shape that a text states."""
+    before, *texts = accepted.split("[")
+    forms: list[tuple[bool, list[Sequence[int] | None]]] = [(False, [])] if "number" in before.split() else []
+    for text in texts:
+        entries = [entry.strip() for entry in text.partition("]")[0].split(",")]
+        free = entries[0] == "..."
+        forms.append((free, [_lengths_of(entry) for entry in entries[free:]]))
+    return forms
+
+
+def _lengths_of(entry: str) -> Sequence[int] | None:
+    """Return the lengths that an entry of a shape stands for; None for any."""
+    words = entry.split(" or ")
+    if not words[0].isdigit():
+        return None
+    return range(int(words[0]), sys.maxsize) if words[-1] == "more" else [int(word) for word in words]
 
 
 def fitting(**arrays) -> tuple[int, ...]:

@@ -994,8 +994,7 @@ def material(name: str) -> Material:
     >>> material("N-BK7").name
     'N-BK7'
     """
-    if not isinstance(name, str):
-        raise TypeError(f"name must be a string, got {type(name).__name__}")
+    _validate.instance("name", name, str, "a string")
     known = _catalogue()
     if _key(name) in known:
         return known[_key(name)]

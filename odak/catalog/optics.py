@@ -266,9 +266,7 @@ class thin_diffuser:
         diffusion_no: Sequence[int] = (3, 3),
         name: str = "diffuser",
     ):
-        _validate.real("diffusion_angle", diffusion_angle)
-        if not 0 <= diffusion_angle < 180:
-            raise ValueError(f"diffusion_angle must be within 0 … 180 degrees, 180 not included; got {diffusion_angle}")
+        _validate.number("diffusion_angle", diffusion_angle, least=0, below=180)
         self.settings: dict[str, Any] = {
             "name": _validate.text("name", name),
             "center": three("center", center),

@@ -103,8 +103,7 @@ def between(least: int, most: int) -> Callable[[str, Any], Any]:
     """Return a check for integers from the least to the largest one."""
 
     def check(name: str, value: Any) -> None:
-        if not least <= _validate.integer(name, value) <= most:
-            raise ValueError(f"{name} must be from {least} to {most}, got {value}")
+        _validate.integer(name, value, minimum=least, most=most)
 
     return check
 

@@ -421,8 +421,7 @@ def reflect_ray(input_ray, normal: Sequence[float], intersection: Sequence[float
     """
     point, across = np.asarray(three("intersection", intersection)), np.asarray(three("normal", normal))
     given = np.asarray(_validate.array("input_ray", input_ray), dtype=np.float64)
-    if given.shape != (2, 3):
-        raise ValueError(f"input_ray must be [2, 3], got {list(given.shape)}")
+    _validate.shaped("input_ray", given, "[2, 3]")
     if not across.any():
         raise ValueError("normal must not be zero")
     surface = np.stack((point, across / np.linalg.norm(across)))

@@ -71,8 +71,7 @@ def query_llm(
     ...     print("no answer")
     no answer
     """
-    if not isinstance(prompt, str):
-        raise TypeError(f"prompt must be a string, got {type(prompt).__name__}")
+    _validate.instance("prompt", prompt, str, "a string")
     if not re.fullmatch(r"[\w.:\[\]-]+", address, re.ASCII):
         raise ValueError(f"address must be the name or the number of a server, got {address!r}")
     if not re.fullmatch(r"[!-~]+", endpoint):

@@ -198,7 +198,7 @@ def checked_array(
     array = np.asarray(_validate.array(name, value))
     if array.dtype.kind not in ("iu" if whole else "iuf"):
         raise TypeError(f"{name} must be {'integers' if whole else 'real'}, got {array.dtype}")
-    _validate.shaped(name, array, *shape)
+    _validate.shaped(name, array, f"[{', '.join(map(str, shape))}]")
     if not array.size:
         raise ValueError(f"{name} must not be empty, got {list(array.shape)}")
     low, high = array.min(), array.max()

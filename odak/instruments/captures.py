@@ -161,8 +161,7 @@ def record_captures(
     (3, 2, 32, 32)
     """
     levels = np.asarray(_validate.array("levels", levels))
-    if levels.ndim != 3 or levels.shape[1:] != tuple(modulator.shape):
-        raise ValueError(f"levels must be [patterns, {modulator.shape[0]}, {modulator.shape[1]}], got {levels.shape}")
+    _validate.shaped("levels", levels, f"[patterns, {modulator.shape[0]}, {modulator.shape[1]}]")
     places = np.zeros(len(levels)) if positions is None else np.asarray(positions, float)
     if places.shape != (len(levels),):
         raise ValueError(f"positions must contain one number for each of {len(levels)} patterns, got {places.shape}")

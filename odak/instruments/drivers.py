@@ -71,9 +71,7 @@ class ScreenModulator:
         count = pygame.display.get_num_displays()
         if display is None and count == 1:
             raise ValueError("there is one screen, on which you work: connect the modulator, or give display=0")
-        display = count - 1 if display is None else _validate.integer("display", display)
-        if display >= count:
-            raise ValueError(f"display must be below {count}, the number of screens, got {display}")
+        display = count - 1 if display is None else _validate.integer("display", display, below=count)
         columns, rows = pygame.display.get_desktop_sizes()[display]
         self.shape = (rows, columns) if shape is None else _validate.size("shape", shape)
         if self.shape != (rows, columns):
@@ -313,9 +311,7 @@ class GenICamCamera:
             if device not in known:
                 raise ValueError(f"device must be one of the serial numbers {known}, got {device!r}")
         else:
-            chosen = _validate.integer("device", device)
-            if chosen >= len(found):
-                raise ValueError(f"device must be below {len(found)}, the number of cameras, got {device}")
+            chosen = _validate.integer("device", device, below=len(found))
         self._camera = self._harvester.create(chosen)
         self._nodes = self._camera.remote_device.node_map
         for name, value in (

@@ -72,9 +72,7 @@ def set_exposure(camera: Camera, show: Callable[[], None] | None = None, level: 
     >>> bool(0.4 < table.camera.capture().max() / 4095 < 0.8)
     True
     """
-    level = float(_validate.number("level", level, positive=True))
-    if level >= SATURATED:
-        raise ValueError(f"level must be below {SATURATED}, got {level}")
+    level = float(_validate.number("level", level, positive=True, below=SATURATED))
     if show is not None:
         show()
     camera = checked_camera(camera)

@@ -121,8 +121,7 @@ def equalise_spots(
     True
     """
     points = np.asarray(_validate.real("points", _validate.array("points", points)), dtype=float)
-    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
-        raise ValueError(f"points must be [N, 2] with N at least 2, got {list(points.shape)}")
+    _validate.shaped("points", points, "[2 or more, 2]")
     distance = without_lens(table.distance, "every pixel sends light to all places")
     modulator, camera, wavelength, _, phases, registration = parts_of(table, "phases", "registration")
     turns, captures = (
@@ -131,8 +130,7 @@ def equalise_spots(
     asked = np.ones(len(points))
     if intensities is not None:
         asked = np.asarray(_validate.real("intensities", _validate.array("intensities", intensities), positive=True))
-        if asked.shape != (len(points),):
-            raise ValueError(f"intensities must be [{len(points)}], one for each of the points, got {asked.shape}")
+        _validate.shaped("intensities", asked, f"[{len(points)}], one for each of the points")
     apart = np.linalg.norm(points[:, None] - points, axis=-1) + np.diag(np.full(len(points), np.inf))
     if radius is None:
         airy = 1.22 * wavelength * distance / (min(modulator.shape) * modulator.pitch)

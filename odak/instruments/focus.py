@@ -252,8 +252,7 @@ def distance_with_uncertainty(
     distance = without_lens(table.distance, "measure_wavefront finds the defocus")
     modulator, camera, wavelength, _, phases, registration = parts_of(table, "phases", "registration")
     samples = _validate.integer("samples", samples, minimum=5)
-    if _validate.number("span", span, positive=True) >= 1:
-        raise ValueError(f"span must be a share of the distance below 1, got {span:g}")
+    _validate.number("span", span, positive=True, below=1)
     correction = np.asarray(table.wavefront, float)
     if correction.ndim:
         correction = without(correction, aberration_modes(modulator, 2)[[0, 1, DEFOCUS]])

@@ -545,8 +545,7 @@ def square_matrix(name: str, matrix: ArrayT, size: int) -> Any:
 
 def square_shape(name: str, matrix: ArrayT, size: int) -> None:
     """Raise ValueError unless `matrix` is ``[..., size, size]``."""
-    if tuple(matrix.shape[-2:]) != (size, size):
-        raise ValueError(f"{name} must be [..., {size}, {size}], got {tuple(matrix.shape)}")
+    _validate.shaped(name, matrix, f"[..., {size}, {size}]")
 
 
 def check_angle(name: str, value: Any) -> Any:

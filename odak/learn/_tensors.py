@@ -167,23 +167,20 @@ def checked_generator(name: str, value) -> torch.Generator | None:
     raise TypeError(f"{name} must be a torch.Generator or None, got {value!r:.80}")
 
 
-def shaped(name: str, value, *shape: int | str) -> torch.Tensor:
-    """Return `value` as a real floating tensor after checking its shape, in which a letter stands for any length.
-
-    A length that several arguments share has to be checked by the caller.
-    """
-    return _validate.shaped(name, floating(name, value), *shape)
+def shaped(name: str, value, accepted: str) -> torch.Tensor:
+    """Return `value` as a real floating tensor after checking its shape against the words of the message."""
+    return _validate.shaped(name, floating(name, value), accepted)
 
 
-def rows_of(**given: tuple[Any, ...]) -> list[torch.Tensor]:
+def rows_of(**given: tuple[Any, str]) -> list[torch.Tensor]:
     """Return real tensors that have a row for each of the same things, in their widest precision, float32 at least.
 
     Parameters
     ----------
     **given : tuple
-        By name, a tensor and the shape of a row, in which a letter stands for any length.
+        By name, a tensor and its shape in words, such as ``"[N, 3]"``.
     """
-    values = [shaped(name, value, "N", *row) for name, (value, *row) in given.items()]
+    values = [shaped(name, value, accepted) for name, (value, accepted) in given.items()]
     if len({len(value) for value in values}) > 1:
         told = ", ".join(f"{name} {len(value)}" for name, value in zip(given, values, strict=True))
         raise ValueError(f"these must have the same number of rows: {told}")

@@ -324,8 +324,7 @@ class agent(Prepared):
         ...     work.map(round, [1.234, 2.345], shared={"ndigits": 1})
         [1.2, 2.3]
         """
-        if not callable(function):
-            raise TypeError(f"function must be callable, got {type(function).__name__}")
+        _validate.function("function", function)
         _validate.instance("items", items, Iterable, "an iterable")
         _validate.instance("shared", shared, (Mapping, type(None)), "a dictionary")
         compute = functools.partial(function, **shared) if shared else function

@@ -421,8 +421,7 @@ def roi(
     ((8, 8), 0.0, 1.0)
     """
     image = _validate.array("image", image)
-    if image.ndim not in (2, 3):
-        raise ValueError(f"image must be [rows, columns] or [rows, columns, colours], got {tuple(image.shape)}")
+    _validate.shaped("image", image, "[rows, columns] or [rows, columns, colours]")
     edges = _validate.several("location", location, 4)
     top, bottom, left, right = (_validate.whole("location", edge, minimum=-math.inf) for edge in edges)
     if not (0 <= top < bottom <= image.shape[0] and 0 <= left < right <= image.shape[1]):
@@ -488,9 +487,7 @@ def modulation_transfer_function(line_x: Array, line_y: Array, px_size: Sequence
 
 def _line(name: str, line):
     (line,) = _validate.reals(**{name: line})
-    if _validate.shaped(name, line, "n").shape[0] < 2:
-        raise ValueError(f"{name} must contain at least two values, got {line.shape[0]}")
-    return line
+    return _validate.shaped(name, line, "[2 or more]")
 
 
 def _scaled(line, low, high):

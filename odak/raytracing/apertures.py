@@ -136,9 +136,7 @@ class CircularAperture(Aperture):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "inner", _validate.constant("inner", self.inner, least=0))
-        if self.inner >= self.radius:
-            raise ValueError(f"inner must be below the radius, {self.radius:g}, got {self.inner:g}")
+        object.__setattr__(self, "inner", _validate.constant("inner", self.inner, least=0, below=self.radius))
 
     def contains(self, x: Array, y: Array) -> Array:
         """Return whether points lie in the ring."""

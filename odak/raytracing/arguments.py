@@ -13,16 +13,13 @@ from odak._array import Array, is_traced, namespace
 def shaped(name: str, value: Any, last: tuple[int, ...], accepted: str) -> Any:
     """Return `value` with a batch axis in front of its last axes, after checking these."""
     if tuple(value.shape[max(value.ndim - len(last), 0) :]) != last:
-        raise ValueError(f"{name} must be {accepted}, got {tuple(value.shape)}")
-    return value if value.ndim > len(last) else value[None, ...]
+        raise ValueError(f"{name} must be {accepted}, got {list(value.shape)}")
+    return batch(value, len(last))
 
 
 def listed(name: str, value: Any, last: tuple[int, ...], accepted: str) -> Any:
     """Return `value` with one batch axis in front of its last axes, after checking that it has no more."""
-    value = shaped(name, value, last, accepted)
-    if value.ndim > 1 + len(last):
-        raise ValueError(f"{name} must be {accepted}, got {tuple(value.shape)}")
-    return value
+    return batch(_validate.shaped(name, value, accepted), len(last))
 
 
 def vector(name: str, value: Any, count: int = 3) -> Any:

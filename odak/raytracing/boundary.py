@@ -506,8 +506,7 @@ def intersection_kernel_for_parametric_surfaces(
     _validate.function("surface_function", surface_function)
     ray = arguments.flat_rays("ray", ray)
     distance = np.atleast_1d(*_validate.reals(distance=distance))
-    if distance.ndim > 1:
-        raise ValueError(f"distance must be a number or [m], got {distance.shape}")
+    _validate.shaped("distance", distance, "a number or [m]")
     _validate.fitting(distance=distance, ray=ray[:, 0, 0])
     return _errors_and_points(distance, ray, parametric_surface, surface_function)
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, ClassVar, NamedTuple
 
+from odak import _validate
 from odak._array import Array, Numbers, broadcast, is_readable, is_torch, namespace
 from odak.raytracing import components as vec
 from odak.raytracing.batches import needs_gradient
@@ -173,8 +174,7 @@ class FunctionGradient(Gradient):
         FunctionGradient
             An instance of a class made for the function; it cannot be written to a file.
         """
-        if not callable(function):
-            raise TypeError(f"function must be a callable of x, y, z and the base index, got {type(function).__name__}")
+        _validate.function("function", function)
         kind: Any = type(cls.__name__, (cls,), {"function": staticmethod(function)})
         return kind(parameters)
 

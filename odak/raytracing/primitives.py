@@ -138,7 +138,7 @@ def is_it_on_triangle(pointtocheck: Array, point0: Array, point1: Array, point2:
     """
     given = {"pointtocheck": pointtocheck, "point0": point0, "point1": point1, "point2": point2}
     made = zip(given, _validate.reals(**given), strict=True)
-    result = geometry.is_on_triangle(*(_validate.shaped(name, value, ..., 3) for name, value in made))
+    result = geometry.is_on_triangle(*(_validate.shaped(name, value, "[..., 3]") for name, value in made))
     return bool(result) if result.ndim == 0 else result
 
 

@@ -47,7 +47,7 @@ def create_ray(x0y0z0: ArrayT, abg: ArrayT) -> ArrayT:
            [0.   , 0.5  , 0.866]])
     """
     start, abg = _validate.reals(x0y0z0=x0y0z0, abg=abg)
-    start, abg = _validate.shaped("x0y0z0", start, ..., 3), _validate.shaped("abg", abg, ..., 3)
+    start, abg = _validate.shaped("x0y0z0", start, "[..., 3]"), _validate.shaped("abg", abg, "[..., 3]")
     _validate.fitting(x0y0z0=start, abg=abg)
     cosines = namespace(abg).cos(abg * (math.pi / 180))
     warn_unless_unit("abg", cosines)

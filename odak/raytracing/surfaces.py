@@ -989,20 +989,19 @@ def _in_precision_of_rays(ray, **others):
 
 def placed_hits(read, ray, surface, center, angles, aperture, ahead) -> Hit:
     """Implement :func:`intersect_w_sag` for any array library; `read` converts the arguments to arrays."""
-    if not isinstance(surface, Shape):
-        raise TypeError(f"surface must be a shape such as Conic, Toroid or SplineFreeform, got {surface!r:.80}")
+    _validate.instance("surface", surface, Shape, "a shape such as Conic, Toroid or SplineFreeform")
     kinds = {f"surface.{f.name}": getattr(surface, f.name) for f in fields(surface)}
     # Empty sequences of coefficients are not converted.
     held = {name: v for name, v in kinds.items() if not (isinstance(v, (list, tuple)) and len(v) == 0)}
     placed = {"center": center, "angles": angles, "aperture": aperture}
     given = {"ray": ray, **held, **{name: value for name, value in placed.items() if value is not None}}
     made = dict(zip(given, read(**given), strict=True))
-    ray = _validate.shaped("ray", made["ray"], ..., 2, 3)
+    ray = _validate.shaped("ray", made["ray"], "[..., 2, 3]")
     xp = namespace(ray)
     none = xp.zeros(0, dtype=ray.dtype, device=device_of(ray))
     parameters = [made.get(name, none) for name in kinds]
     matrix = rotation_matrix(arguments.vector("angles", made["angles"])) if "angles" in made else None
-    place = _validate.shaped("center", made["center"], ..., 3) if "center" in made else None
+    place = _validate.shaped("center", made["center"], "[..., 3]") if "center" in made else None
     start, direction = ray[..., 0, :], ray[..., 1, :]
     if place is not None:
         _validate.fitting(ray=start, center=place)

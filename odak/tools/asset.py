@@ -130,8 +130,7 @@ def write_PLY(triangles: np.ndarray, savefn: str | os.PathLike[str] = "output.pl
     (1, 3, 3)
     """
     corners = _in_float32("triangles", triangles)
-    if corners.ndim != 3 or corners.shape[1:] != (3, 3):
-        raise ValueError(f"triangles must be [t, 3, 3], got {corners.shape}")
+    _validate.shaped("triangles", corners, "[t, 3, 3]")
     faces = np.arange(3 * len(corners)).reshape(-1, 3)
     write_mesh(validate_path(savefn, [".ply"]), corners.reshape(-1, 3), faces, text=True)
 
@@ -167,8 +166,7 @@ def write_PLY_from_points(points: np.ndarray, savefn: str | os.PathLike[str] = "
     (4, 3, 3)
     """
     points = _in_float32("points", points)
-    if points.ndim != 3 or points.shape[-1] != 3 or min(points.shape[:2]) < 2:
-        raise ValueError(f"points must be [m, n, 3] with m and n at least 2, got {points.shape}")
+    _validate.shaped("points", points, "[2 or more, 2 or more, 3]")
     number = np.arange(points.shape[0] * points.shape[1]).reshape(points.shape[:2])
     here, right, below, across = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
     faces = np.stack([below, here, right, below, right, across], axis=-1).reshape(-1, 3)

@@ -1261,8 +1261,7 @@ def resize_image(img: np.ndarray, target_size: tuple[int, int]) -> np.ndarray:
     img = np.asarray(img)
     if img.dtype.kind not in "buifc":
         raise TypeError(f"img must be numeric, got {img.dtype}")
-    if img.ndim not in (2, 3) or 0 in img.shape:
-        raise ValueError(f"img must be [H, W] or [H, W, C], none empty; got {img.shape}")
+    _validate.shaped("img", img, "[H, W] or [H, W, C], none empty")
     if np.shape(target_size) != (2,):
         raise ValueError(f"target_size must be [width, height], got {target_size!r}")
     width, height = (

@@ -135,9 +135,7 @@ def quantize(image_field: ArrayT, bits: int = 4) -> ArrayT:
     >>> quantize(np.asarray([0, 64, 128, 255]), bits=2).tolist()
     [0, 1, 2, 3]
     """
-    _validate.integer("bits", bits, minimum=1)
-    if bits > 8:
-        raise ValueError(f"bits must be at most 8, got {bits}")
+    _validate.integer("bits", bits, minimum=1, most=8)
     if not _array.is_array(image_field) or "complex" in str(_validate.array("image_field", image_field).dtype):
         raise TypeError(
             f"image_field must be a real array, got {getattr(image_field, 'dtype', type(image_field).__name__)}"
@@ -486,8 +484,7 @@ def create_empty_list(dimensions: Sequence[int] = (1, 1)) -> list[Any] | int:
     >>> create_empty_list([2, 3])
     [[0, 0, 0], [0, 0, 0]]
     """
-    if isinstance(dimensions, str) or not isinstance(dimensions, Iterable):
-        raise TypeError(f"dimensions must be a sequence of integers, got {dimensions!r:.80}")
+    _validate.listed("dimensions", dimensions, "a sequence of integers")
     lengths = [_validate.integer("dimensions", length) for length in dimensions]
     return _nested(lengths)
 
@@ -670,8 +667,7 @@ def nuifft2(
 
 
 def _counts(name, value):
-    if isinstance(value, str) or not isinstance(value, Iterable):
-        raise TypeError(f"{name} must be a sequence of integers, got {value!r:.80}")
+    _validate.listed(name, value, "a sequence of integers")
     return tuple(_validate.whole(name, count) for count in value)
 
 

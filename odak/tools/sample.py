@@ -64,8 +64,7 @@ def random_sample_point_cloud(
                 f"for a point_cloud of {count}"
             )
         p = np.asarray(p) / sum(p)
-    if _validate.whole("no", no) > _validate.LONGEST_SIDE:
-        raise ValueError(f"no must be at most {_validate.LONGEST_SIDE} points, got {no}")
+    _validate.whole("no", no, most=_validate.LONGEST_SIDE)
     index = _generator(seed).choice(count, int(no), p=p)
     xp, device = _array.namespace(point_cloud), _array.device_of(point_cloud)
     return xp.take(point_cloud, xp.asarray(index, device=device), axis=0)
@@ -490,8 +489,7 @@ def batch_of_rays(entry: Array, exit: Array) -> Array:
     like = like if xp.isdtype(like.dtype, "real floating") else xp.astype(like, xp.float64)
     ends = [_array.cast(value, like) for value in (entry, exit)]
     for name, end in zip(("entry", "exit"), ends, strict=True):
-        if end.ndim not in (1, 2) or end.shape[-1] != 3:
-            raise ValueError(f"{name} must be [n, 3] or [3], got {tuple(end.shape)}")
+        _validate.shaped(name, end, "[n, 3] or [3]")
     starts, stops = (xp.reshape(end, (-1, 3)) for end in ends)
     if starts.shape[0] != stops.shape[0] and 1 not in (starts.shape[0], stops.shape[0]):
         raise ValueError(

@@ -225,11 +225,11 @@ def rotate_points(
     >>> rotate_points(np.asarray([[2.0, 0.0, 0.0]]), angles=[0, 0, 90], origin=[1, 0, 0]).round(6).tolist()
     [[1.0, 1.0, 0.0]]
     """
-    points = np.asarray(_validate.shaped("points", *_validate.reals(points=points), ..., 3)).reshape(-1, 3)
-    origin, offset = (
-        np.asarray(_validate.shaped(name, *_validate.reals(**{name: value}), ..., 3)).astype(points.dtype, copy=False)
-        for name, value in (("origin", origin), ("offset", offset))
-    )
+    given: dict[str, Any] = {"points": points, "origin": origin, "offset": offset}
+    for name, value in given.items():
+        given[name] = np.asarray(_validate.shaped(name, _validate.reals(**{name: value})[0], "[..., 3]"))
+    points = given["points"].reshape(-1, 3)
+    origin, offset = (given[name].astype(points.dtype, copy=False) for name in ("origin", "offset"))
     matrix = rotation_matrix(np.asarray(*_three(angles=angles)), mode).astype(points.dtype)
     _validate.fitting(points=points, origin=origin)
     _validate.fitting(points=points, offset=offset)
@@ -333,7 +333,7 @@ def cross_product(vector1: Array, vector2: Array) -> Array:
     """
     xp, rays = _points(vector1=vector1, vector2=vector2)
     for name, ray in rays.items():
-        _validate.shaped(name, ray, ..., 2, 3)
+        _validate.shaped(name, ray, "[..., 2, 3]")
     first, second = xp.broadcast_arrays(*rays.values())
     product = xp.stack((first[..., 0, :], cross(first[..., 1, :], second[..., 1, :])), axis=-2)
     return xp.astype(product, xp.float32) if xp is _array.numpy_namespace else product
@@ -499,7 +499,7 @@ def _points(**values):
     """Return the namespace of points and the points ``[..., 3]``, which fit each other, in one precision."""
     points = dict(zip(values, _validate.reals(**values), strict=True))
     for name, point in points.items():
-        _validate.shaped(name, point, ..., 3)
+        _validate.shaped(name, point, "[..., 3]")
     if "ray" not in points:
         _validate.fitting(**points)
     return namespace(*points.values()), points

@@ -196,9 +196,7 @@ def fringe_to_nm(j: int) -> tuple[int, int]:
     >>> [fringe_to_nm(j) for j in (1, 2, 4, 7, 9, 16, 37)]
     [(0, 0), (1, 1), (2, 0), (3, 1), (4, 0), (6, 0), (12, 0)]
     """
-    j = _validate.integer("j", j, minimum=1)
-    if j > 37:
-        raise ValueError(f"j must be an index of the fringe set, 1 to 37, got {j}")
+    j = _validate.integer("j", j, minimum=1, most=37)
     if j == 37:
         return 12, 0
     half = math.isqrt(j - 1)

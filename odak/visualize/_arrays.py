@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from odak import _validate
 from odak._array import is_torch
 from odak.tools.matrix import convert_to_numpy
 
@@ -108,8 +109,7 @@ def heights(data_x, data_y, data_z, least: int = 1) -> tuple[np.ndarray, np.ndar
         wanted = "not empty" if least == 1 else f"at least {least} by {least}"
         raise ValueError(f"data_z must be [m, n], {wanted}; got {list(z.shape)}")
     for name, value, n in (("data_x", x, z.shape[1]), ("data_y", y, z.shape[0])):
-        if value.shape not in (z.shape, (n,)):
-            raise ValueError(f"{name} must be {list(z.shape)} as data_z, or [{n}]; got {list(value.shape)}")
+        _validate.shaped(name, value, f"{list(z.shape)} as data_z, or [{n}]")
     return x, y, z
 
 

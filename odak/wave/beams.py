@@ -344,9 +344,7 @@ def bessel_beam(
     11
     """
     order = _validate.integer("order", order, minimum=-math.inf)
-    _validate.number("angle", angle)
-    if (not _array.is_array(angle) or _array.is_readable(angle)) and not 0 < _validate.numbers(angle)[0] < 90:
-        raise ValueError(f"angle must be between 0 and 90 degrees, got {angle!r}")
+    _validate.number("angle", angle, positive=True, below=90)
     if waist is not None:
         _validate.number("waist", waist, positive=True)
     given = (wavelength, angle)

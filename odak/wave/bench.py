@@ -970,8 +970,7 @@ class optical_bench:
 
     @_validate.takes_units("wavelength")
     def __init__(self, elements: Iterable[Any], wavelength: float | Array):
-        if isinstance(elements, (str, bytes)) or not isinstance(elements, Iterable):
-            raise TypeError(f"elements must be a sequence of elements, got {elements!r:.80}")
+        _validate.listed("elements", elements, "a sequence of elements")
         self.elements: list[Any] = list(elements)
         for element in self.elements:
             if not callable(getattr(element, "apply", None)):

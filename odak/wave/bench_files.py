@@ -209,8 +209,7 @@ def load_bench(config: Any) -> tuple[dict[Any, Any], list[dict[Any, Any]]]:
     """Return bench and elements of a file or its content; see :func:`checked`."""
     if isinstance(config, dict):
         return checked(config, Path())
-    if not isinstance(config, (str, os.PathLike)):
-        raise TypeError(f"config must be a dict or the path of a file, got {type(config).__name__}")
+    _validate.instance("config", config, (str, os.PathLike), "a dict or the path of a file")
     path = Path(os.path.expanduser(config))
     with naming(path):
         return checked(read_config(path), path.resolve().parent)
@@ -324,8 +323,7 @@ def checked(config: Any, folder: Path) -> tuple[dict[Any, Any], list[dict[Any, A
     ValueError
         If the content does not conform to the schema; the message names the element.
     """
-    if not isinstance(config, dict):
-        raise TypeError(f"config must be a table with {BENCH!r} and {ELEMENTS!r}, got {type(config).__name__}")
+    _validate.instance("config", config, dict, f"a table with {BENCH} and {ELEMENTS}")
     _check_names("config", config, (BENCH, ELEMENTS), (BENCH, ELEMENTS))
     if not isinstance(config[BENCH], dict):
         raise ValueError(f"{BENCH} must be a table, got {type(config[BENCH]).__name__}")

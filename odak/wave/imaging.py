@@ -333,8 +333,7 @@ def _stacked(targets, masks):
     for name, value in (("targets", targets), ("masks", masks)):
         if "complex" in str(value.dtype):
             raise TypeError(f"{name} must be real, got {value.dtype}")
-    if targets.ndim != 4:
-        raise ValueError(f"targets must be [P, C, m, n], got {tuple(targets.shape)}")
+    _validate.shaped("targets", targets, "[P, C, m, n]")
     if not xp.isdtype(targets.dtype, "real floating"):
         targets = xp.astype(targets, _array.real_dtype(targets))
     shape = tuple(targets.shape)

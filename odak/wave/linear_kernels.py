@@ -384,9 +384,7 @@ def _repeated(spectrum, count: int, axis: int):
 
 def checked_pixel_fill(pixel_fill: float) -> float:
     """Return the share of a pixel's area that emits, above 0 and at most 1."""
-    fill = _validate.constant("pixel_fill", pixel_fill, positive=True)
-    if fill > 1:
-        raise ValueError(f"pixel_fill must be above 0 and at most 1, got {pixel_fill!r}")
+    fill = _validate.constant("pixel_fill", pixel_fill, positive=True, most=1)
     return fill
 
 

@@ -106,8 +106,7 @@ def propagate_through_medium(
     _validate.number("wavelength", wavelength, positive=True)
     if reference is not None:
         _validate.number("reference", reference, positive=True)
-    if not _validate.constant("absorber", absorber) >= 0:
-        raise ValueError(f"absorber must be at least 0, got {absorber!r}")
+    _validate.constant("absorber", absorber, least=0)
     slices = _slices(index, field)
     step = _Step(field, dx, dz, wavelength, method, reference, levels, float(absorber))
     if is_torch(field):
@@ -249,14 +248,9 @@ def _slices(index, field) -> Iterable[Any]:
     """Return the slices of a medium, after checking an array's shape."""
     if is_array(index):
         _validate.array("index", index)
-        if index.ndim != 3 or tuple(index.shape[-2:]) != tuple(field.shape[-2:]):
-            raise ValueError(
-                f"index must be [slices, *field.shape[-2:]] = [slices, {field.shape[-2]}, {field.shape[-1]}], "
-                f"got {tuple(index.shape)}"
-            )
+        _validate.shaped("index", index, f"[slices, {field.shape[-2]}, {field.shape[-1]}], with the sides of field")
         return [index[k, ...] for k in range(index.shape[0])]
-    if isinstance(index, (str, bytes)) or not isinstance(index, Iterable):
-        raise TypeError(f"index must be an array or an iterable of slices, got {type(index).__name__}")
+    _validate.listed("index", index, "an array or an iterable of slices")
     return index
 
 
@@ -364,8 +358,7 @@ def scattered_field(
     """
     incident = _array.to_complex(_validate.image("incident", incident))
     index = _validate.array("index", index)
-    if incident.ndim not in (2, 3):
-        raise ValueError(f"incident must be [rows, columns] or [depth, rows, columns], got {tuple(incident.shape)}")
+    _validate.shaped("incident", incident, "[rows, columns] or [depth, rows, columns]")
     if tuple(index.shape) != tuple(incident.shape):
         raise ValueError(f"index must have the shape of incident, {tuple(incident.shape)}, got {tuple(index.shape)}")
     _validate.one_device(incident=incident, index=index)

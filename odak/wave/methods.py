@@ -419,8 +419,7 @@ def find_method(propagation_type: str) -> Method | None:
     ValueError
         If there is none, listing the names and the nearest match.
     """
-    if not isinstance(propagation_type, str):
-        raise TypeError(f"propagation_type must be a string, got {type(propagation_type).__name__}")
+    _validate.instance("propagation_type", propagation_type, str, "a string")
     name = propagation_type.strip().casefold()
     if name == "auto":
         return None

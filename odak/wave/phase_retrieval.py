@@ -605,8 +605,7 @@ def _lens_factors(points, resolution, wavelength, dx, focal):
     if not _array.is_array(points):
         raise TypeError(f"points must be an array or a tensor, got {type(points).__name__}")
     _validate.real("points", points)
-    if points.ndim < 2 or points.shape[-1] != 3 or 0 in points.shape:
-        raise ValueError(f"points must be [..., N, 3] with N at least 1, got {tuple(points.shape)}")
+    _validate.shaped("points", points, "[..., N, 3], not empty")
     xp, dtype = _array.namespace(points), _array.complex_dtype(points)
     points = xp.astype(points, xp.float64)
     z = points[..., 2, None]

@@ -53,8 +53,7 @@ def apply_jones(matrix: Array, field: Array) -> Array:
     """
     field = polarized_field("field", field)
     matrix = _validate.array("matrix", matrix)
-    if tuple(matrix.shape[-2:]) != (2, 2) or matrix.ndim == 3:
-        raise ValueError(f"matrix must be [2, 2] or [..., rows, columns, 2, 2], got {tuple(matrix.shape)}")
+    _validate.shaped("matrix", matrix, "[2, 2] or [..., rows, columns, 2, 2]")
     matrix = cast(matrix, field)
     if matrix.ndim == 2:
         matrix = matrix[None, None, ...]
@@ -279,8 +278,7 @@ def filter_polarized(field: Array, transfer: Array) -> Array:
     xp = namespace(field)
     rows, columns = field.shape[-2:]
     transfer = cast(_validate.array("transfer", transfer), field)
-    if transfer.ndim < 4 or tuple(transfer.shape[-4:-2]) != (2, 2):
-        raise ValueError(f"transfer must be [..., 2, 2, M, N], got {tuple(transfer.shape)}")
+    _validate.shaped("transfer", transfer, "[..., 2, 2, M, N]")
     if transfer.shape[-2] < rows or transfer.shape[-1] < columns:
         raise ValueError(
             f"transfer must be at least as large as the field, {(rows, columns)}, got {transfer.shape[-2:]}"
@@ -643,8 +641,7 @@ def _steps(name: str, dx) -> list[Any]:
 def polarized_field(name: str, value: Any) -> Any:
     """Return a complex field after checking that it is ``[..., 2, rows, columns]``."""
     value = _array.to_complex(_validate.image(name, value, axes=3))
-    if value.shape[-3] != 2:
-        raise ValueError(f"{name} must be [..., 2, rows, columns], got {tuple(value.shape)}")
+    _validate.shaped(name, value, "[..., 2, rows, columns]")
     return value
 
 

@@ -265,11 +265,7 @@ def phase_shifting_field(holograms: Array, reference: Array, phase_steps: Sequen
     """
     holograms = _real("holograms", holograms)
     steps = _steps(phase_steps, holograms)
-    if holograms.ndim < 3 or holograms.shape[-3] != steps.shape[0]:
-        raise ValueError(
-            f"holograms must be [..., {steps.shape[0]}, rows, columns], one for each of phase_steps; "
-            f"got {tuple(holograms.shape)}"
-        )
+    _validate.shaped("holograms", holograms, f"[..., {steps.shape[0]}, rows, columns], one for each of phase_steps")
     holograms, reference = _pair("holograms", holograms, reference, stacked=True)
     xp = _array.namespace(holograms)
     steps = xp.astype(steps, xp.float64)
@@ -325,8 +321,7 @@ def unwrap_phase(phase: Array, mask: Array | None = None, seed: int | None = 0) 
     _validate.real("phase", phase)
     if not _array.namespace(phase).isdtype(phase.dtype, "real floating"):
         phase = _array.namespace(phase).astype(phase, _array.real_dtype(phase))
-    if phase.ndim != 2:
-        raise ValueError(f"phase must be [rows, columns], got {tuple(phase.shape)}")
+    _validate.shaped("phase", phase, "[rows, columns]")
     try:
         from skimage.restoration import unwrap_phase as unwrapped
     except ImportError as error:

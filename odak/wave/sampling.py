@@ -184,8 +184,7 @@ def sampling_report(
 
 def _checked_field(field, shape) -> np.ndarray:
     field = _array.to_complex(_validate.image("field", field))
-    if tuple(field.shape[-2:]) != tuple(shape):
-        raise ValueError(f"field must be [..., {shape[0]}, {shape[1]}] as given by shape, got {tuple(field.shape)}")
+    _validate.shaped("field", field, f"[..., {shape[0]}, {shape[1]}] as given by shape")
     if not _array.is_readable(field):
         raise ValueError("field must be readable here: its spectrum decides")
     _validate.check_values("field", field)

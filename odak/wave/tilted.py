@@ -375,8 +375,7 @@ def _rotated_axes(name: str, angles, grid: Grid) -> tuple[Any, ...]:
     xp = grid.xp
     if _array.is_array(angles) and angles.ndim == 2:
         matrix = _array.cast(_validate.real(name, angles), grid.wavelength)
-        if tuple(matrix.shape) != (3, 3):
-            raise ValueError(f"{name} must be three angles or a rotation matrix [3, 3], got {tuple(matrix.shape)}")
+        _validate.shaped(name, matrix, "three angles or a rotation matrix [3, 3]")
         if _array.is_readable(matrix):
             numbers = np.asarray(_validate.numbers(matrix)).reshape(3, 3)
             if np.abs(numbers @ numbers.T - np.eye(3)).max() > 1e-6 or np.linalg.det(numbers) < 0:

@@ -139,8 +139,7 @@ def eye_transfer(
     if isinstance(pupil_position, (list, tuple)) and any(map(_array.is_array, pupil_position)):
         pupil_position = _array.stacked(pupil_position, xp, device, xp.float64)
     place = _validate.real("pupil_position", _validate.array("pupil_position", pupil_position))
-    if place.ndim not in (1, 2) or place.shape[-1] != 2 or 0 in place.shape:
-        raise ValueError(f"pupil_position must be [2] or [K, 2], got {tuple(place.shape)}")
+    _validate.shaped("pupil_position", place, "[2] or [K, 2], not empty")
     place, focus = _array.converted(place, xp, device, xp.float64), _checked_focus(focus)
     eyes = tuple(place.shape[:-1])
     for name, value in (("pupil_diameter", diameter), ("focus", focus)):

@@ -166,7 +166,7 @@ def test_diffuser_drawn_and_checked():
     figure = Figure()
     thin_diffuser(center=[0, 0, 3]).plot_diffuser(figure)
     assert figure.calls[0]["data_z"].shape == (10, 10) and not figure.calls[0]["surface_color"].any()
-    with pytest.raises(ValueError, match="diffusion_angle must be within"):
+    with pytest.raises(ValueError, match="diffusion_angle must be at least 0 and below 180"):
         thin_diffuser(diffusion_angle=180)
 
 

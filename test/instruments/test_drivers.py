@@ -35,7 +35,7 @@ def test_a_pattern_fills_the_screen(monkeypatch):
         assert np.array_equal(shown, np.repeat(levels.T[..., None], 3, axis=-1))
         with pytest.raises(ValueError, match="levels must be 0 to 255"):
             modulator.show(levels + 1)
-        with pytest.raises(ValueError, match="display must be below 1"):
+        with pytest.raises(ValueError, match="display must be at least 0 and below 1"):
             instruments.ScreenModulator(8e-6, display=1)
     finally:
         modulator.close()

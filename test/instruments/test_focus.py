@@ -101,5 +101,5 @@ def test_distance_without_light_is_error_that_says_what_was_seen():
         RuntimeError, match=r"no focus was found among focal lengths from .* of 4095 counts, .* registra"
     ):
         instruments.measure_distance(*instruments_of(still), *there[2:])
-    with pytest.raises(ValueError, match="span must be a share of the distance below 1, got 1"):
+    with pytest.raises(ValueError, match="span must be below 1, got 1"):
         instruments.measure_distance(*there, span=1.0)

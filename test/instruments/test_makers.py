@@ -334,7 +334,10 @@ def test_thorlabs_triggers_each_frame(monkeypatch):
     module.TLCameraSDK = SDK
     monkeypatch.setitem(sys.modules, "thorlabs_tsi_sdk", types.ModuleType("thorlabs_tsi_sdk"))
     monkeypatch.setitem(sys.modules, "thorlabs_tsi_sdk.tl_camera", module)
-    for device, text in (("04713", "device must be one of the serial numbers"), (2, "device must be below 2")):
+    for device, text in (
+        ("04713", "device must be one of the serial numbers"),
+        (2, "device must be below 2"),
+    ):
         with pytest.raises(ValueError, match=text):
             instruments.ThorlabsCamera(device)
     assert len(disposed) == 2

@@ -162,7 +162,7 @@ def test_map_with_shared_arguments():
             work.map(divide, [1, "one"], shared={"b": 2})
         with pytest.raises(ValueError, match="compute must be given"):
             work.submit((1,))
-        for arguments, message in (((3, [1]), "function must be callable"), ((abs, 1), "items must be an iterable")):
+        for arguments, message in (((3, [1]), "function must be a function"), ((abs, 1), "items must be an iterable")):
             with pytest.raises(TypeError, match=message):
                 work.map(*arguments)
 

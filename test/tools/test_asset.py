@@ -89,7 +89,7 @@ def test_refused(tmp_path):
             reader(tmp_path / "mesh.obj")
     with pytest.raises(ValueError, match=r"triangles must be \[t, 3, 3\]"):
         write_PLY(np.ones((2, 3)), tmp_path / "a.ply")
-    with pytest.raises(ValueError, match=r"points must be \[m, n, 3\]"):
+    with pytest.raises(ValueError, match=r"points must be \[2 or more, 2 or more, 3\]"):
         write_PLY_from_points(np.ones((1, 4, 3)), tmp_path / "a.ply")
 
 

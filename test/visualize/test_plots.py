@@ -27,7 +27,7 @@ def test_axes_of_a_surface_may_be_rows_and_columns():
     picture = surfaceshow()
     picture.add_surface(np.arange(4.0), np.arange(3.0), np.zeros((3, 4)))
     assert picture.fig.data[0].x.shape == (4,) and picture.fig.data[0].y.shape == (3,)
-    with pytest.raises(ValueError, match=r"data_x must be \[3, 4\] as data_z, or \[4\]; got \[3\]"):
+    with pytest.raises(ValueError, match=r"data_x must be \[3, 4\] as data_z, or \[4\], got \[3\]"):
         picture.add_surface(np.arange(3.0), np.arange(3.0), np.zeros((3, 4)))
     with pytest.raises(ValueError, match=r"data_z must be \[m, n\]"):
         picture.add_surface(np.arange(3.0), np.arange(3.0), np.zeros(3))
@@ -87,7 +87,7 @@ def test_origins_and_places_that_do_not_exist_are_named():
     picture = plotshow()
     with pytest.raises(ValueError, match="origin must be one of"):
         picture.add_2d_plot(np.ones((3, 4)), origin="nonsense")
-    for place, message in (({"row": 2}, "row must be 1 to 1"), ({"col": 0}, "col must be at least 1")):
+    for place, message in (({"row": 2}, "row must be from 1 to 1"), ({"col": 0}, "col must be from 1 to 1")):
         with pytest.raises(ValueError, match=message):
             picture.add_plot([0.0, 1.0], **place)
     assert not picture.fig.data

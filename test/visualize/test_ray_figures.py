@@ -133,7 +133,7 @@ def test_colours_of_single_lines():
         (lambda p: p.add_point([1.0, 2.0]), ValueError, r"point must be \[3\] or \[m, 3\]"),
         (lambda p: p.add_point(np.zeros(3) * 1j), TypeError, "point must be real"),
         (lambda p: p.add_point("abc"), TypeError, "point must be an array"),
-        (lambda p: p.add_point(np.zeros(3), column=2), ValueError, "column must be 1 to 1, got 2"),
+        (lambda p: p.add_point(np.zeros(3), column=2), ValueError, "column must be from 1 to 1, got 2"),
         (lambda p: p.add_triangle(np.zeros((3, 2))), ValueError, r"triangle must be \[3, 3\]"),
         (lambda p: p.add_sphere([0.0, 1.0]), ValueError, r"sphere must be \[4\]"),
         (lambda p: p.add_rays(np.zeros((4, 3))), ValueError, r"rays must be \[2, 3\]"),
@@ -145,7 +145,7 @@ def test_colours_of_single_lines():
         ),
         (lambda p: p.add_mesh(CORNERS, [[0, 1, 3]]), ValueError, "faces must be indices of vertices, 0 to 2"),
         (lambda p: p.add_surface(*[np.zeros((2, 3))] * 3, np.zeros((3, 2))), ValueError, "surface_color must be"),
-        (lambda p: p.set_axis_limits(row=2), ValueError, "row must be 1 to 1"),
+        (lambda p: p.set_axis_limits(row=2), ValueError, "row must be from 1 to 1"),
     ],
 )
 def test_what_does_not_fit_is_named(call, error, message):

@@ -211,7 +211,7 @@ def test_coarse_slices_and_short_series_warn():
         propagate_through_medium(field, medium, 0.6, 30.0, 1.0)
     with pytest.warns(odak.ConvergenceWarning, match="did not reach"):
         scattered_field(field, medium[0], 0.2, 1.0, iterations=3)
-    with pytest.raises(ValueError, match=r"index must be .* \[slices, 8, 8\]"):
+    with pytest.raises(ValueError, match=r"index must be \[slices, 8, 8\]"):
         propagate_through_medium(field, medium[..., :4], 0.6, 0.1, 1.0)
 
 

@@ -96,8 +96,7 @@ class spec_track(nn.Module):
             If the images have another size.
         """
         x = features("x", x, None, next(self.network.parameters(), None))
-        if x.ndim != 4 or tuple(x.shape[1:]) != FRAME:
-            raise ValueError(f"x must be [B, 5, 180, 320], images of 180×320 pixels; got {list(x.shape)}")
+        _validate.shaped("x", x, "[B, 5, 180, 320], images of 180×320 pixels")
         if self.training and len(x) == 1:
             with _gathered_statistics(self.network):
                 return self.network(x)
@@ -174,8 +173,7 @@ class spec_track(nn.Module):
             Losses of this training and the best epoch.
         """
         for name, value in (("learning_rate", learning_rate), ("weight_decay", weight_decay)):
-            if _validate.real(name, value) < 0:
-                raise ValueError(f"{name} must be at least 0, got {value!r}")
+            _validate.number(name, value, least=0)
         folder = validate_path(directory, name="directory")
         check_directory(os.path.join(folder, "log"))
 

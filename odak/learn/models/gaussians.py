@@ -241,9 +241,8 @@ class gaussian_2d(nn.Module):
         >>> bool((gaussians.total(x, y)[..., 0] - image).square().mean() < 1e-5)
         True
         """
-        steps, moved = _validate.integer("steps", steps, minimum=0), _validate.constant("moved", moved)
-        if not 0 <= moved <= 1:
-            raise ValueError(f"moved must be from 0 to 1, got {moved!r}")
+        steps = _validate.integer("steps", steps, minimum=0)
+        moved = _validate.constant("moved", moved, least=0, most=1)
         image, x, y = self._sampled(image, x, y)
         image, x, y = _reduced(image, x, y, self.number_of_elements)
         count, error = int(moved * self.number_of_elements), self._improve(image, x, y, steps=0)
@@ -262,8 +261,7 @@ class gaussian_2d(nn.Module):
     def _sampled(self, image, x, y):
         """Return an image and the coordinates of its pixels, checked."""
         image = features("image", image)
-        if image.ndim != 2 or min(image.shape) < 2:
-            raise ValueError(f"image must be [H, W] with at least two rows and columns, got {list(image.shape)}")
+        _validate.shaped("image", image, "[2 or more, 2 or more], rows and columns")
         grid = torch.meshgrid(*(torch.linspace(-1, 1, size) for size in image.shape), indexing="ij")
         y, x = (found if given is None else given for given, found in zip((y, x), grid, strict=True))
         named = {"image": image, "x": features("x", x), "y": features("y", y)}
@@ -790,8 +788,7 @@ def volume_loss(model, estimate, ground_truth, epoch_id: int, epoch_count: int, 
 
 def complete_weights(weights: Mapping[Any, Any], argument: str = "weights") -> dict[Any, Any]:
     """Return the weights with the defaults for those left out; raise TypeError or ValueError that names `argument`."""
-    if not isinstance(weights, Mapping):
-        raise TypeError(f"{argument} must be a dict of {', '.join(DEFAULT_WEIGHTS)}; got {type(weights).__name__}")
+    _validate.instance(argument, weights, Mapping, f"a dict of {', '.join(DEFAULT_WEIGHTS)}")
     _refuse_unknown(argument, weights, DEFAULT_WEIGHTS)
     whole = dict(DEFAULT_WEIGHTS)
     for name, value in weights.items():
@@ -1059,8 +1056,7 @@ class gaussian_3d_volume(nn.Module):
         epochs = _validate.integer("number_of_epochs", number_of_epochs)
         every = _validate.integer("save_at_every", save_at_every, minimum=1)
         _validate.real("learning_rate", learning_rate, positive=True)
-        if _validate.real("scheduler_power", scheduler_power) < 0:
-            raise ValueError(f"scheduler_power must be at least 0, got {scheduler_power}")
+        _validate.number("scheduler_power", scheduler_power, least=0)
         if weights_filename is not None:
             validate_path(weights_filename, _EXTENSIONS, name="weights_filename")
         complete_weights(loss_weights, "loss_weights")

@@ -230,11 +230,7 @@ class positional_encoder(nn.Module):
 
     def __init__(self, L: int):
         super().__init__()
-        self.L = _validate.integer("L", L, minimum=1)
-        if self.L > _MAXIMUM_OCTAVES:
-            raise ValueError(
-                f"L must be at most {_MAXIMUM_OCTAVES}, got {self.L}: 2^L would exceed the range of float64"
-            )
+        self.L = _validate.integer("L", L, minimum=1, most=_MAXIMUM_OCTAVES)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the coordinates, their cosines and their sines.
@@ -333,13 +329,10 @@ class hash_grid_encoder(nn.Module):
         high: float = 1.0,
     ):
         super().__init__()
-        self.dimensions: int = channels("dimensions", dimensions)
-        if self.dimensions > len(_PRIMES):
-            raise ValueError(f"dimensions must be at most {len(_PRIMES)}, got {dimensions}")
+        self.dimensions: int = _validate.within("dimensions", channels("dimensions", dimensions), most=len(_PRIMES))
         levels, count = channels("levels", levels), channels("features", features)
         table_size, coarsest = channels("table_size", table_size), channels("coarsest", coarsest)
-        if _validate.integer("finest", finest) < coarsest:
-            raise ValueError(f"finest must be at least coarsest ({coarsest}), got {finest}")
+        _validate.integer("finest", finest, minimum=coarsest)
         self.low, self.high = (_validate.constant(name, end) for name, end in (("low", low), ("high", high)))
         if not self.low < self.high:
             raise ValueError(f"low must be below high, got {low} and {high}")

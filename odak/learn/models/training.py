@@ -164,8 +164,7 @@ def train(
     (3.0, 1.0, True)
     """
     learning_rate, max_norm = _validate.constants(learning_rate=learning_rate, max_norm=max_norm)
-    if not isinstance(model, nn.Module):
-        raise TypeError(f"model must be a torch.nn.Module, got {type(model).__name__}")
+    _validate.instance("model", model, nn.Module, "a torch.nn.Module")
     for name, value in (("loss", loss), ("optimizer", optimizer), ("scheduler", scheduler), ("callback", callback)):
         if not (callable(value) or isinstance(value, torch.optim.Optimizer) or (value is None and name != "loss")):
             raise TypeError(f"{name} must be callable, got {type(value).__name__}")
@@ -174,8 +173,7 @@ def train(
             raise TypeError(f"{name} must be an iterable of batches, got {type(value).__name__}")
     _validate.real("learning_rate", learning_rate, positive=True)
     progress = _validate.flag("progress", progress)
-    if not isinstance(description, str):
-        raise TypeError(f"description must be a string, got {type(description).__name__}")
+    _validate.instance("description", description, str, "a string")
     if patience is not None:
         _validate.integer("patience", patience, minimum=1)
     if max_norm is not None:
@@ -397,8 +395,7 @@ def weighted_errors(
         If the shapes differ, or there are not two weights.
     """
     for name, value in (("input_data", input_data), ("ground_truth", ground_truth)):
-        if not isinstance(value, torch.Tensor):
-            raise TypeError(f"{name} must be a tensor, got {type(value).__name__}")
+        _validate.instance(name, value, torch.Tensor, "a tensor")
     _validate.alike(input_data=input_data, ground_truth=ground_truth)
     if not hasattr(weights, "__len__") or len(weights) != 2:
         raise ValueError(f"weights must be two numbers, squared error first; got {weights!r:.80}")
@@ -555,6 +552,5 @@ def _listed(keys) -> str:
 
 
 def _module(module) -> nn.Module:
-    if not isinstance(module, nn.Module):
-        raise TypeError(f"module must be a torch.nn.Module, got {type(module).__name__}")
+    _validate.instance("module", module, nn.Module, "a torch.nn.Module")
     return module

@@ -221,11 +221,7 @@ class _AdaptiveLayer(nn.Module):
         x = images("x", x, self.input_channels, self.weight)
         count = self.input_channels * self.kernel_size**2
         factors = images("sv_kernel_feature", factors, None, self.weight)
-        if factors.ndim != 4 or factors.shape[1] != count or factors.shape[0] not in (1, x.shape[0]):
-            raise ValueError(
-                f"sv_kernel_feature must be [{x.shape[0]} or 1, {count}, H', W'] for x {tuple(x.shape)}, "
-                f"got {tuple(factors.shape)}"
-            )
+        _validate.shaped("sv_kernel_feature", factors, f"[{x.shape[0]} or 1, {count}, H', W'] for x {tuple(x.shape)}")
         wanted, given = self._windows_of(x), list(factors.shape[-2:])
         apart = [had != needed for had, needed in zip(given, wanted, strict=True)]
         x, factors = self._filled(x, apart), self._filled(factors, apart)

@@ -170,8 +170,7 @@ class CVDLoss(nn.Module):
         """
         for name, picture in (("image", image), ("target", image if target is None else target)):
             as_pictures(name, picture)
-            if picture.ndim != 4:
-                raise ValueError(f"{name} must be [B, 3, H, W], got {tuple(picture.shape)}")
+            _validate.shaped(name, picture, "[B, C, H, W]")
             check_values(1.0, **{name: picture})
         if target is not None and target.shape != image.shape:
             raise ValueError(f"target must have the image's shape {tuple(image.shape)}, got {tuple(target.shape)}")
@@ -488,8 +487,7 @@ def _deviation(patches, axis):
 
 def _checked(name, image):
     floating_tensor(name, image)
-    if image.ndim != 4:
-        raise ValueError(f"{name} must be [B, C, H, W], got {tuple(image.shape)}")
+    _validate.shaped(name, image, "[B, C, H, W]")
     return image
 
 

@@ -324,8 +324,7 @@ def maximum_differentiation(
 def _checked(name, picture, shape=None):
     """Return a picture ``[..., H, W]`` without its graph after checking it."""
     floating_tensor(name, picture, "a tensor of real floats [..., H, W]")
-    if picture.ndim < 2 or not picture.numel():
-        raise ValueError(f"{name} must be [..., H, W], none empty, got {tuple(picture.shape)}")
+    _validate.shaped(name, picture, "[..., H, W], none empty")
     if shape is not None and picture.shape != shape:
         raise ValueError(f"{name} must be of the picture's shape {tuple(shape)}, got {tuple(picture.shape)}")
     check_values(**{name: picture})

@@ -116,8 +116,7 @@ class Viewer:
         unified_pupil_diameter(1.0, age=self.age, eyes=self.eyes)
         if self.deficiency is not None:
             _validate.one_of("deficiency", self.deficiency, DEFICIENCIES)
-        if not 0 <= _validate.constant("severity", self.severity) <= 1:
-            raise ValueError(f"severity must be 0 to 1, got {self.severity!r}")
+        _validate.constant("severity", self.severity, least=0, most=1)
 
     def pupil_diameter(self, viewing: Viewing) -> float:
         """Return the diameter of the pupil in millimetres before a display.

@@ -444,8 +444,7 @@ def make_equi_pooling_size_map_lod(
 
 
 def _growth(alpha, mode):
-    if _validate.number("alpha", alpha) < 0:
-        raise ValueError(f"alpha must not be negative, got {alpha!r}")
+    _validate.number("alpha", alpha, least=0)
     return alpha, _validate.one_of("mode", mode, MODES)
 
 

@@ -20,7 +20,7 @@ from torch.nn import functional
 from odak import _torch_private, _validate
 from odak._torch_private import in_own_precision, is_plain_on_cpu, operator
 from odak._warnings import AccuracyWarning, warn
-from odak.learn._tensors import checked_device, checked_dtype, in_float64, kind_of
+from odak.learn._tensors import checked_device, checked_dtype, floating_tensor, in_float64, kind_of
 
 FILTER_TYPES = ("full", "cropped", "trained")
 # Sizes of l, l0, h0 and the bands of the full bank.
@@ -400,8 +400,7 @@ class SpatialSteerablePyramid(nn.Module):
         >>> bool(amplitude.std() / amplitude.mean() < 0.04)
         True
         """
-        if not isinstance(low, torch.Tensor) or not low.is_floating_point():
-            raise TypeError(f"low must be a tensor of real floats [B, C, H, W], got {kind_of(low)}")
+        floating_tensor("low", low, "a tensor of real floats [B, C, H, W]")
         if low.ndim != 4 or min(low.shape[-2:]) <= QUADRATURE_SIZE // 2:
             smallest = QUADRATURE_SIZE // 2 + 1
             raise ValueError(f"low must be [B, C, H, W] with sides of {smallest} or more, got {tuple(low.shape)}")
@@ -525,12 +524,8 @@ class SpatialSteerablePyramid(nn.Module):
             self._build(image.dtype, image.device)
 
     def _check(self, image, n_levels) -> None:
-        if not isinstance(image, torch.Tensor) or not image.is_floating_point():
-            raise TypeError(f"image must be a tensor of real floats [B, C, H, W], got {kind_of(image)}")
-        if image.ndim != 4 or image.shape[1] != self.n_channels:
-            raise ValueError(
-                f"image must be [B, C, H, W] with C = n_channels = {self.n_channels}, got {tuple(image.shape)}"
-            )
+        floating_tensor("image", image, "a tensor of real floats [B, C, H, W]")
+        _validate.shaped("image", image, f"[B, {self.n_channels}, H, W], of n_channels channels")
         smallest = self._smallest_side(n_levels)
         if min(image.shape[-2:]) < smallest:
             raise ValueError(

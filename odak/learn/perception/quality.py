@@ -939,8 +939,7 @@ def content_aware_contrast_ratio(
     max_iter = _validate.integer("max_iter", max_iter, minimum=1)
     if side % 2 == 0 or side > min(pictures.shape[-2:]):
         raise ValueError(f"window_size must be odd and fit the picture {tuple(pictures.shape[-2:])}, got {side}")
-    if not 0 < _validate.number("pooling_percentile", pooling_percentile) <= 100:
-        raise ValueError(f"pooling_percentile must be above 0 and at most 100, got {pooling_percentile!r}")
+    _validate.number("pooling_percentile", pooling_percentile, positive=True, most=100)
     results = []
     for picture in pictures:
         windows = picture.unfold(0, side, step).unfold(1, side, step)
@@ -965,10 +964,11 @@ def _lightness(image, channel) -> torch.Tensor:
     """Return pictures ``[B, H, W]`` of 0 … 1."""
     channel = _validate.integer("lightness_channel", channel)
     real_tensor("image", image)
-    if image.ndim not in (2, 3, 4) or 0 in image.shape or (image.ndim == 3 and len(image) > 100):
+    if image.ndim == 3 and len(image) > 100:
         raise ValueError(
-            f"image must be [H, W], [B, H, W] with B of at most 100, or [B, C, H, W]; got {tuple(image.shape)}"
+            f"image must be [H, W], [B, H, W] with B of at most 100, or [B, C, H, W]; got {list(image.shape)}"
         )
+    _validate.shaped("image", image, "[H, W], [B, H, W] or [B, C, H, W], none empty")
     if image.ndim == 4:
         if not 0 <= channel < image.shape[1]:
             raise ValueError(f"lightness_channel must be from 0 to {image.shape[1] - 1}, got {channel}")

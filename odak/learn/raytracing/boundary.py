@@ -484,9 +484,8 @@ class detector(Prepared):
         the outer pixels belongs to it. Distances are formed in the detector's frame, (u − x)² + (v − y)², which holds
         no array but the result.
         """
-        color, distances = _validate.integer("color", color), _validate.flag("distances", distances)
-        if color >= self.colors:
-            raise ValueError(f"color must be below {self.colors}, got {color}")
+        color = _validate.integer("color", color, below=self.colors)
+        distances = _validate.flag("distances", distances)
         rays = rays.to(self.device) if torch.is_tensor(rays) else rays
         rays, size, center, tilt = reals_of(
             rays=rays, size=self.size, center=self.surface_center, tilt=self.surface_tilt

@@ -625,8 +625,7 @@ class triangle_mesh:
         """
         (minimum_distance,) = _validate.constants(minimum_distance=minimum_distance)
         vertices, rays = reals_of(vertices=self.vertices, rays=rays)
-        if rays.shape[-2:] != (2, 3):
-            raise ValueError(f"rays must be [2, 3] or [..., 2, 3], got {tuple(rays.shape)}")
+        _validate.shaped("rays", rays, "[..., 2, 3]")
         batch, flat = rays.shape[:-2], rays.reshape(-1, 2, 3)
         if len(flat) and len(self.faces):
             limits = _per_ray("minimum_distance", minimum_distance, rays), _per_ray("leaving", leaving, rays)
@@ -754,8 +753,7 @@ class triangle_mesh:
 
 
 def _checked_vertices(vertices: torch.Tensor) -> torch.Tensor:
-    if vertices.ndim != 2 or vertices.shape[1] != 3:
-        raise ValueError(f"vertices must be [v, 3], got {tuple(vertices.shape)}")
+    _validate.shaped("vertices", vertices, "[v, 3]")
     if not bool(vertices.detach().isfinite().all()):
         raise ValueError("vertices must be finite")
     return vertices
@@ -765,8 +763,7 @@ def _checked_faces(faces, vertices: torch.Tensor) -> torch.Tensor:
     faces = tensor("faces", faces, device=vertices.device)
     if faces.dtype.is_floating_point or faces.dtype.is_complex or faces.dtype == torch.bool:
         raise TypeError(f"faces must be integers, got {faces.dtype}")
-    if faces.ndim != 2 or faces.shape[1] != 3:
-        raise ValueError(f"faces must be [t, 3], got {tuple(faces.shape)}")
+    _validate.shaped("faces", faces, "[t, 3]")
     if faces.numel() and not (int(faces.min()) >= 0 and int(faces.max()) < len(vertices)):
         span = f"{int(faces.min())} … {int(faces.max())}"
         raise ValueError(f"faces must name vertices 0 … {len(vertices) - 1}, got {span}")
@@ -876,8 +873,7 @@ class planar_mesh(Prepared):
             heights = torch.zeros(n0, n1, 1, dtype=self.size.dtype, device=self.device)
         if not torch.is_tensor(heights) or not heights.dtype.is_floating_point:
             raise TypeError("heights must be a tensor of real numbers")
-        if tuple(heights.shape) != (n0, n1, 1):
-            raise ValueError(f"heights must be [{n0}, {n1}, 1], got {tuple(heights.shape)}")
+        _validate.shaped("heights", heights, f"[{n0}, {n1}, 1]")
         heights = trainable(heights.to(self.device))
         self.heights: Any = heights if heights.requires_grad else heights.requires_grad_()
         dtype = torch.promote_types(heights.dtype, self.size.dtype)

@@ -391,7 +391,7 @@ class Element:
         self.center, self.rotation = None, None
         if center is not None:
             (found,) = _doubles(center=center)
-            self.center = _validate.shaped("center", found, 3)
+            self.center = _validate.shaped("center", found, "[3]")
         if angles is not None:
             (found,) = _doubles(angles=angles)
             if tuple(found.shape) not in ((3,), (3, 3)):
@@ -674,11 +674,9 @@ def light_source(
     dtype = torch.float64 if like is None else like.dtype
     place, angles, power = (value.to(dtype) for value in _doubles(center=center, angles=angles, power=power))
     power = _validate.number("power", power, least=0)
-    place, angles = _validate.shaped("center", place, 3), _validate.shaped("angles", angles, 3)
+    place, angles = _validate.shaped("center", place, "[3]"), _validate.shaped("angles", angles, "[3]")
     most = 90.0 if kind == "lambertian" else 180.0
-    half = most if half_angle is None else _validate.constant("half_angle", half_angle, least=0)
-    if half > most:
-        raise ValueError(f"half_angle must be at most {most:g} of a {kind} source, got {half:g}")
+    half = most if half_angle is None else _validate.constant("half_angle", half_angle, least=0, most=most)
     listed = isinstance(size, Sequence) or math.prod(getattr(size, "shape", ())) > 1
     sides = [_validate.constant("size", value, least=0) for value in (size if listed else [size])]
     if len(sides) not in (1, 2) or (kind == "point" and any(sides)):
@@ -769,9 +767,7 @@ class Received(NamedTuple):
             Largest direction cosine of the map, at most 1.
         """
         rows, columns = _validate.size("pixels", pixels)
-        reach = _validate.constant("reach", reach, positive=True)
-        if reach > 1:
-            raise ValueError(f"reach must be at most 1, got {reach:g}")
+        reach = _validate.constant("reach", reach, positive=True, most=1)
         found = binned(
             self.direction[:, 0] / (2 * reach), self.direction[:, 1] / (2 * reach), self.power, rows, columns
         )

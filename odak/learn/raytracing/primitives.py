@@ -271,7 +271,7 @@ def is_it_on_triangle_batch(point_to_check: Any, triangle: Any) -> torch.Tensor:
     [[True, False]]
     """
     point, triangle = reals_of(point_to_check=point_to_check, triangle=triangle)
-    triangle = arguments.listed("triangle", triangle, (3, 3), "[k, 3, 3]")
+    triangle = arguments.listed("triangle", triangle, (3, 3), "[3, 3] or [k, 3, 3]")
     point = arguments.shaped("point_to_check", point, (3,), "[k, m, 3]")
     _validate.fitting(point_to_check=point[..., 0], triangle=triangle[..., 0, :1])
     return within(point, point.isfinite().all(dim=-1), triangle[:, None])

@@ -228,8 +228,7 @@ def decompose_bspline_2d(
     True
     """
     image = _picture(image)
-    if _validate.real("regularization", regularization) < 0:
-        raise ValueError(f"regularization must be at least 0, got {regularization}")
+    _validate.number("regularization", regularization, least=0)
     # Solved in float64: the normal equations square the condition number.
     (rows, columns), grid = _factors(num_control_points, image.shape, torch.float64, image.device)
     coefficients = _solve(image.to(torch.float64), rows, columns, regularization).to(image.dtype)
@@ -278,8 +277,8 @@ def compose_bspline_2d(
     rows, columns = _validate.size("resolution", resolution)
     separable = isinstance(basis_matrix, SeparableBasis)
     for name, value in (("control_coefficients", control_coefficients), ("basis_matrix", basis_matrix)):
-        if not isinstance(value, torch.Tensor) and not (separable and value is basis_matrix):
-            raise TypeError(f"{name} must be a tensor, got {type(value).__name__}")
+        if not (separable and value is basis_matrix):
+            _validate.instance(name, value, torch.Tensor, "a tensor")
     if tuple(basis_matrix.shape) != (control_coefficients.numel(), rows * columns):
         raise ValueError(
             f"basis_matrix must be {[control_coefficients.numel(), rows * columns]} for these control_coefficients "

@@ -364,8 +364,7 @@ def _differences(batch):
 def _as_batch(name, frame):
     """Return a real frame as ``[B, C, H, W]``, integers as float32."""
     real_tensor(name, frame)
-    if frame.ndim not in (2, 3, 4) or 0 in frame.shape:
-        raise ValueError(f"{name} must be [H, W], [C, H, W] or [B, C, H, W], none empty; got {tuple(frame.shape)}")
+    _validate.shaped(name, frame, "[H, W], [C, H, W] or [B, C, H, W], none empty")
     frame = frame if frame.is_floating_point() else frame.float()
     return frame.reshape((1,) * (4 - frame.ndim) + tuple(frame.shape))
 

@@ -91,8 +91,7 @@ def quantize(image_field: torch.Tensor, bits: int = 8, limits: Sequence[float] =
     """
     (limits,) = _validate.constants(limits=limits)
     real_tensor("image_field", image_field)
-    if _validate.integer("bits", bits, minimum=1) > _MOST_BITS:
-        raise ValueError(f"bits must be at most {_MOST_BITS}, got {bits}")
+    bits = _validate.integer("bits", bits, minimum=1, most=_MOST_BITS)
     low, high = (float(limit) for limit in _validate.several("limits", limits, 2))
     if not low < high:
         raise ValueError(f"limits must be two rising numbers, got {limits!r}")

@@ -114,8 +114,7 @@ class multi_layer_perceptron(torch.nn.Module):
         weight = self.layer_final.weight
         x = trainable(floating(name, value, weight.dtype))
         width = self.layers[0].in_features
-        if x.ndim == 0 or x.shape[-1] != width:
-            raise ValueError(f"{name} must be [..., {width}], got {list(x.shape)}")
+        _validate.shaped(name, x, f"[..., {width}]")
         if x.dtype != weight.dtype and not torch.is_autocast_enabled(x.device.type):
             raise TypeError(f"{name} must have the perceptron's precision, {weight.dtype}; got {x.dtype}")
         for layer in self.layers:
@@ -167,9 +166,7 @@ class multi_layer_perceptron(torch.nn.Module):
             If the output does not have the shape of `y_values`.
         """
         (learning_rate,) = _validate.constants(learning_rate=learning_rate)
-        rate = _validate.real("learning_rate", learning_rate)
-        if rate < 0:
-            raise ValueError(f"learning_rate must be at least 0, got {learning_rate}")
+        rate = _validate.number("learning_rate", learning_rate, least=0)
         self.optimizer = torch.optim.Adam(self.parameters(), lr=rate)
         self.loss_function: torch.nn.MSELoss = torch.nn.MSELoss()
         loss = None

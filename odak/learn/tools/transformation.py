@@ -47,8 +47,7 @@ def quaternion_to_rotation_matrix(quaternions: torch.Tensor) -> torch.Tensor:
     tensor([-1., -1.,  1.])
     """
     quaternions = floating("quaternions", quaternions)
-    if quaternions.ndim == 0 or quaternions.shape[-1] != 4:
-        raise ValueError(f"quaternions must be [..., 4], got {tuple(quaternions.shape)}")
+    _validate.shaped("quaternions", quaternions, "[..., 4]")
     squared = quaternions.square().sum(-1, keepdim=True)
     none = squared == 0
     if _array.is_readable(none) and bool(none.any()):
@@ -164,7 +163,7 @@ def rotate_points(
     for name, value in rows.items():
         if value.ndim > 2:
             raise ValueError(f"{name} must be [3] or [n, 3], got {list(value.shape)}")
-        rows[name] = _validate.shaped(name, value, ..., 3).reshape(-1, 3)
+        rows[name] = _validate.shaped(name, value, "[..., 3]").reshape(-1, 3)
     point = rows["point"]
     angles, origin, offset = (rows.get(name, _NONE.to(point)) for name in ("angles", "origin", "offset"))
     sets = {"angles": len(angles), "origin": len(origin)}
@@ -213,8 +212,7 @@ def point_cloud_to_voxel(
     tensor([1., 1.])
     """
     points = floating("points", points)
-    if points.ndim != 2 or points.shape[-1] != 3 or len(points) == 0:
-        raise ValueError(f"points must be [n, 3] with at least one point, got {tuple(points.shape)}")
+    _validate.shaped("points", points, "[n, 3], not empty")
     size = _validate.real("voxel_size", voxel_size, positive=True)
     size = torch.as_tensor(size, dtype=points.dtype, device=points.device).reshape(-1)
     if len(size) not in (1, 3):
@@ -360,8 +358,7 @@ class PerspectiveCamera:
             points·R + T, ``[n, 3]``, in the widest precision of the three. Differentiable.
         """
         points = floating("points", points).to(self.device)
-        if points.ndim == 0 or points.shape[-1] != 3:
-            raise ValueError(f"points must be [n, 3], got {list(points.shape)}")
+        _validate.shaped("points", points, "[..., 3]")
         dtype = torch.promote_types(torch.promote_types(points.dtype, self.R.dtype), self.T.dtype)
         return points.to(dtype) @ self.R.to(dtype).reshape(3, 3) + self.T.reshape(1, 3)
 

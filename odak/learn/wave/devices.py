@@ -3,7 +3,7 @@
 import collections
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import nullcontext
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 import torch
 import torch.distributed as dist
 
+from odak import _validate
 from odak.learn._tensors import checked_device
 
 Tensors = torch.Tensor | tuple[torch.Tensor, ...]
@@ -249,8 +250,7 @@ def shares_of(items: Sequence[Any], count: int) -> list[Sequence[Any]]:
 
 
 def _checked(function: Callable[..., Any], batch: Tensors) -> tuple[tuple[torch.Tensor, ...], torch.device]:
-    if not callable(function):
-        raise TypeError(f"function must be callable, got {type(function).__name__}")
+    _validate.function("function", function)
     tensors = (batch,) if isinstance(batch, torch.Tensor) else tuple(batch) if isinstance(batch, (tuple, list)) else ()
     if not tensors or not all(isinstance(tensor, torch.Tensor) for tensor in tensors):
         raise TypeError(f"batch must be a tensor or a tuple of them, got {type(batch).__name__}")
@@ -263,8 +263,7 @@ def _checked(function: Callable[..., Any], batch: Tensors) -> tuple[tuple[torch.
 def _devices(devices, home: torch.device) -> list[torch.device]:
     if devices is None:
         return [torch.device("cuda", index) for index in range(torch.cuda.device_count())] or [home]
-    if isinstance(devices, str) or not isinstance(devices, Iterable):
-        raise TypeError(f"devices must be a sequence of devices, got {devices!r:.80}")
+    _validate.listed("devices", devices, "a sequence of devices")
     found: list[torch.device] = [checked_device("devices", device) for device in devices]
     if not found:
         raise ValueError("devices must name at least one device")

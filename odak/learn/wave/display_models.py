@@ -908,10 +908,8 @@ def fit_display(
     torch.Size([1])
     """
     (learning_rate,) = _validate.constants(learning_rate=learning_rate)
-    if not isinstance(model, display_model):
-        raise TypeError(f"model must be a display_model, got {type(model).__name__}")
-    if not isinstance(captures, Captures):
-        raise TypeError(f"captures must be Captures, got {type(captures).__name__}")
+    _validate.instance("model", model, display_model, "a display_model")
+    _validate.instance("captures", captures, Captures, "Captures")
     if captures.levels.shape[1:] != model.shape or captures.frames.shape[2:] != model.camera_shape:
         raise ValueError(
             f"captures must be of patterns {list(model.shape)} and images {list(model.camera_shape)}, got "
@@ -996,8 +994,7 @@ def display_hologram(
     ((16, 16), torch.uint8)
     """
     (positions,) = _validate.constants(positions=positions)
-    if not isinstance(model, display_model):
-        raise TypeError(f"model must be a display_model, got {type(model).__name__}")
+    _validate.instance("model", model, display_model, "a display_model")
     places = [float(place) for place in _validate.several("positions", positions)]
     if not places:
         raise ValueError("positions must contain at least one position, got none")

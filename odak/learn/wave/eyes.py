@@ -82,8 +82,7 @@ class Eyes:
         elif self.distance.block:
             raise ValueError(f"distance must be a lens without a block before an eye, got {self.distance!r:.80}")
         places = tensor("positions", positions, torch.float64)
-        if places.ndim != 2 or places.shape[1] != 2 or not len(places):
-            raise ValueError(f"positions must be [K, 2] with K at least 1, got {list(places.shape)}")
+        _validate.shaped("positions", places, "[K, 2], not empty")
         keep("positions", tuple(map(tuple, _validate.real("positions", places).tolist())))
         keep("diameter", tuple(of_each("diameter", diameter, places).tolist()))
         if self.focus is not None:
@@ -325,16 +324,14 @@ def of_each(name: Any, value: Any, places: Any) -> Any:
             raise ValueError(f"focus must be positive distances, infinity included; got {value!r:.80}")
     else:
         lengths = tensor(name, _validate.real(name, value, positive=True), torch.float64).to(places.device)
-    if lengths.ndim > 1 or (lengths.ndim == 1 and len(lengths) != len(places)):
-        raise ValueError(f"{name} must be one number or [{len(places)}], got {list(lengths.shape)}")
+    _validate.shaped(name, lengths, f"one number or [{len(places)}]")
     return lengths.expand(len(places))
 
 
 def angles_of_each(rotation: Any, count: Any) -> Any:
     """Return the angles of each place in degrees, ``[K, 2]``."""
     turns = tensor("rotation", rotation, torch.float64, torch.device("cpu"))
-    if tuple(turns.shape) not in ((2,), (count, 2)):
-        raise ValueError(f"rotation must be [2] or [{count}, 2], got {list(turns.shape)}")
+    _validate.shaped("rotation", turns, f"[2] or [{count}, 2]")
     if bool((turns.abs() >= 90).any()):
         raise ValueError(f"rotation must be within ±90 degrees, got {turns.tolist()}")
     return turns.detach().expand(count, 2)

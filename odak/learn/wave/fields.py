@@ -9,7 +9,7 @@ import torch
 from odak import _array, _validate
 from odak._torch_private import is_transformed, operator
 from odak.learn._face import torch_face
-from odak.learn._tensors import kind_of, tensor, trainable
+from odak.learn._tensors import complex_tensor, real_tensor, tensor, trainable
 from odak.wave import fields
 from odak.wave.torch_convolution import Workspace, allocate_like
 
@@ -40,8 +40,7 @@ def unit_phasor(phase: torch.Tensor) -> torch.Tensor:
     >>> [round(value, 6) for value in field.imag.tolist()]
     [0.0, 1.0]
     """
-    if not isinstance(phase, torch.Tensor) or phase.is_complex():
-        raise TypeError(f"phase must be a real tensor, got {kind_of(phase)}")
+    real_tensor("phase", phase)
     # There are no complex dtypes of half precision.
     return _unit_phasor(phase.float() if phase.dtype in _HALVES else phase)
 
@@ -66,8 +65,7 @@ def intensity(field: torch.Tensor) -> torch.Tensor:
     >>> intensity(torch.tensor([3 + 4j, 2j])).tolist()
     [25.0, 4.0]
     """
-    if not isinstance(field, torch.Tensor):
-        raise TypeError(f"field must be a complex tensor, got {type(field).__name__}")
+    _validate.instance("field", field, torch.Tensor, "a complex tensor")
     return _intensity(_array.to_complex(field).resolve_conj())
 
 
@@ -110,15 +108,13 @@ def exposure(
     5.0
     """
     one_each = _validate.flag("one_each", one_each)
-    if not isinstance(field, torch.Tensor) or not field.is_complex():
-        raise TypeError(f"field must be a complex tensor, got {kind_of(field)}")
+    complex_tensor("field", field)
     if field.ndim != 5 or (one_each and field.shape[2] != 1):
         raise ValueError(
             f"field must be [frames, planes, colours (1 with one_each), rows, columns], got {list(field.shape)}"
         )
     power = tensor("power", power).to(field.real.dtype)
-    if tuple(power.shape) != (field.shape[0], field.shape[2]):
-        raise ValueError(f"power must be [{field.shape[0]}, {field.shape[2]}] like field, got {list(power.shape)}")
+    _validate.shaped("power", power, f"[{field.shape[0]}, {field.shape[2]}] like field")
     _validate.one_device(field=field, power=power)
     if workspace is not None and not isinstance(workspace, Workspace):
         raise TypeError(f"workspace must be a Workspace or None, got {type(workspace).__name__}")

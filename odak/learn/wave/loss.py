@@ -12,7 +12,7 @@ from odak._attributes import Prepared
 from odak._torch_private import in_own_precision
 from odak._warnings import AccuracyWarning, MissingPackageWarning, warn
 from odak.learn import perception
-from odak.learn._tensors import checked_device, checked_generator, get_device, kind_of, tensor
+from odak.learn._tensors import checked_device, checked_generator, floating_tensor, get_device, real_tensor, tensor
 from odak.learn.perception.sight import checked_viewing
 from odak.learn.tools.matrix import blur_gaussian, plane_indices, plane_masks
 from odak.learn.wave.training import with_noise
@@ -54,8 +54,7 @@ def defocused_targets(
     ValueError, TypeError
         If `blur_ratio` is negative or `blur_size` not a positive integer.
     """
-    if _validate.real("blur_ratio", blur_ratio) < 0:
-        raise ValueError(f"blur_ratio must not be negative, got {blur_ratio}")
+    _validate.number("blur_ratio", blur_ratio, least=0)
     side = _validate.integer("target_blur_size", blur_size, minimum=1) | 1
     even, blurred = torch.ones_like(image[:1]), [image]
     for distance in range(1, number_of_planes):
@@ -183,8 +182,7 @@ class FocalTargets(Prepared, nn.Module):
         self.reduction: str = _validate.one_of("reduction", reduction, ("mean", "sum"))
         self.blur_ratio, self.target_blur_size, self.generator = blur_ratio, blur_size, None
         self.generator = checked_generator("generator", generator)
-        if _validate.real("blur_ratio", blur_ratio) < 0:
-            raise ValueError(f"blur_ratio must not be negative, got {blur_ratio}")
+        _validate.number("blur_ratio", blur_ratio, least=0)
         _validate.integer("target_blur_size", blur_size, minimum=1)
         image, depth = _checked_picture(image, depth)
         self._geometry = self._checked_geometry(distances, wavelengths, pixel_pitch, numerical_aperture, len(image))
@@ -242,9 +240,7 @@ class FocalTargets(Prepared, nn.Module):
             raise ValueError(f"wavelengths must be one for each of {colours} colours, got {len(waves)}")
         pitch = [float(step) for step in pitches(checked_pitch("pixel_pitch", pixel_pitch))]
         if numerical_aperture is not None:
-            numerical_aperture = _validate.constant("numerical_aperture", numerical_aperture, positive=True)
-            if numerical_aperture >= 1:
-                raise ValueError(f"numerical_aperture must be below 1, got {numerical_aperture}")
+            numerical_aperture = _validate.constant("numerical_aperture", numerical_aperture, positive=True, below=1)
         focus = min(w / max(_sines(w, pitch, numerical_aperture)) ** 2 for w in waves)
         volume = float(places.max() - places.min())
         if 0 < volume < focus:
@@ -280,8 +276,7 @@ class FocalTargets(Prepared, nn.Module):
         """Return three pairs to compare: images, images inside the plane's mask, images weighed by the target."""
         (noise_ratio,) = _validate.constants(noise_ratio=noise_ratio)
         for name, value in (("image", image), ("target", target)):
-            if not isinstance(value, torch.Tensor) or value.is_complex():
-                raise TypeError(f"{name} must be a real tensor, got {kind_of(value)}")
+            real_tensor(name, value)
         if plane_id is not None:
             plane_id = _validate.whole("plane_id", plane_id, minimum=-self.number_of_planes)
         inject_noise, noise_ratio = (
@@ -315,8 +310,7 @@ class FocalTargets(Prepared, nn.Module):
 
 def _checked_picture(image, depth):
     for name, value in (("target_image", image), ("target_depth", depth)):
-        if not isinstance(value, torch.Tensor) or not value.is_floating_point():
-            raise TypeError(f"{name} must be a real floating tensor, got {kind_of(value)}")
+        floating_tensor(name, value, "a real floating tensor")
     _validate.image("target_image", image)
     while depth.ndim > 2 and len(depth) == 1:
         depth = depth[0]
@@ -380,8 +374,7 @@ class phase_gradient(nn.Module):
     ) -> None:
         super().__init__()
         kernel = torch.tensor(_LAPLACIAN) / 8 if kernel is None else tensor("kernel", kernel)
-        if kernel.ndim not in (2, 4) or (kernel.ndim == 4 and kernel.shape[:2] != (1, 1)) or kernel.numel() == 0:
-            raise ValueError(f"kernel must be [h, w] or [1, 1, h, w], not empty; got {tuple(kernel.shape)}")
+        _validate.shaped("kernel", kernel, "[h, w] or [1, 1, h, w], not empty")
         self.register_buffer("kernel", kernel.reshape(1, 1, *kernel.shape[-2:]).to(get_device(device)), False)
         self.loss = _checked_loss(loss)
 
@@ -629,15 +622,13 @@ class multiplane_loss(FocalTargets):
 
 
 def _checked_loss(loss):
-    if not callable(loss):
-        raise TypeError(f"loss must be callable, got {type(loss).__name__}")
+    _validate.function("loss", loss)
     return loss
 
 
 def _planes(name, value):
     """Return a real image as ``[B, 1, m, n]``."""
-    if not isinstance(value, torch.Tensor) or not value.is_floating_point():
-        raise TypeError(f"{name} must be a real floating tensor, got {kind_of(value)}")
+    floating_tensor(name, value, "a real floating tensor")
     _validate.image(name, value)
     if value.ndim > 2 and value.shape[-3] != 1:
         raise ValueError(f"{name} must be [m, n] or [..., 1, m, n], got {tuple(value.shape)}")
@@ -825,8 +816,7 @@ _MEASURES: dict[str, tuple[Callable[..., nn.Module], Callable[[torch.Tensor], to
 
 def _checked_weights(argument, given, default, known):
     given = default if given is None else given
-    if not isinstance(given, Mapping):
-        raise TypeError(f"{argument} must be a dictionary of weights, got {given!r:.80}")
+    _validate.instance(argument, given, Mapping, "a dictionary of weights")
     unknown = sorted(set(given) - set(known))
     if unknown:
         raise ValueError(f"{argument} must be of {', '.join(known)}; got {', '.join(map(repr, unknown))}")

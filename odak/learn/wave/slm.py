@@ -358,8 +358,7 @@ class spatial_light_modulator(Prepared, torch.nn.Module):
                 raise ValueError(f"crosstalk must have one or two axes of odd length, got {tuple(crosstalk.shape)}")
             self._hold("crosstalk", crosstalk)
             return
-        if _validate.real("crosstalk", crosstalk) < 0:
-            raise ValueError(f"crosstalk must be at least 0, got {crosstalk!r}")
+        _validate.number("crosstalk", crosstalk, least=0)
         kernel = None if crosstalk == 0 else gaussian_kernel(crosstalk * self.samples_per_pixel)
         self._hold("crosstalk", kernel, False)
 
@@ -465,9 +464,7 @@ class temporal_modulator(torch.nn.Module):
         (lit,) = _validate.constants(lit=lit)
         super().__init__()
         self.frame_time: float = _validate.constant("frame_time", frame_time, positive=True)
-        self.response_time: float = _validate.constant("response_time", response_time)
-        if self.response_time < 0:
-            raise ValueError(f"response_time must be at least 0, got {response_time!r}")
+        self.response_time: float = _validate.constant("response_time", response_time, least=0)
         _validate.instance("slm", slm, (spatial_light_modulator, type(None)), "a spatial_light_modulator or None")
         self.slm: spatial_light_modulator = spatial_light_modulator(bits=None) if slm is None else slm
         start, end = _validate.numbers(_validate.several("lit", lit, 2))

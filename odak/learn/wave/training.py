@@ -11,7 +11,7 @@ import torch
 
 from odak import _validate
 from odak._warnings import ArgumentWarning, warn
-from odak.learn._tensors import floating, kind_of, trainable
+from odak.learn._tensors import floating, real_tensor, trainable
 from odak.learn.wave.holograms.bounds import least_error_of_light
 
 # Where the loss of a model with a camera in it rises.
@@ -154,8 +154,7 @@ def check_brightness(name: str, targets: torch.Tensor, reachable: float | torch.
 
 def checked_intensities(name: str, values: torch.Tensor) -> torch.Tensor:
     """Return a target in single or double precision after checking that it is finite and not negative."""
-    if not isinstance(values, torch.Tensor) or values.is_complex():
-        raise TypeError(f"{name} must be a torch.Tensor of real intensities, got {kind_of(values)}")
+    real_tensor(name, values, "a torch.Tensor of real intensities")
     values = values.detach() if values.dtype in (torch.float32, torch.float64) else values.detach().float()
     if not bool(values.isfinite().all()) or bool((values < 0).any()):
         raise ValueError(f"{name} must be finite intensities of at least 0, got NaN, infinite or negative values")

@@ -310,8 +310,7 @@ class Camera:
         """
         rows, columns = resolution
         points = real_array("points", points)
-        if points.ndim == 0 or points.shape[-1] != 3:
-            raise ValueError(f"points must be [..., 3], got {list(points.shape)}")
+        _validate.shaped("points", points, "[..., 3]")
         seen = (points - np.asarray(self.location)) @ np.asarray(self.axes).T
         half = np.where(seen[..., 2] < 0, -seen[..., 2], np.nan) * math.tan(math.radians(self.fov) / 2)
         if self.projection == "orthographic":
@@ -534,10 +533,7 @@ def listed(value: Any) -> Any:
 
 
 def _share(name: str, value) -> float:
-    value = float(_validate.real(name, value))
-    if not 0 <= value <= 1:
-        raise ValueError(f"{name} must be from 0 to 1, got {value}")
-    return value
+    return float(_validate.number(name, value, least=0, most=1))
 
 
 def three(name: str, value: Any) -> list[float]:

@@ -95,8 +95,7 @@ class Lines:
         'rays'
         """
         directions = _arrays.real_array("rays", rays)
-        if directions.ndim not in (2, 3) or directions.shape[-2:] != (2, 3) or not len(directions):
-            raise ValueError(f"rays must be [2, 3] or [m, 2, 3], not empty; got {list(directions.shape)}")
+        _validate.shaped("rays", directions, "[2, 3] or [m, 2, 3], not empty")
         count = 1 if directions.ndim == 2 else len(directions)
         lengths = _arrays.real_array("distance", distance)
         lengths = np.where(np.isfinite(lengths), lengths, np.nan)
@@ -817,8 +816,7 @@ def _curvature(radius) -> float:
 
 
 def _pair(name: str, value) -> list[Any]:
-    if isinstance(value, str) or not isinstance(value, Iterable):
-        raise TypeError(f"{name} must be a pair, one for the front and one for the back, got {value!r:.80}")
+    _validate.listed(name, value, "a pair, one for the front and one for the back")
     pair = list(value)
     if len(pair) != 2:
         raise ValueError(f"{name} must be a pair, one for the front and one for the back, got {len(pair)}")

@@ -669,8 +669,7 @@ def field_show(
     (['amplitude (a.u.)', 'phase (°)'], '4 × 6 samples of 8 µm, wavelength 532 nm')
     """
     values = to_numpy("field", field)
-    if values.ndim < 2 or 0 in values.shape:
-        raise ValueError(f"field must be [..., rows, columns], not empty; got {list(values.shape)}")
+    _validate.shaped("field", values, "[..., rows, columns], not empty")
     if dx is not None:
         _pitches(dx)
     if wavelength is not None:

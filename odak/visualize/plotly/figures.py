@@ -14,7 +14,7 @@ import sys
 import tempfile
 import threading
 import webbrowser
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import contextmanager
 from numbers import Real
 from pathlib import Path
@@ -829,8 +829,7 @@ def text(name: str, value: str | None) -> Any:
 
 def texts(name: str, value: Any, least: int = 0) -> list[Any]:
     """Return titles or labels as a list of at least so many."""
-    if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
-        raise TypeError(f"{name} must be a sequence of strings, got {value!r:.80}")
+    _validate.listed(name, value, "a sequence of strings")
     found = [text(f"{name}[{i}]", entry) for i, entry in enumerate(value)]
     if len(found) < least:
         raise ValueError(f"{name} must have {least} strings, got {len(found)}")
@@ -847,9 +846,7 @@ def numbers(name: str, value: Any, count: int, *, positive: bool = False, least:
 
 def share(name: str, value: float) -> float:
     """Return a number from 0 to 1."""
-    if not 0 <= (number := float(_validate.real(name, value))) <= 1:
-        raise ValueError(f"{name} must be from 0 to 1, got {value!r}")
-    return number
+    return float(_validate.number(name, value, least=0, most=1))
 
 
 def mapping(name: str, value: Any, default: Mapping[Any, Any]) -> dict[Any, Any]:
@@ -881,7 +878,5 @@ def cell(counts: tuple[int, int], row: int, col: int) -> dict[str, int]:
     """Return the row and the column of a plot, from 1, after checking that there is one."""
     place = {}
     for name, value, count in zip(("row", "col"), (row, col), counts, strict=True):
-        place[name] = _validate.integer(name, value, minimum=1)
-        if value > count:
-            raise ValueError(f"{name} must be 1 to {count}, got {value}")
+        place[name] = _validate.integer(name, value, minimum=1, most=count)
     return place

@@ -34,8 +34,7 @@ class SceneFigure(Figure):
             If there is no such row or column.
         """
         for name, value, limit in (("row", row, self.settings["rows"]), ("column", column, self.settings["columns"])):
-            if _validate.integer(name, value, minimum=1) > limit:
-                raise ValueError(f"{name} must be 1 to {limit}, got {value}")
+            _validate.integer(name, value, minimum=1, most=limit)
         return self.settings["columns"] * (row - 1) + column
 
     def set_axis_limits(
@@ -345,8 +344,7 @@ class rayshow(SceneFigure):
             Name in the legend.
         """
         lines = _arrays.real_array("points", points)
-        if lines.ndim != 3 or lines.shape[-1] != 3 or lines.shape[1] < 2:
-            raise ValueError(f"points must be [m, n, 3] with n at least 2, got {list(lines.shape)}")
+        _validate.shaped("points", lines, "[m, 2 or more, 3]")
         # A row of NaN after each line separates it from the next.
         broken = np.full((len(lines), lines.shape[1] + 1, 3), np.nan, np.result_type(lines, np.float32))
         broken[:, :-1] = np.where(np.isfinite(lines).all(-1, keepdims=True), lines, np.nan)

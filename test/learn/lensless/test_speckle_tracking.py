@@ -91,7 +91,7 @@ def test_the_network_is_the_one_described(tracker):
 
 @pytest.mark.parametrize("shape", [(2, 5, 180, 321), (2, 3, 180, 320), (5, 180, 320), (1, 5, 1, 180, 320)])
 def test_pictures_of_another_size_are_refused(tracker, shape):
-    with pytest.raises(ValueError, match=r"x must be \[B, 5, 180, 320\], images of 180×320 pixels; got \["):
+    with pytest.raises(ValueError, match=r"x must be \[B, 5, 180, 320\], images of 180×320 pixels, got \["):
         tracker(torch.zeros(shape))
 
 

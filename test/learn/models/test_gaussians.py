@@ -252,7 +252,7 @@ def test_gaussians_that_start_from_an_image_approximate_it():
     again.initialize_from_image(image, x, y, seed=3)
     assert all(torch.equal(a, b) for a, b in zip(start.parameters(), again.parameters(), strict=True))
     for wrong in (image[0], image[None]):
-        with pytest.raises(ValueError, match=r"image must be \[H, W\]"):
+        with pytest.raises(ValueError, match=r"image must be \[2 or more, 2 or more\]"):
             start.initialize_from_image(wrong)
     with pytest.raises(ValueError, match="must have the same shape"):
         start.initialize_from_image(image, x[1:], y[1:])

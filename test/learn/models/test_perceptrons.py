@@ -247,7 +247,7 @@ def test_gradients_and_refusals_of_the_hash_grid():
     assert list(encoder.state_dict()) == ["table"]
     for wrong, message in (
         ({"dimensions": 8}, "dimensions must be at most 7"),
-        ({"coarsest": 64, "finest": 32}, "finest must be at least coarsest"),
+        ({"coarsest": 64, "finest": 32}, "finest must be at least 64"),
         ({"low": 1.0, "high": 1.0}, "low must be below high"),
         ({"levels": 0}, "levels must be at least 1"),
     ):

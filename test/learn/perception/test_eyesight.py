@@ -92,7 +92,7 @@ def test_colours_of_a_viewer():
         (lambda: Viewer(eyes=3), "eyes must be 1 or 2, got 3"),
         (lambda: Viewer(pupil=-1), "pupil must be positive"),
         (lambda: Viewer(deficiency="red"), "deficiency must be one of"),
-        (lambda: Viewer(severity=2), "severity must be 0 to 1"),
+        (lambda: Viewer(severity=2), "severity must be from 0 to 1"),
         (lambda: ocular_modulation_transfer(-1.0), "frequency must not be negative, got -1"),
         (lambda: ocular_modulation_transfer(1.0, 0.0), "pupil_diameter must be positive"),
     ],

@@ -151,5 +151,5 @@ def test_call_of_the_reference():
 
 
 def test_wrong_color_is_named():
-    with pytest.raises(ValueError, match="color must be below 3, got 3"):
+    with pytest.raises(ValueError, match="color must be at least 0 and below 3, got 3"):
         detector(resolution=[2, 2]).intersect(torch.zeros(1, 2, 3), color=3)

@@ -466,7 +466,7 @@ def test_what_does_not_fit_the_propagator_is_named():
     made = optimizer()
     for weights, message in (
         ({"picture": 1.0}, "'picture'"),
-        ({"image": -1.0}, "must not be negative"),
+        ({"image": -1.0}, "must be at least 0"),
         ([1.0] * 5, "at most 4"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -131,10 +131,7 @@ def _accommodated(accommodation, growth):
 
 
 def _accommodation(value, name="accommodation"):
-    value = _validate.constant(name, value)
-    if not 0 <= value <= 10:
-        raise ValueError(f"{name} must be 0 to 10 dioptres, got {value}")
-    return value
+    return _validate.constant(name, value, least=0, most=10)
 
 
 @dataclass(frozen=True)
@@ -235,10 +232,7 @@ def _shifted_medium(index):
 
 def _pupil_width(value):
     """Return the diameter of a pupil in millimetres as a float."""
-    value = _validate.constant("pupil_diameter", value)
-    if not 0.5 <= value <= 9:
-        raise ValueError(f"pupil_diameter must be 0.5 to 9 millimetres, got {value}")
-    return value
+    return _validate.constant("pupil_diameter", value, least=0.5, most=9)
 
 
 def _numbers(name, values):

@@ -451,12 +451,9 @@ def expose_sensor(
     """
     irradiance = floating("irradiance", irradiance)
     full_well = _validate.constant("full_well", full_well, positive=True)
-    read_noise = _validate.constant("read_noise", read_noise)
-    if read_noise < 0:
-        raise ValueError(f"read_noise must not be negative, got {read_noise}")
+    read_noise = _validate.constant("read_noise", read_noise, least=0)
     if pattern is not None:
-        if irradiance.ndim < 3 or irradiance.shape[-3] != 3:
-            raise ValueError(f"irradiance must be [..., 3, rows, columns] for a pattern, got {tuple(irradiance.shape)}")
+        _validate.shaped("irradiance", irradiance, "[..., 3, rows, columns] for a pattern")
         masks = _masks(irradiance, pattern)
         irradiance = (irradiance * masks).sum(-3, keepdim=True)
     electrons = irradiance * full_well
@@ -504,8 +501,7 @@ def demosaic(raw: torch.Tensor, pattern: str = "RGGB") -> torch.Tensor:
     tensor([0.2500])
     """
     raw = floating("raw", raw)
-    if raw.ndim < 3 or raw.shape[-3] != 1 or min(raw.shape[-2:]) < 2:
-        raise ValueError(f"raw must be [..., 1, rows, columns] of at least 2 × 2 pixels, got {tuple(raw.shape)}")
+    _validate.shaped("raw", raw, "[..., 1, 2 or more, 2 or more]")
     masks = _masks(raw, pattern)
     weights = torch.tensor([[1.0, 2.0, 1.0], [2.0, 4.0, 2.0], [1.0, 2.0, 1.0]]).to(raw)[None, None].expand(3, 1, 3, 3)
     values = (raw * masks).reshape(-1, 3, *raw.shape[-2:])

@@ -474,8 +474,7 @@ def checked_operands(operands: Any) -> list[Operand]:
     found = []
     for item in listed:
         item = Operand(item) if isinstance(item, str) else item
-        if not isinstance(item, Operand):
-            raise TypeError(f"operands must be Operand or their names, got {item!r:.80}")
+        _validate.instance("operands", item, Operand, "Operand or their names")
         if not callable(item.kind):
             _validate.one_of("kind of operands", item.kind, (*OPERANDS, *FirstOrder._fields))
         _validate.number("weight of an operand", item.weight, least=0)

@@ -695,8 +695,7 @@ def tolerances_for_yield(
     """
     items = [item for item, _ in _checked_perturbations(perturbations, len(checked_system(system).surfaces))]
     _validate.real("limit", limit)
-    if not 0 < _validate.constant("share", share) < 1:
-        raise ValueError(f"share must be between 0 and 1, got {share}")
+    _validate.constant("share", share, positive=True, below=1)
     options: dict[str, Any] = {"compensators": compensators}
     added = []
     for item in items:
@@ -939,8 +938,7 @@ def _checked_perturbations(perturbations, count: int) -> list[tuple[Perturbation
 
 
 def _checked_compensators(compensators) -> list[Any]:
-    if isinstance(compensators, str) or not isinstance(compensators, Iterable):
-        raise TypeError(f"compensators must be a sequence of pairs (name, surface), got {compensators!r:.80}")
+    _validate.listed("compensators", compensators, "a sequence of pairs (name, surface)")
     return list(compensators)
 
 

@@ -433,8 +433,7 @@ def field_points(system: Any, fields: Any = None) -> torch.Tensor:
     """Return field points ``[F, 2]`` of numbers y or pairs (x, y) in float64, the system's own by default."""
     if isinstance(fields, torch.Tensor):
         fields = torch.stack([0 * fields, fields], -1) if fields.ndim == 1 else fields
-        if fields.ndim != 2 or fields.shape[-1] != 2 or len(fields) == 0:
-            raise ValueError(f"fields must be [F, 2], got {tuple(fields.shape)}")
+        _validate.shaped("fields", fields, "[F, 2], not empty")
         return _validate.real("fields", fields).double()
     if fields is not None and (isinstance(fields, str) or not isinstance(fields, Iterable)):
         raise TypeError(f"fields must be a sequence of numbers y or pairs (x, y), got {type(fields).__name__}")

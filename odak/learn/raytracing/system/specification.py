@@ -132,8 +132,8 @@ class Wavelengths:
     def __post_init__(self) -> None:
         waves = None if self.wavelengths is None else checked_wavelengths(self.wavelengths)
         count = 1 if waves is None else len(waves)
-        if self.reference is not None and _validate.integer("reference", self.reference) >= count:
-            raise ValueError(f"reference must be below the number of wavelengths, {count}, got {self.reference}")
+        if self.reference is not None:
+            _validate.integer("reference", self.reference, below=count)
         weights = checked_weights("wavelength_weights", self.wavelength_weights, count)
         set_(self, wavelengths=waves, wavelength_weights=weights)
 
@@ -324,8 +324,7 @@ def is_number(value) -> bool:
 def _factors(values, count: int) -> tuple[tuple[float, ...], ...] | None:
     if values is None:
         return None
-    if isinstance(values, str) or not isinstance(values, Iterable):
-        raise TypeError(f"vignetting_factors must be a sequence of four numbers for each field, got {values!r:.80}")
+    _validate.listed("vignetting_factors", values, "a sequence of four numbers for each field")
     found = tuple(tuple(float(v) for v in _validate.several("vignetting_factors", row, 4)) for row in values)
     if len(found) != count:
         raise ValueError(f"vignetting_factors must be given for each of {count} fields, got {len(found)}")

@@ -644,8 +644,7 @@ def _vary(module, name: str) -> torch.nn.Parameter:
 
 
 def _checked(name: str, value, kind: type[Any]):
-    if not isinstance(value, kind):
-        raise TypeError(f"{name} must be a {kind.__name__} of odak.raytracing, got {type(value).__name__}")
+    _validate.instance(name, value, kind, f"a {kind.__name__} of odak.raytracing")
     return value
 
 

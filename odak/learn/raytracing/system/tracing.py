@@ -58,8 +58,7 @@ class Rays(NamedTuple):
         ray : torch.Tensor
             Points and directions ``[..., 2, 3]``; a direction of length 0 marks a missing ray.
         """
-        if ray.shape[-2:] != (2, 3):
-            raise ValueError(f"ray must be [..., 2, 3], got {tuple(ray.shape)}")
+        _validate.shaped("ray", ray, "[..., 2, 3]")
         ray = ray.reshape(1, 1, -1, 2, 3)
         length = ray[..., 1, :].square().sum(-1, keepdim=True)
         exists = length > 0
@@ -196,8 +195,7 @@ def checked_rays(rays: Rays | torch.Tensor) -> Rays:
     """Return rays as components, given as Rays or as a tensor ``[..., 2, 3]``; TypeError for anything else."""
     if isinstance(rays, torch.Tensor):
         rays = Rays.from_tensor(rays)
-    if not isinstance(rays, Rays):
-        raise TypeError(f"rays must be Rays or a tensor [..., 2, 3], got {type(rays).__name__}")
+    _validate.instance("rays", rays, Rays, "Rays or a tensor [..., 2, 3]")
     if len({value.dtype for value in rays}) > 1 or rays.x.dtype not in (torch.float32, torch.float64):
         raise TypeError(f"rays must all be float32 or all float64, got {[str(value.dtype) for value in rays]}")
     return rays
@@ -242,8 +240,7 @@ def ray_paths(system: optical_system, rays: Rays, *, prescription: Prescription 
     True
     """
     checked_system(system), checked_prescription(prescription)
-    if not isinstance(rays, Rays):
-        raise TypeError(f"rays must be Rays, got {type(rays).__name__}")
+    _validate.instance("rays", rays, Rays, "Rays")
     matrices, origins = system.frames(prescription, own=False)
     numbers = system.prescription() if prescription is None else prescription
     shape = _shape(rays, numbers)
@@ -298,8 +295,7 @@ def curved_paths(system: optical_system, rays: Rays, place: int, ends: torch.Ten
     checked_system(system)
     place = _validate.place_in("place", place, len(system.surfaces))
     count = _validate.integer("count", count, minimum=1)
-    if not isinstance(rays, Rays):
-        raise TypeError(f"rays must be Rays, got {type(rays).__name__}")
+    _validate.instance("rays", rays, Rays, "Rays")
     if system.surfaces[place].gradient is None:
         raise ValueError(f"place must be a surface with a graded index behind it, got {place}")
     if not isinstance(ends, torch.Tensor) or not ends.is_floating_point() or ends.shape[-1:] != (3,):

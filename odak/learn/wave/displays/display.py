@@ -108,8 +108,7 @@ class Display(Prepared, torch.nn.Module):
         medium: float = 1.0,
     ):
         super().__init__()
-        if not isinstance(modulator, Modulator):
-            raise TypeError(f"modulator must be an odak.learn.wave.Modulator, got {type(modulator).__name__}")
+        _validate.instance("modulator", modulator, Modulator, "an odak.learn.wave.Modulator")
         self.modulator = modulator
         self.path = path = path_to(modulator, wavelengths, distances, iris, medium)
         self.wavelengths, self.distances, self.samples = path.wavelengths, path.distances, path.samples
@@ -332,8 +331,7 @@ class Display(Prepared, torch.nn.Module):
             Real ``[grids, ..., D, C, rows, columns]``: one grid for an observer whose pixels are those of the image,
             and four that are half a pixel apart for one at any place; see :meth:`Observer.recorded`.
         """
-        if not isinstance(observer, Observer):
-            raise TypeError(f"observer must be an odak.learn.wave.Observer, got {type(observer).__name__}")
+        _validate.instance("observer", observer, Observer, "an odak.learn.wave.Observer")
         return self._recorded_of(observer, self._lights(phases, amplitudes), powers)
 
     def _recorded_of(self, observer: Observer, lights: Lights, powers: torch.Tensor | None = None) -> torch.Tensor:

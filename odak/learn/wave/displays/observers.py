@@ -74,12 +74,10 @@ class Observer:
     def __post_init__(self):
         if self.pitch is not None:
             object.__setattr__(self, "pitch", _validate.constant("pitch", self.pitch, positive=True))
-        if not 0 <= _validate.real("fill", self.fill) <= 1:
-            raise ValueError(f"fill must be 0 to 1, got {self.fill!r:.80}")
+        _validate.number("fill", self.fill, least=0, most=1)
         _validate.real("magnification", self.magnification, positive=True)
         _validate.flag("registered", self.registered)
-        if not abs(_validate.constant("turned", self.turned)) <= 45:
-            raise ValueError(f"turned must be −45 to 45 degrees, got {self.turned!r:.80}")
+        _validate.constant("turned", self.turned, least=-45, most=45)
         if self.registered and not (self.pitch is None and self.magnification == 1 and self.turned == 0):
             raise ValueError(
                 "pitch must be None, magnification 1 and turned 0 for a registered camera, whose pixels are those of "

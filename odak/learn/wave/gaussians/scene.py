@@ -93,7 +93,7 @@ class Scene:
         torch.Tensor
             ``[N, H, W]``.
         """
-        alphas = shaped("alphas", alphas, "N", "H", "W")
+        alphas = shaped("alphas", alphas, "[N, H, W]")
         passed = torch.cat([torch.ones_like(alphas[:1]), 1 - alphas[:-1]]).cumprod(0)
         return passed.where(~((passed < FAINTEST) & passed.isfinite()), 0.0)
 
@@ -111,7 +111,7 @@ class Scene:
         camera : PerspectiveCamera
             Camera that the directions start from.
         """
-        means_3D = shaped("means_3D", means_3D, "N", 3)
+        means_3D = shaped("means_3D", means_3D, "[N, 3]")
         return torch.nn.functional.normalize(means_3D - checked_camera(camera).get_camera_center(), dim=-1)
 
     def get_idxs_to_filter_and_sort(self, z_vals: torch.Tensor) -> torch.Tensor:
@@ -122,7 +122,7 @@ class Scene:
         z_vals : torch.Tensor
             Depths ``[N]``; NaN is kept and sorted last.
         """
-        z_vals = shaped("z_vals", z_vals, "N")
+        z_vals = shaped("z_vals", z_vals, "[N]")
         order = z_vals.argsort(stable=True)
         # NaN comes last and is kept, so that it shows in the result.
         return order[~(z_vals[order] < 0)]
@@ -444,14 +444,14 @@ def gaussians_to_draw(
         ``[N, 3]``, ``[N]``, ``[N, 4]``, ``[N, 3]``, ``[N, C]``, ``[N, C]``, ``[N]``, ``[N, P]``.
     """
     return rows_of(
-        **{name: (means, 3)},
-        z_vals=(z_vals,),
-        quats=(quats, 4),
-        scales=(scales, 3),
-        colours=(colours, "C"),
-        phase=(phase, "C"),
-        opacities=(opacities,),
-        plane_probs=(plane_probs, "P"),
+        **{name: (means, "[N, 3]")},
+        z_vals=(z_vals, "[N]"),
+        quats=(quats, "[N, 4]"),
+        scales=(scales, "[N, 3]"),
+        colours=(colours, "[N, C]"),
+        phase=(phase, "[N, C]"),
+        opacities=(opacities, "[N]"),
+        plane_probs=(plane_probs, "[N, P]"),
     )
 
 

@@ -209,17 +209,17 @@ def save_splats(path: str | os.PathLike[str], splats: Splats) -> None:
     """
     path = validate_path(path, [".ply"])
     splats = Splats(*splats)
-    harmonics = shaped("splats.harmonics", splats.harmonics, "N", "K", 3).detach().cpu()
+    harmonics = shaped("splats.harmonics", splats.harmonics, "[N, K, 3]").detach().cpu()
     _degree(harmonics.shape[1])
     count = len(harmonics)
     parts = {
-        **dict(zip("xyz", shaped("splats.means", splats.means, count, 3).T, strict=True)),
+        **dict(zip("xyz", shaped("splats.means", splats.means, f"[{count}, 3]").T, strict=True)),
         **dict.fromkeys(("nx", "ny", "nz"), torch.zeros(count)),
         **{f"f_dc_{i}": harmonics[:, 0, i] for i in range(3)},
         **{f"f_rest_{i}": column for i, column in enumerate(harmonics[:, 1:].mT.flatten(1).T)},
-        "opacity": shaped("splats.opacities", splats.opacities, count),
-        **{f"scale_{i}": column for i, column in enumerate(shaped("splats.scales", splats.scales, count, 3).T)},
-        **{f"rot_{i}": column for i, column in enumerate(shaped("splats.quats", splats.quats, count, 4).T)},
+        "opacity": shaped("splats.opacities", splats.opacities, f"[{count}]"),
+        **{f"scale_{i}": column for i, column in enumerate(shaped("splats.scales", splats.scales, f"[{count}, 3]").T)},
+        **{f"rot_{i}": column for i, column in enumerate(shaped("splats.quats", splats.quats, f"[{count}, 4]").T)},
     }
     vertices = np.empty(count, dtype=[(name, "f4") for name in parts])
     for name, column in parts.items():
@@ -251,11 +251,9 @@ def spherical_harmonics(degree: int, directions: torch.Tensor) -> torch.Tensor:
     >>> spherical_harmonics(1, torch.tensor([0.0, 0.0, 1.0]))
     tensor([0.2821, -0.0000, 0.4886, -0.0000])
     """
-    if _validate.integer("degree", degree) > 3:
-        raise ValueError(f"degree must be 0 to 3, got {degree}")
+    _validate.integer("degree", degree, most=3)
     directions = floating("directions", directions)
-    if directions.ndim == 0 or directions.shape[-1] != 3:
-        raise ValueError(f"directions must be [..., 3], got {list(directions.shape)}")
+    _validate.shaped("directions", directions, "[..., 3]")
     x, y, z = directions.unbind(-1)
     xx, yy, zz = x * x, y * y, z * z
     root = [
@@ -304,7 +302,7 @@ def view_colours(harmonics: torch.Tensor, directions: torch.Tensor) -> torch.Ten
     >>> view_colours(torch.zeros(1, 1, 3), torch.tensor([[0.0, 0.0, 1.0]])).tolist()
     [[0.5, 0.5, 0.5]]
     """
-    harmonics, directions = rows_of(harmonics=(harmonics, "K", 3), directions=(directions, 3))
+    harmonics, directions = rows_of(harmonics=(harmonics, "[N, K, 3]"), directions=(directions, "[N, 3]"))
     basis = spherical_harmonics(_degree(harmonics.shape[1]), directions)
     return (_MIDDLE + (basis[..., None] * harmonics).sum(1)).clamp_min(0)
 
@@ -655,8 +653,7 @@ class complex_2d_gaussians(nn.Module):
             Radians ``[N]``.
         """
         scales, rotation = floating("scales", scales), floating("rotation", rotation)
-        if scales.ndim == 0 or scales.shape[-1] != 2:
-            raise ValueError(f"scales must be [N, 2], got {list(scales.shape)}")
+        _validate.shaped("scales", scales, "[N, 2]")
         _validate.fitting(scales=scales[..., 0], rotation=rotation)
         cosine, sine = rotation.cos(), rotation.sin()
         first, second = scales.square().unbind(-1)
@@ -1030,7 +1027,7 @@ class complex_3d_gaussians(nn.Module):
         >>> gaussians.densify(torch.tensor([0.0, 2.0, 0.0, 0.0]), 1.0, split_scale=1.0).tolist()
         [0, 1, 2, 3, 1]
         """
-        gradients = shaped("gradients", gradients, "N")
+        gradients = shaped("gradients", gradients, "[N]")
         if len(gradients) != len(self):
             raise ValueError(f"gradients must be {len(self)} numbers, one for each Gaussian, got {len(gradients)}")
         _validate.real("gradients", gradients)
@@ -1086,9 +1083,7 @@ class complex_3d_gaussians(nn.Module):
         9
         """
         (largest_scale,) = _validate.constants(largest_scale=largest_scale)
-        least_opacity = _validate.constant("least_opacity", least_opacity)
-        if not 0 <= least_opacity <= 1:
-            raise ValueError(f"least_opacity must be 0 to 1, got {least_opacity}")
+        least_opacity = _validate.constant("least_opacity", least_opacity, least=0, most=1)
         with torch.no_grad():
             kept = self.pre_act_opacities.sigmoid() >= least_opacity
             if largest_scale is not None:
@@ -1122,7 +1117,7 @@ class complex_3d_gaussians(nn.Module):
         scales : torch.Tensor
             Standard deviations along the Gaussians' axes ``[N, 3]``.
         """
-        quats, scales = rows_of(quats=(quats, 4), scales=(scales, 3))
+        quats, scales = rows_of(quats=(quats, "[N, 4]"), scales=(scales, "[N, 3]"))
         axes = quaternion_to_rotation_matrix(quats) * scales[:, None]
         return axes @ axes.mT
 
@@ -1163,7 +1158,9 @@ class complex_3d_gaussians(nn.Module):
         torch.Tensor
             Square pixels ``[N, 2, 2]``.
         """
-        cam_means_3D, quats, scales = rows_of(cam_means_3D=(cam_means_3D, 3), quats=(quats, 4), scales=(scales, 3))
+        cam_means_3D, quats, scales = rows_of(
+            cam_means_3D=(cam_means_3D, "[N, 3]"), quats=(quats, "[N, 4]"), scales=(scales, "[N, 3]")
+        )
         for name, length in (("fx", fx), ("fy", fy)):
             _validate.real(name, length, nonzero=True)
         R, (width, height) = _rotation(R), picture_size("img_size", img_size)
@@ -1199,7 +1196,7 @@ class complex_3d_gaussians(nn.Module):
         torch.Tensor
             Pixels [x, y], ``[N, 2]``; 10⁶ before NEAR_PLANE and beyond FAR_PLANE.
         """
-        (cam_means_3D,) = rows_of(cam_means_3D=(cam_means_3D, 3))
+        (cam_means_3D,) = rows_of(cam_means_3D=(cam_means_3D, "[N, 3]"))
         for name, number in (("fx", fx), ("fy", fy), ("px", px), ("py", py)):
             _validate.real(name, number)
         x, y, z = cam_means_3D.unbind(-1)
@@ -1223,7 +1220,7 @@ class complex_3d_gaussians(nn.Module):
         cov_2D : torch.Tensor
             Covariance matrices ``[N, 2, 2]``.
         """
-        (cov_2D,) = rows_of(cov_2D=(cov_2D, 2, 2))
+        (cov_2D,) = rows_of(cov_2D=(cov_2D, "[N, 2, 2]"))
         a, b, c, d = cov_2D.flatten(-2).unbind(-1)
         determinant = (a * d - b * c).clamp_min(1e-10)[..., None]
         return (torch.stack([d, -b, -c, a], dim=-1) / determinant).unflatten(-1, (2, 2))
@@ -1250,7 +1247,7 @@ class complex_3d_gaussians(nn.Module):
         torch.Tensor
             Least x and y, and largest x and y, ``[N, 4]``.
         """
-        means_2D, cov_2D = rows_of(means_2D=(means_2D, 2), cov_2D=(cov_2D, 2, 2))
+        means_2D, cov_2D = rows_of(means_2D=(means_2D, "[N, 2]"), cov_2D=(cov_2D, "[N, 2, 2]"))
         width, height = picture_size("img_size", img_size)
         _validate.real("confidence", confidence)
         reach = confidence * cov_2D.diagonal(dim1=-2, dim2=-1).clamp_min(0).sqrt()
@@ -1287,7 +1284,7 @@ class complex_3d_gaussians(nn.Module):
         phase, opacities, planes = pre_act_phase, pre_act_opacities, pre_act_plane_assignment
         phase = None if phase is None else floating("pre_act_phase", phase)
         opacities = None if opacities is None else floating("pre_act_opacities", opacities)
-        if planes is not None and not (planes := shaped("pre_act_plane_assignment", planes, "N", "P")).shape[1]:
+        if planes is not None and not (planes := shaped("pre_act_plane_assignment", planes, "[N, P]")).shape[1]:
             raise ValueError(f"pre_act_plane_assignment must have a plane at least, got {list(planes.shape)}")
         return (
             functional.normalize(quats, dim=-1),
@@ -1316,8 +1313,7 @@ class complex_3d_gaussians(nn.Module):
 
 def _rotation(R) -> torch.Tensor:
     R = floating("R", R)
-    if tuple(R.shape) not in ((3, 3), (1, 3, 3)):
-        raise ValueError(f"R must be [3, 3] or [1, 3, 3], got {list(R.shape)}")
+    _validate.shaped("R", R, "[3, 3] or [1, 3, 3]")
     return R.reshape(3, 3)
 
 
@@ -1528,6 +1524,5 @@ class StraightThroughEstimator(nn.Module):
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the choices of the rows of ``x [n, c]``, of its dtype."""
         x = floating("x", x)
-        if x.ndim != 2 or not x.shape[1]:
-            raise ValueError(f"x must be [n, c] with a choice at least, got {tuple(x.shape)}")
+        _validate.shaped("x", x, "[n, 1 or more], a choice at least")
         return STEFunction.apply(trainable(x), self.temperature)

@@ -159,8 +159,7 @@ def optimise(
     run = Run() if run is None else run
     observer = ANYWHERE if observer is None else observer
     for name, given, kind in (("display", display, Display), ("run", run, Run), ("observer", observer, Observer)):
-        if not isinstance(given, kind):
-            raise TypeError(f"{name} must be an odak.learn.wave.{kind.__name__}, got {type(given).__name__}")
+        _validate.instance(name, given, kind, f"an odak.learn.wave.{kind.__name__}")
     for colour in range(display.shape[1]):
         observer.places(display.shape[2:], display.path.image_pitches(colour))
     where = None if devices is None else used_devices(devices, display.powers.device)

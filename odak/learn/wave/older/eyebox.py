@@ -135,15 +135,12 @@ def eyebox_hologram(
     (torch.Size([32, 32]), torch.Size([2, 32, 32]))
     """
     places = tensor("pupil_positions", pupil_positions, torch.float64)
-    if places.ndim != 2 or places.shape[1] != 2 or not len(places):
-        raise ValueError(f"pupil_positions must be [K, 2] with K at least 1, got {list(places.shape)}")
+    _validate.shaped("pupil_positions", places, "[K, 2], not empty")
     targets = checked_intensities("targets", targets)
     _validate.image("targets", targets)
-    if targets.ndim > 3 or (targets.ndim == 3 and len(targets) not in (1, len(places))):
-        raise ValueError(
-            f"targets must be [rows, columns] or [{len(places)}, rows, columns], one for each of pupil_positions; "
-            f"got {list(targets.shape)}"
-        )
+    _validate.shaped(
+        "targets", targets, f"[rows, columns] or [1 or {len(places)}, rows, columns], one for each of pupil_positions"
+    )
     targets = targets.expand(len(places), *targets.shape[-2:])
     for name, length in (("wavelength", wavelength), ("distance", distance), ("learning_rate", learning_rate)):
         _validate.number(name, length, positive=True)

@@ -624,8 +624,7 @@ def get_point_wise_impulse_response_fresnel_kernel(
 
 def _positions(name, points) -> torch.Tensor:
     points = floating(name, points, torch.float64)
-    if points.ndim != 2 or points.shape[1] < 2 or not len(points):
-        raise ValueError(f"{name} must be [points, 2 or more], not empty; got {list(points.shape)}")
+    _validate.shaped(name, points, "[points, 2 or more], not empty")
     return points[:, :2]
 
 

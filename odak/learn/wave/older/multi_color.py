@@ -218,8 +218,7 @@ class multi_color_hologram_optimizer(Prepared):
         if scheduler_power is not None:
             _validate.real("scheduler_power", scheduler_power)
             warn("scheduler_power has no effect: the learning rate falls along a cosine", ArgumentWarning)
-        if not isinstance(propagator, propagator_type):
-            raise TypeError(f"propagator must be an odak.learn.wave.propagator, got {propagator!r:.80}")
+        _validate.instance("propagator", propagator, propagator_type, "an odak.learn.wave.propagator")
         device = checked_device("device", device)
         self.propagator = propagator if device is None else propagator.to(device)
         self.device = propagator.device

@@ -8,7 +8,7 @@ import torch
 
 from odak import _array, _torch_private, _validate
 from odak._warnings import ArgumentWarning, warn
-from odak.learn._tensors import ValuesRead, checked_device, floating, kind_of, tensor
+from odak.learn._tensors import ValuesRead, checked_device, complex_tensor, floating, real_tensor, tensor
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.older.volume import PROPAGATOR_TYPES, checked_slice, display_volume, plane_distances
 from odak.learn.wave.slm import pixel_fill_of
@@ -91,8 +91,7 @@ def checked_phases(phases: torch.Tensor, shape: tuple[int, ...]) -> torch.Tensor
     ValueError, TypeError
         If they are not real, or of another shape.
     """
-    if not isinstance(phases, torch.Tensor) or phases.is_complex():
-        raise TypeError(f"hologram_phases must be a real tensor, got {kind_of(phases)}")
+    real_tensor("hologram_phases", phases)
     came = tuple(phases.shape)
     if came not in (shape, (1, *shape)) and not (shape[0] == 1 and came == shape[1:]):
         raise ValueError(f"hologram_phases must be [frames, rows, columns] = {shape}, got {came}")
@@ -476,8 +475,7 @@ class propagator(display_volume):
         return _array.to_complex(spread.clamp_min(torch.finfo(spread.dtype).tiny).sqrt())
 
     def _check_holograms(self, holograms):
-        if not isinstance(holograms, torch.Tensor) or not holograms.is_complex():
-            raise TypeError(f"holograms must be a complex tensor, got {kind_of(holograms)}")
+        complex_tensor("holograms", holograms)
         expected = [self.number_of_frames, 1, self.number_of_channels, *self.field_shape]
         if list(holograms.shape) not in (expected, [*expected[:2], 1, *expected[3:]]):
             raise ValueError(f"holograms must be {expected}, or of one colour; got {list(holograms.shape)}")

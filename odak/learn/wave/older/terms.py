@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import torch
 
 from odak import _validate
-from odak.learn._tensors import floating, kind_of
+from odak.learn._tensors import floating, real_tensor
 from odak.learn.tools.file import torch_load
 from odak.learn.tools.loss import multi_scale_total_variation_loss
 from odak.learn.wave.fields import disc, unit_phasor
@@ -50,8 +50,7 @@ def loss_weights(given: dict[str, float] | Sequence[float] | None, defaults: dic
     if unknown:
         raise ValueError(f"weights must be of {', '.join(defaults)}; got {', '.join(map(repr, unknown))}")
     for name, value in given.items():
-        if _validate.real(f"weights[{name!r}]", value) < 0:
-            raise ValueError(f"weights[{name!r}] must not be negative, got {value}")
+        _validate.number(f"weights[{name!r}]", value, least=0)
     weights = defaults | {name: float(value) for name, value in given.items()}
     if not any(weights.values()):
         raise ValueError(f"weights must contain one above zero, got {given!r}")
@@ -101,8 +100,7 @@ def checked_targets(targets, shape: tuple[int, ...]) -> torch.Tensor:
 def check_pair(input_image, target_image) -> None:
     """Raise ValueError or TypeError unless an image and its target are real tensors of one shape."""
     for name, image in (("input_image", input_image), ("target_image", target_image)):
-        if not isinstance(image, torch.Tensor) or image.is_complex():
-            raise TypeError(f"{name} must be a real tensor, got {kind_of(image)}")
+        real_tensor(name, image)
     if not input_image.ndim:
         raise ValueError("input_image must be [colours, rows, columns], got a number")
     _validate.alike(input_image=input_image, target_image=target_image)
@@ -167,8 +165,7 @@ def checked_pattern(
         The offset is one for each frame, ``[F]``, rather than one that broadcasts against the phase.
     """
     phase, offset = _validate.image(name, floating(name, phase)), floating("phase_offset", offset)
-    if phase.ndim > 4 or not phase.numel():
-        raise ValueError(f"{name} must be [m, n], [F, m, n] or [B, F, m, n], not empty; got {list(phase.shape)}")
+    _validate.shaped(name, phase, "[m, n], [F, m, n] or [B, F, m, n], not empty")
     offset = offset.reshape(-1, 1, 1) if of_frames else offset
     if _validate.fitting(**{name: phase, "phase_offset": offset}) != tuple(phase.shape):
         raise ValueError(f"phase_offset must fit into {name} {list(phase.shape)}, got {list(offset.shape)}")

@@ -11,7 +11,7 @@ import torch
 from odak import _array, _show, _torch_private, _validate
 from odak._attributes import Prepared
 from odak._warnings import AccuracyWarning, warn
-from odak.learn._tensors import checked_device, floating, kind_of, tensor
+from odak.learn._tensors import checked_device, floating, floating_tensor, tensor
 from odak.learn.tools.matrix import circular_binary_mask
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.propagation import propagate_beam
@@ -586,8 +586,7 @@ class display_volume(Prepared, torch.nn.Module):
     def propagate(self, field: torch.Tensor, H: torch.Tensor) -> torch.Tensor:
         """Return a field filtered by a transfer function ``[2ms, 2ns]`` (centred) and the aperture."""
         H = _validate.image("H", tensor("H", H))
-        if tuple(H.shape[-2:]) != self.padded_shape:
-            raise ValueError(f"H must be [..., {self.padded_shape[0]}, {self.padded_shape[1]}], got {tuple(H.shape)}")
+        _validate.shaped("H", H, f"[..., {self.padded_shape[0]}, {self.padded_shape[1]}]")
         field = self._on_grid(field, "field")
         _validate.one_device(field=field, H=H)
         _validate.fitting(field=field[..., 0, 0], H=H[..., 0, 0])
@@ -632,16 +631,13 @@ class _Kept:
 
 def checked_slice(name: str, value) -> slice:
     """Return a slice after checking that it is one."""
-    if not isinstance(value, slice):
-        raise TypeError(f"{name} must be a slice, got {value!r:.80}")
+    _validate.instance(name, value, slice, "a slice")
     return value
 
 
 def index(name: str, value: int, count: int) -> int:
     """Return `value` after checking that it counts one of `count` things, from zero."""
-    if _validate.integer(name, value) >= count:
-        raise ValueError(f"{name} must be from 0 to {count - 1}, got {value}")
-    return int(value)
+    return _validate.integer(name, value, most=count - 1)
 
 
 def _checked_wavelengths(wavelengths) -> list:
@@ -826,21 +822,16 @@ class holographic_display(display_volume):
         ValueError, TypeError
             If phases or powers do not fit.
         """
-        if not isinstance(hologram_phases, torch.Tensor) or not hologram_phases.is_floating_point():
-            raise TypeError(f"hologram_phases must be a real tensor, got {kind_of(hologram_phases)}")
-        if (
-            hologram_phases.ndim != 3
-            or not len(hologram_phases)
-            or tuple(hologram_phases.shape[1:]) != tuple(self.resolution)
-        ):
-            raise ValueError(
-                f"hologram_phases must be [frames, {self.resolution[0]}, {self.resolution[1]}], "
-                f"got {tuple(hologram_phases.shape)}"
-            )
+        floating_tensor("hologram_phases", hologram_phases, "a real tensor")
+        _validate.shaped(
+            "hologram_phases",
+            hologram_phases,
+            f"[1 or more, {self.resolution[0]}, {self.resolution[1]}], frames of the resolution",
+        )
         laser_powers = floating("laser_powers", laser_powers)
-        expected = (len(hologram_phases), self.number_of_channels)
-        if tuple(laser_powers.shape) != expected:
-            raise ValueError(f"laser_powers must be [frames, colours] = {expected}, got {tuple(laser_powers.shape)}")
+        _validate.shaped(
+            "laser_powers", laser_powers, f"[{len(hologram_phases)}, {self.number_of_channels}], frames and colours"
+        )
         hologram_phases = hologram_phases.to(self.device)
         field = self._on_grid(_array.cast(self.amplitude, hologram_phases) * unit_phasor(hologram_phases))
         light = intensity(self._propagated(field[:, None, None], self.transfer(slice(None), field.dtype)))

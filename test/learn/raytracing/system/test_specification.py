@@ -134,7 +134,7 @@ def test_arguments_beside_an_object_replace_its_own():
         (lambda: Fields([0.0, 1.0], field_weights=[0, 0]), ValueError, "field_weights must have one above 0"),
         (lambda: Fields([0.0], vignetting_factors=[(0, 0, 1, 0)]), ValueError, "vignetting_factors .*VCX and VCY"),
         (lambda: Wavelengths([5e-4, -1.0]), ValueError, "wavelengths must be positive"),
-        (lambda: Wavelengths([5e-4], reference=1), ValueError, "reference must be below the number of wavelengths, 1"),
+        (lambda: Wavelengths([5e-4], reference=1), ValueError, "reference must be at least 0 and below 1"),
         (lambda: Wavelengths(5e-4, wavelength_weights=[1, 2]), ValueError, "wavelength_weights must have 1 numbers"),
         (lambda: Conjugates(-5.0), ValueError, "object_distance must be positive or infinite"),
         (lambda: Conjugates(object_material="mirror"), ValueError, "object_material must be"),

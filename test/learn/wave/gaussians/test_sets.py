@@ -57,7 +57,7 @@ def test_the_choice_and_its_gradient():
         torch.testing.assert_close(sharp[0], torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64))
     with pytest.raises(ValueError, match="temperature"):
         StraightThroughEstimator(0.0)
-    with pytest.raises(ValueError, match=r"x must be \[n, c\]"):
+    with pytest.raises(ValueError, match=r"x must be \[n, 1 or more\]"):
         estimator(torch.zeros(3))
 
 
