@@ -321,7 +321,7 @@ def trace(settings: TraceSettings) -> None:
     Examples::
 
         odak trace cooke_triplet
-        odak trace double_gauss --focus best --figures svg
+        odak trace singlet --focus best --figures svg
     """
     from odak.cli.trace import run, summary
 

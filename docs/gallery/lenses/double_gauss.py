@@ -42,6 +42,6 @@ print("tangential focus (mm):", [round(v, 3) for v in tangential[middle].tolist(
 print("sagittal focus (mm):", [round(v, 3) for v in sagittal[middle].tolist()])
 print("distortion:", [f"{v:.2%}" for v in distortion(lens)[middle].tolist()])
 # Picture: Section through a double Gauss, and its ray fans for three fields and three wavelengths
-# Change: `load_system("double_gauss")` to `load_system("double_gauss_f28")`: A second sample, f/2.8, was designed by the package itself; its fans are several times lower.
+# Change: `load_system("double_gauss")` to `load_system("double_gauss_f28")`: A second sample, f/2.8, was designed by the package itself; on the axis its fans are about half as high, and the whole pupil reaches the edge of the field.
 # Thumbnail: 0.18 0.03 0.6 0.5
 plt.show()
