@@ -1,4 +1,4 @@
-"""Hooks of MkDocs: conversion of equations to MathML, download links of notebooks and texts for their pictures.
+"""Hooks of MkDocs: conversion of equations to MathML, download links of notebooks, texts of pictures as captions.
 
 MathML is drawn by the browser itself, so pages need no script and nothing from the network. Wide figures are marked, so
 that a phone scrolls them instead of making their text too small to read.
@@ -42,7 +42,19 @@ def on_page_content(html, page, config, files):
         if _is_wide(image["src"], Path(config["docs_dir"]) / page.url):
             image["class"] = "wide-figure"
             image.parent["class"] = [*image.parent.get("class", []), "scrolled-figure"]
+    if page.file.src_path.startswith(("guides/", "notes/")):
+        _write_captions(soup)
     return str(soup)
+
+
+def _write_captions(soup):
+    """Show the text of each picture beneath it, unless a caption in italics follows."""
+    for image in soup.select("p > img:only-child"):
+        after = image.parent.find_next_sibling()
+        if after is None or after.name != "p" or after.select_one("em:only-child") is None:
+            caption = soup.new_tag("p", attrs={"class": "caption"})
+            caption.string = image.get("alt", "").rstrip(".") + "."
+            image.parent.insert_after(caption)
 
 
 def _is_wide(source, folder):

@@ -106,6 +106,24 @@ def source(picture: bytes | str) -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
+def fields_html(shown: Any, title: str, warnings: Sequence[str] = ()) -> str:
+    """Return a named tuple or a dataclass as HTML: a row for each of its fields that is not None.
+
+    Parameters
+    ----------
+    shown : object
+        The object.
+    title : str
+        First line of the page.
+    warnings : sequence of str
+        What endangers a result.
+    """
+    names = getattr(shown, "_fields", None) or type(shown).__dataclass_fields__
+    values = ((name.replace("_", " "), getattr(shown, name)) for name in names)
+    rows = [(name, short(value)) for name, value in values if value is not None]
+    return to_html(View(title, (), [("", "value"), *rows], warnings))
+
+
 def _cell(value: Any) -> str:
     return value if isinstance(value, str) else short(value)
 

@@ -231,6 +231,34 @@ def test_a_hologram_shows_its_quality():
     assert (page.drawn(2) == np.round(found.phases[0].numpy() * 255 / (2 * np.pi))).all()
 
 
+def test_a_hologram_of_several_planes_shows_each():
+    display = Display(Modulator((40, 48), 8e-6), 532e-9, [2e-3, 4e-3])
+    found = optimise(display, torch.rand(2, 1, 40, 48), run=Run(iterations=2, progress=False))
+    page = page_of(found)
+    assert [name for name, _ in page.images] == [
+        "target, 2 mm",
+        "image, 2 mm",
+        "target, 4 mm",
+        "image, 4 mm",
+        "pattern",
+    ]
+    for plane in (0, 1):
+        assert (page.drawn(2 * plane + 1)[..., 0] == np.round(255 * found.pictures(plane)[0].numpy())).all()
+    assert (page.drawn(1) != page.drawn(3)).any()
+
+
+def test_numbers_of_first_order_reports_and_panels_are_tables():
+    found = first_order(load_system("cooke_triplet"))
+    page = page_of(found)
+    assert page["f number"] == "4.00008" and len(page.rows) == 1 + len(found._fields)
+    page = page_of(Modulator((32, 48), (8e-6, 9e-6)))
+    assert "32 × 48" in page.title and page["pitch"] == "(8e-06, 9e-06)" and page["fill"] == "0.9"
+    sharp = page_of(odak.wave.sampling_report([64, 64], 8e-6, 532e-9, 1e-3))
+    assert sharp["recommended"][1:-1] in sharp.title and sharp["distance"] == "0.001" and sharp.notes == []
+    poor = page_of(odak.wave.sampling_report([64, 64], 8e-6, 532e-9, 1e-3, tolerance=1e-14))
+    assert len(poor.notes) == 1 and "more than the tolerance of 1.0e-14" in poor.notes[0]
+
+
 @pytest.mark.parametrize("widgets", [True, False])
 def test_progress_bars_are_widgets_where_these_can_be_shown(monkeypatch, widgets):
     import tqdm

@@ -479,13 +479,20 @@ def show(settings: ShowSettings) -> None:
         odak show double_gauss --no-open
     """
     import tempfile
+    import webbrowser
 
     from odak.cli import show as pages
 
     page = settings.output or Path(tempfile.mkdtemp(prefix="odak-show-")) / "page.html"
     pages.run(settings.file, page.expanduser().absolute())
     typer.echo(str(page))
-    if settings.browser:
+    if not settings.browser:
+        return
+    try:
+        webbrowser.get()
+    except webbrowser.Error:
+        typer.echo("There is no browser here: open the page on another machine; it needs no other file.", err=True)
+    else:
         typer.launch(str(page))
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from odak import _array, _validate
+from odak import _array, _show, _validate
 from odak._array import Array
 from odak._bars import tqdm
 from odak._warnings import SamplingWarning, warn
@@ -100,6 +100,11 @@ class SamplingReport(Criteria):
     def to_dict(self) -> dict[Any, Any]:
         """Return the report as a plain dictionary (JSON-ready but for an infinite Fresnel number)."""
         return asdict(self)
+
+    def _repr_html_(self) -> str:
+        error, most = f"a relative error of {self.predicted_error:.1e}", f"the tolerance of {self.tolerance:.1e}"
+        doubts = [f"{error} is more than {most}"] if self.predicted_error > self.tolerance else []
+        return _show.fields_html(self, f"{self.recommended}: {error} at most. Lengths in metres", doubts)
 
 
 @_validate.takes_units("dx", "wavelength", "distance")

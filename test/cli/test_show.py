@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import webbrowser
 
 import numpy as np
 import pytest
@@ -180,8 +181,21 @@ def test_pages_are_written_to_html_files_whose_folder_is_made(tmp_path, capsys):
 def test_the_browser_is_asked_to_open_the_page(tmp_path, monkeypatch, capsys):
     opened = []
     monkeypatch.setattr(typer, "launch", opened.append)
+    monkeypatch.setattr(webbrowser, "get", lambda: None)
     assert main(["show", "singlet"]) == 0
     assert opened == [capsys.readouterr().out.strip()]
+
+
+def test_one_line_says_that_there_is_no_browser(tmp_path, monkeypatch, capsys):
+    def nothing():
+        raise webbrowser.Error("could not locate runnable browser")
+
+    monkeypatch.setattr(typer, "launch", lambda _: pytest.fail("nothing can be opened"))
+    monkeypatch.setattr(webbrowser, "get", nothing)
+    assert main(["show", "singlet", "-o", str(tmp_path / "page.html")]) == 0
+    said = capsys.readouterr()
+    assert said.out.strip() == str(tmp_path / "page.html") and (tmp_path / "page.html").is_file()
+    assert len(said.err.splitlines()) == 1 and "There is no browser here" in said.err
 
 
 def test_what_cannot_be_shown_is_named(tmp_path, capsys):

@@ -79,6 +79,9 @@ class FirstOrder(NamedTuple):
     def __repr__(self) -> str:
         return _show.one_line(self)
 
+    def _repr_html_(self) -> str:
+        return _show.fields_html(self, "First order, lengths in the unit of the system")
+
 
 class Matrix(NamedTuple):
     """Elements of an ABCD matrix on (y, n·u), each a tensor of one shape."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from odak import _validate
+from odak import _show, _validate
 from odak.learn.wave.fields import unit_phasor
 from odak.learn.wave.slm import TURN, checked_bits, even_levels
 from odak.wave.linear_kernels import checked_pixel_fill
@@ -165,6 +165,10 @@ class Modulator:
                 raise ValueError(
                     "response must have a fill factor of 1 and one sample per pixel; give fill here instead"
                 )
+
+    def _repr_html_(self) -> str:
+        rows, columns = self.resolution
+        return _show.fields_html(self, f"Modulator of {rows} × {columns} pixels, lengths in metres")
 
     def responses(self) -> list[torch.nn.Module]:
         """Return the responses of the frames where each has its own."""

@@ -200,11 +200,15 @@ class DisplayedHologram:
         return _show.page(self, DisplayedHologram._view)
 
     def _view(self) -> _show.View:
-        """Return what notebooks show of it: target, image and pattern, and the quality of each plane and colour."""
-        shown = {"target": shown_on_a_screen(self.target[0], self.display), "image": self.pictures(0)}
+        """Return what notebooks show of it: targets, images and a pattern, the quality of each plane and colour."""
+        places = [self.display.path.place_in_words(d) for d in range(self.display.shape[0])]
+        shown = {}
+        for d, (_, place) in enumerate(places):
+            at = f", {place}" if len(places) > 1 else ""
+            shown[f"target{at}"] = shown_on_a_screen(self.target[d], self.display)
+            shown[f"image{at}"] = self.pictures(d)
         pictures = [(name, _show.png(one.detach().cpu().movedim(0, -1))) for name, one in shown.items()]
         pictures.append(("pattern", _show.png((self.phases[0] / TURN).detach().cpu())))
-        places = [self.display.path.place_in_words(d) for d in range(self.display.shape[0])]
         head = places[0][0], "wavelength", "PSNR", "registered", "at points", "brightness"
         rows = [
             (
