@@ -105,6 +105,8 @@ else:  # torch is not imported before it is used
     Device, DType, Seed = str | NumberedDevice | None, str | type | None, int | None
 # It takes over what NumPy has at run time, unseen by a type checker.
 numpy_namespace: Any = array_api_compat.numpy
+# Where there are no other types, nothing has to be asked about them.
+_OF_NUMPY = {numpy_namespace.ndarray, numpy_namespace.float64, float, int}
 _PLAIN = (int, float, complex, bool, str, list, tuple, type(None))
 _COMPLEX = ("torch.complex64", "torch.complex128", "complex64", "complex128")
 _NUMPY_COMPLEX = (numpy_namespace.dtype("complex64"), numpy_namespace.dtype("complex128"))
@@ -121,6 +123,8 @@ def is_array(value) -> bool:
 
 def namespace(*values) -> ModuleType:
     """Return the array namespace of the arrays among `values`, NumPy's when there is none."""
+    if _OF_NUMPY.issuperset(map(type, values)):
+        return numpy_namespace
     tensor = getattr(sys.modules.get("torch"), "Tensor", ())
     one = len(values) == 1 and isinstance(values[0], tensor)
     arrays = values if one else [value for value in values if isinstance(value, tensor) or is_array(value)]

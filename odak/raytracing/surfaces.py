@@ -1090,15 +1090,17 @@ def _without_graph(*values):
 
 
 def _solved_by_numpy(start, direction, shape: Shape, aperture, select: str):
-    """Return what :func:`_solve` returns for few tensors of the CPU, computed by NumPy; None for anything else.
+    """Return what :func:`_solve` returns for arrays or few tensors of the CPU, computed by NumPy; None for others.
 
     The iteration consists of hundreds of operations, each of which takes NumPy less time to begin than torch.
     """
     given = (start, direction, aperture, shape.parameters())
     tensors = [value for value in _leaves(given) if is_torch(value)]
     # A user's own shape may call functions of torch.
-    if not tensors or type(shape).__module__ != __name__:
+    if type(shape).__module__ != __name__:
         return None
+    if not tensors:
+        return _solved_arrays(*given, type(shape), select) if isinstance(start[0], np.ndarray) else None
     import torch
 
     from odak import _torch_private
@@ -1110,19 +1112,21 @@ def _solved_by_numpy(start, direction, shape: Shape, aperture, select: str):
     )
     if not plain or _torch_private.is_transformed(*tensors):
         return None
-    start, direction, aperture, parameters = _mapped(lambda value: value.detach().resolve_neg().numpy(), given)
-    ranks = (0, *type(shape).ranks_of_parameters())
-    one = _of_one_surface((aperture, *parameters), ranks)
+    found = _solved_arrays(*_mapped(lambda value: value.detach().resolve_neg().numpy(), given), type(shape), select)
+    return tuple(torch.from_numpy(np.asarray(value)) for value in found)
+
+
+def _solved_arrays(start, direction, aperture, parameters, kind: type[Shape], select: str):
+    """Return what :func:`_solve` returns for arrays of NumPy; rays with one surface as one row."""
+    one = _of_one_surface((aperture, *parameters), (0, *kind.ranks_of_parameters()))
     with np.errstate(all="ignore"):
         if one is None:
-            found = _solve(start, direction, type(shape)(*parameters), aperture, select)
-        else:
-            (aperture, *parameters), batch = one
-            rays = np.broadcast_arrays(*start, *direction, np.empty(batch))[:-1]
-            flat = [value.ravel() for value in rays]
-            found = _solve(tuple(flat[:3]), tuple(flat[3:]), type(shape)(*parameters), aperture, select)
-            found = [np.reshape(value, rays[0].shape) for value in found]
-    return tuple(torch.from_numpy(np.asarray(value)) for value in found)
+            return _solve(start, direction, kind(*parameters), aperture, select)
+        (aperture, *parameters), batch = one
+        rays = np.broadcast_arrays(*start, *direction, np.empty(batch))[:-1]
+        flat = [value.ravel() for value in rays]
+        found = _solve(tuple(flat[:3]), tuple(flat[3:]), kind(*parameters), aperture, select)
+        return [np.reshape(value, rays[0].shape) for value in found]
 
 
 def _of_one_surface(parameters, ranks):
@@ -1134,6 +1138,7 @@ def _of_one_surface(parameters, ranks):
             if any(length != 1 for length in value.shape[: value.ndim - rank]):
                 return None
             value = value.reshape(value.shape[value.ndim - rank :])[()]
+            value = tuple(value.tolist()) if rank == 1 else value
         elif any(np.ndim(part) for part in _leaves(value)):
             return None
         found.append(value)
@@ -1273,8 +1278,8 @@ def newton(start, direction, shape: Shape, guess, limit: int = 64):
         over = done if step < 24 else done | ~crossed
         if not transformed and (step % 4 == 3 or is_readable(t)) and bool(xp.all(over)):
             break
-        if separable and t.size > FEW and 2 * np.count_nonzero(done) > t.size:
-            rest = np.flatnonzero(~done)
+        if separable and t.size > FEW and 2 * np.count_nonzero(over) > t.size:
+            rest = np.flatnonzero(~over)
             whole, places = _written(whole, places, (t, done, crossed)), rest if places is None else places[rest]
             t, best, smallest, low, high, done, crossed = (
                 value[rest] for value in (t, best, smallest, low, high, done, crossed)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from odak._array import broadcast, is_readable
+from odak._array import broadcast, is_readable, namespace
 from odak._torch_private import is_transformed
 from odak.raytracing import components as vec
 from odak.raytracing import interfaces
@@ -450,21 +450,22 @@ class _Walk:
 
     def __init__(self, layout: Layout, rays, numbers, record):
         self.layout, self.record, self.dtype = layout, record, rays[0].dtype
+        xp = self.xp = namespace(rays[0])
         self.curvature, self.conic, self.distance, self.coefficients, self.index, *rest = (
-            value.to(self.dtype) for value in numbers
+            xp.astype(value, self.dtype, copy=False) for value in numbers
         )
         self.wavelength = self.shift = self.tilt = None
         if layout.placed or any(layout.phases):
             self.wavelength, self.shift, self.tilt, *rest = rest
         self.others = iter(rest)
         total: Any = sum(rays)
-        status = torch.where(torch.isfinite(total), HIT, int(RayStatus.MISS))
+        status = xp.where(xp.isfinite(total), HIT, int(RayStatus.MISS))
         # Rays that could not be aimed have infinite direction cosines.
-        status = torch.where(torch.isinf(rays[5]), int(RayStatus.NOT_AIMED), status).to(torch.int8)
-        x, y, z, u, v, w = (torch.where(status == HIT, value, float(i == 5)) for i, value in enumerate(rays))
+        status = xp.astype(xp.where(xp.isinf(rays[5]), int(RayStatus.NOT_AIMED), status), xp.int8)
+        x, y, z, u, v, w = (xp.where(status == HIT, value, float(i == 5)) for i, value in enumerate(rays))
         self.point, self.direction = (x, y, z), (u, v, w)
-        self.path = torch.zeros_like(x + self.distance[..., 0])
-        self.status = status.expand(self.path.shape)
+        self.path = xp.zeros_like(x + self.distance[..., 0])
+        self.status = xp.broadcast_to(status, self.path.shape)
         self.frames = Frames() if any(isinstance(order, int) for order in layout.orders) else None
         self.medium: Graded | None = None
 
@@ -492,17 +493,26 @@ class _Walk:
         self._limit(layout.limits[i])
         incoming, behind, normal = self.direction, self.index[..., i + 1], None
         if layout.actions[i] != "pass" or phase is not None:
-            normal = _on_axis(self.status, 1, self.point, found.normal)[1]
+            normal = self._on_axis(1, self.point, found.normal)[1]
             behind = self._turn(i, normal, before, behind, phase, gradient, place)
         if self.record is not None:
-            normal = _on_axis(self.status, 1, self.point, found.normal)[1] if normal is None else normal
+            normal = self._on_axis(1, self.point, found.normal)[1] if normal is None else normal
             self._report(i, (incoming, self.direction, normal), before, behind, found.distance, place)
         if place is not None:
             self.point, self.direction = place.leave(self.point, self.direction)
         self._enter_medium(i, gradient)
 
     def _fail(self, good, event) -> None:
-        self.status = _with_event(self.status, good, event)
+        """Set the statuses after an event: the first event of a ray is kept."""
+        event = int(event) if isinstance(event, RayStatus) else event
+        failed = (self.status == HIT) & ~good
+        self.status = self.xp.astype(self.xp.where(failed, event, self.status), self.xp.int8)
+
+    def _on_axis(self, sign: int, point, direction):
+        """Return points and directions; failed rays are put at the vertex, along the axis."""
+        kept, where = self.status == HIT, self.xp.where
+        x, y, z, u, v = (where(kept, value, 0.0) for value in (*point, *direction[:2]))
+        return (x, y, z), (u, v, where(kept, direction[2], float(sign)))
 
     def _advance(self, distance) -> None:
         """Move the origin along the axis to the next vertex."""
@@ -532,7 +542,7 @@ class _Walk:
         curved = arrive(medium.gradient, medium.base, here, self.point, self.direction, shape, sign, track)
         self.point, self.direction, index, length, arrived, carried = curved
         self._fail(arrived, RayStatus.NOT_CONVERGED)
-        self.path = self.path + torch.where(self.status == HIT, length, 0.0)
+        self.path = self.path + self.xp.where(self.status == HIT, length, 0.0)
         if self.record is not None and carried is not None:
             self.record(Passage(i, "bend", change=(medium.frame, carried[0]), length=carried[1]))
         return index
@@ -541,18 +551,18 @@ class _Walk:
         """Intersect the rays with a surface, and return what :func:`intersection` found."""
         sign = self.layout.signs[i]
         # Rays of fields beyond 90 degrees meet the first surface from its front, though they run against the axis.
-        first, least = i == 0 and sign > 0, 64 * torch.finfo(self.dtype).eps
+        first, least = i == 0 and sign > 0, 64 * float(self.xp.finfo(self.dtype).eps)
         if not first:
             # A ray must arrive from the side that its surface is passed from.
             self._fail(self.direction[2] * sign > least, RayStatus.MISS)
-        point, self.direction = _on_axis(self.status, sign, self.point, self.direction)
+        point, self.direction = self._on_axis(sign, self.point, self.direction)
         found, state = intersection(point, self.direction, shape, None, "forward" if first else "through")
         self._fail(found.hit, state)
         if first:
             across = sum(a * b for a, b in zip(found.normal, self.direction, strict=True))
-            self._fail(across.detach() > least, RayStatus.MISS)
-        self.path = self.path + index * torch.where(self.status == HIT, found.distance, 0.0)
-        self.point, self.direction = _on_axis(self.status, sign, found.point, self.direction)
+            self._fail(across > least, RayStatus.MISS)
+        self.path = self.path + index * self.xp.where(self.status == HIT, found.distance, 0.0)
+        self.point, self.direction = self._on_axis(sign, found.point, self.direction)
         return found
 
     def _limit(self, limit) -> None:
@@ -576,14 +586,14 @@ class _Walk:
                 self._fail(covered, RayStatus.VIGNETTED)
             wave: Any = self.wavelength
             direction, through, extra = phase.deflect(self.point, direction, normal, before, behind, wave, mirror)
-            self.path = self.path + torch.where(self.status == HIT, extra, 0.0)
+            self.path = self.path + self.xp.where(self.status == HIT, extra, 0.0)
         elif mirror:
-            direction, through = interfaces.reflected(direction, normal), torch.ones_like(self.status == HIT)
+            direction, through = interfaces.reflected(direction, normal), self.xp.ones_like(self.status == HIT)
         else:
             direction, through, _ = interfaces.refracted(direction, normal, before, behind)
         self._fail(through, RayStatus.TOTAL_INTERNAL_REFLECTION)
         sign = self.layout.signs[i]
-        self.point, self.direction = _on_axis(self.status, -sign if mirror else sign, self.point, direction)
+        self.point, self.direction = self._on_axis(-sign if mirror else sign, self.point, direction)
         return behind
 
     def _report(self, i: int, ways, before, behind, distance, place) -> None:
@@ -614,19 +624,6 @@ def _shape(kind, curvature, conic, coefficients, others) -> Shape:
 
 def _rebuilt(kind, others):
     return None if kind is None else kind(*(next(others) for _ in kind.ranks_of_parameters()))
-
-
-def _with_event(status, good, otherwise):
-    """Return statuses after an event: the first event of a ray is kept."""
-    event = otherwise if isinstance(otherwise, torch.Tensor) else int(otherwise)
-    return torch.where((status == HIT) & ~good, event, status).to(torch.int8)
-
-
-def _on_axis(status, sign: int, point, direction):
-    """Return points and directions; failed rays are put at the vertex, along the axis."""
-    kept = status == HIT
-    x, y, z, u, v = (torch.where(kept, value, 0.0) for value in (*point, *direction[:2]))
-    return (x, y, z), (u, v, torch.where(kept, direction[2], float(sign)))
 
 
 class Frame(NamedTuple):

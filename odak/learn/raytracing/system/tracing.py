@@ -8,14 +8,25 @@ import numpy as np
 import torch
 
 from odak import _array, _show, _torch_private, _validate
+from odak._array import is_readable
 from odak.learn.raytracing.system.fused import Trace
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
-from odak.learn.raytracing.system.sequence import HIT, flat_arguments, placement, plain_trace, points_within
+from odak.learn.raytracing.system.sequence import (
+    HIT,
+    Layout,
+    State,
+    flat_arguments,
+    placement,
+    plain_trace,
+    points_within,
+)
 from odak.learn.raytracing.system.surfaces import checked_system, coordinate_break, layout_of, optical_system
-from odak.raytracing.batches import in_pieces
+from odak.raytracing.batches import in_pieces, needs_gradient
 
 # Rays of a block of plain operations: its graph, a few kilobytes per ray, takes some tens of megabytes.
 BLOCK = 1 << 14
+# Up to this number of rays, what an operation costs is to begin it.
+FEW = 1 << 12
 
 
 class Rays(NamedTuple):
@@ -186,9 +197,23 @@ def _trace(system, rays, prescription, until, vignetting):
         found = Trace.apply(layout, *flat, *held[:5])
     else:
         given, ranks = flat_arguments(layout, held)
+        if flat[0].numel() <= FEW and not (layout.placed or layout.media or _followed(*flat, *given)):
+            return finished(_by_numpy(layout, *flat, *given), shape)
         state = in_pieces(partial(plain_trace, layout), (0,) * 6 + tuple(ranks), *flat, *given, size=BLOCK)
         return finished(state, shape)
     return Traced(*(value.reshape(shape) for value in found))
+
+
+def _followed(*values: torch.Tensor) -> bool:
+    """Return whether tensors are not on the processor, or derivatives of them are recorded."""
+    return needs_gradient(*values) or any(value.device.type != "cpu" or not is_readable(value) for value in values)
+
+
+@np.errstate(all="ignore")
+def _by_numpy(layout: Layout, *tensors: torch.Tensor) -> State:
+    """Return what :func:`plain_trace` does, computed by NumPy, which begins an operation in a fraction of the time."""
+    state = plain_trace(layout, *(value.detach().resolve_neg().numpy() for value in tensors))
+    return State(*(torch.from_numpy(np.ascontiguousarray(value)) for value in state))
 
 
 def checked_rays(rays: Rays | torch.Tensor) -> Rays:
