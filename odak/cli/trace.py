@@ -44,7 +44,7 @@ from odak.learn.raytracing.system.drawing import (
 )
 from odak.learn.raytracing.system.environment import replaced
 from odak.learn.raytracing.system.sketches import field_label
-from odak.learn.raytracing.system.system_files import load_materials
+from odak.learn.raytracing.system.system_files import SEALED, load_materials
 from odak.raytracing.intersections import RayStatus
 from odak.tools.paths import replacing
 
@@ -107,7 +107,8 @@ def read_system(name: str, argument: str = "SYSTEM"):
     if suffix and not Path(name).is_file():
         raise InputError(f"{argument} not found: {name!r}")
     readers = {".zmx": read_zmx, ".seq": read_seq, ".len": read_len}
-    if suffix not in ("", ".json", *readers):
+    # What is packed is refused by the reader, which says how to unpack it.
+    if suffix not in ("", ".json", *readers, *(packed for packed, *_ in SEALED)):
         raise InputError(
             f"{argument} must be a .json, .zmx, .seq or .len file, or the name of a sample lens; got {name!r}"
         )

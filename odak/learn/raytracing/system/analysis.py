@@ -857,7 +857,9 @@ def paraxial_points(
     numbers = (system.prescription() if prescription is None else prescription).at(system.reference)
     check_media(system, numbers)
     index = signed_indices(system, numbers)
-    whole = matrix(numbers, index, 0, len(system.surfaces), gap=True)
+    whole = [matrix(numbers, index, 0, len(system.surfaces), gap=True)] * 2
+    if numbers.shapes is not None or numbers.phases is not None:
+        whole[0] = matrix(numbers, index, 0, len(system.surfaces), gap=True, axis=0)
     pupil = entrance_pupil(system, prescription=numbers)
     points = field_points(system, fields).to(index.device)
     if projection == "angle" and not system.at_infinity:
@@ -878,8 +880,10 @@ def paraxial_points(
     else:
         slope = -points * pupil.bend[..., None, None]
         height = points + system.object_distance * slope
-    a, b, n = (value[..., None, None] for value in (whole.a, whole.b, index[..., 0]))
-    return a * height + b * n * slope
+    a, b = (
+        torch.stack(torch.broadcast_tensors(*pair), -1)[..., None, :] for pair in list(zip(*whole, strict=True))[:2]
+    )
+    return a * height + b * index[..., 0, None, None] * slope
 
 
 @differentiates

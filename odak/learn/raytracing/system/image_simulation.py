@@ -211,8 +211,8 @@ def _lattice(half, grid) -> torch.Tensor:
 
 def _fields_of(system, ideal: torch.Tensor, prescription) -> torch.Tensor:
     """Return the field points ``[F, 2]`` of ideal image points."""
-    unit = torch.tensor([[0.0, 1.0]], dtype=torch.float64)
-    place = paraxial_points(system, prescription, unit)[0, 1]
+    unit = torch.eye(2, dtype=torch.float64)
+    place = paraxial_points(system, prescription, unit).diagonal(dim1=-2, dim2=-1)
     if not system.at_infinity:
         return ideal / place
     return torch.rad2deg(torch.atan(ideal / (place / math.tan(math.radians(1.0)))))

@@ -107,7 +107,11 @@ class Matrix(NamedTuple):
 
 @_validate.takes_units()
 def first_order(
-    system: optical_system, wavelength: float | None = None, prescription: Prescription | None = None
+    system: optical_system,
+    wavelength: float | None = None,
+    prescription: Prescription | None = None,
+    *,
+    axis: str = "y",
 ) -> FirstOrder:
     """Return the first-order properties of a system.
 
@@ -120,6 +124,9 @@ def first_order(
     prescription : Prescription, optional
         Numbers in place of the system's own, a batch of systems perhaps; with indices for one wavelength, or for
         the wavelengths of the system.
+    axis : str
+        "y" or "x": the section in which the curvatures of cylinders, toroids and other surfaces without rotational
+        symmetry are taken.
 
     Returns
     -------
@@ -134,8 +141,8 @@ def first_order(
     Notes
     -----
     Kingslake and Johnson, Lens Design Fundamentals (2010), chapter 3; after a mirror, index and thickness change sign.
-    The r² term of an asphere adds 2a₁ to the curvature; of surfaces without rotational symmetry the curvature along y
-    is used. Shifts, tilts and coordinate breaks are ignored. The focal length of an afocal system is infinite.
+    The r² term of an asphere adds 2a₁ to the curvature. Shifts, tilts and coordinate breaks are ignored. The focal
+    length of an afocal system is infinite.
 
     Examples
     --------
@@ -144,15 +151,16 @@ def first_order(
     50.0
     """
     checked_system(system), checked_prescription(prescription)
+    section = "xy".index(_validate.one_of("axis", axis, ("x", "y")))
     wavelength = None if wavelength is None else _validate.constant("wavelength", wavelength, positive=True)
     p = _at_one_wavelength(system, wavelength, prescription)
     check_media(system, p)
     check_image_space(system, p)
     index = signed_indices(system, p)
-    whole = matrix(p, index, 0, len(system.surfaces))
-    after = matrix(p, index, system.stop, len(system.surfaces))
+    whole = matrix(p, index, 0, len(system.surfaces), axis=section)
+    after = matrix(p, index, system.stop, len(system.surfaces), axis=section)
     n, behind = index[..., 0], index[..., -1]
-    pupil = entrance_pupil(system, wavelength, prescription)
+    pupil = entrance_pupil(system, wavelength, prescription, section)
     # The axial ray is scaled to the radius of the pupil.
     axial, slope = _axial_ray(system, whole, n)
     scale = pupil.reach
@@ -301,7 +309,9 @@ class EntrancePupil(NamedTuple):
     middle: tuple[torch.Tensor, torch.Tensor]
 
 
-def entrance_pupil(system, wavelength: float | None = None, prescription: Prescription | None = None) -> EntrancePupil:
+def entrance_pupil(
+    system, wavelength: float | None = None, prescription: Prescription | None = None, axis: int = 1
+) -> EntrancePupil:
     """Return the entrance pupil of a system.
 
     Parameters
@@ -312,14 +322,16 @@ def entrance_pupil(system, wavelength: float | None = None, prescription: Prescr
         In the system's unit; its reference wavelength by default.
     prescription : Prescription, optional
         Numbers in place of the system's own.
+    axis : int
+        Of :func:`matrix`.
     """
     p = _at_one_wavelength(system, wavelength, prescription)
     by_image = system.aperture_type == "F-number" or (system.aperture_type == "NA" and system.at_infinity)
     check_media(system, p, None if by_image else system.stop)
     index = signed_indices(system, p)
-    before = matrix(p, index, 0, system.stop, gap=True)
+    before = matrix(p, index, 0, system.stop, gap=True, axis=axis)
     # An aperture in object space, of an object at infinity, does not depend on the surfaces behind the stop.
-    whole = matrix(p, index, 0, len(system.surfaces)) if by_image or not system.at_infinity else before
+    whole = matrix(p, index, 0, len(system.surfaces), axis=axis) if by_image or not system.at_infinity else before
     n = index[..., 0]
     distance = n * before.b / before.a
     if system.at_infinity:
@@ -382,8 +394,11 @@ def signed_indices(system: optical_system, p: Prescription) -> torch.Tensor:
     return p.index[..., 0, :] * torch.tensor(signs, dtype=torch.float64, device=p.index.device)
 
 
-def matrix(p: Prescription, index: torch.Tensor, start: int, stop: int, gap: bool = False) -> Matrix:
-    """Return the matrix of surfaces `start` to `stop` − 1, optionally with the gap behind the last of them."""
+def matrix(p: Prescription, index: torch.Tensor, start: int, stop: int, gap: bool = False, axis: int = 1) -> Matrix:
+    """Return the matrix of surfaces `start` to `stop` − 1, optionally with the gap behind the last of them.
+
+    In the section along x (`axis` 0) or along y (1).
+    """
     one = torch.ones(p.batch, dtype=torch.float64, device=index.device)
     found = Matrix(one, 0 * one, 0 * one, one)
     # Indices at the vertices: a graded medium has others than its material, and different ones at its two ends.
@@ -392,9 +407,9 @@ def matrix(p: Prescription, index: torch.Tensor, start: int, stop: int, gap: boo
         before = index[..., i] if graded is None else graded[4][1]
         graded = None if p.gradients is None else _graded_gap(p, index, i)
         behind = index[..., i + 1] if graded is None else graded[4][0]
-        power = (behind - before) * p.shape(i).curvatures()[1]
+        power = (behind - before) * p.shape(i).curvatures()[axis]
         if p.phases is not None and p.phases[i] is not None and p.wavelengths is not None:
-            power = power + p.phases[i].powers(p.wavelengths[0])[1]
+            power = power + p.phases[i].powers(p.wavelengths[0])[axis]
         found = found.then_surface(power)
         if i + 1 < stop or gap:
             if graded is None:

@@ -419,7 +419,7 @@ ON_THE_WAY, AT_THE_END = 1e-3, 1e-6
 MAXIMUM_STRETCH = 1.5
 _MARKS = ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"), (codecs.BOM_UTF8, "utf-8-sig"))
 # Files whose content is packed or hidden: their suffix, their first bytes, and what they are.
-_SEALED: tuple[tuple[str, tuple[bytes, ...], str], ...] = (
+SEALED: tuple[tuple[str, tuple[bytes, ...], str], ...] = (
     (".zar", (b"\xea\x00", b"\xec\x03"), "a Zemax archive"),
     (".zbb", (), "a Zemax black box"),
     (".zip", (b"PK",), "a packed archive"),
@@ -507,7 +507,7 @@ def lens_text(path: Path) -> str:
         raise ValueError(f"path must be a file, got {str(path)!r}")
     with path.open("rb") as stream:
         start = stream.read(2)
-    for suffix, marks, kind in _SEALED:
+    for suffix, marks, kind in SEALED:
         if path.suffix.lower() == suffix or start in marks:
             raise ValueError(f"{path.name} is {kind}, which is not read; save the lens as a text file (.zmx) instead")
     if path.stat().st_size > MAXIMUM_BYTES:

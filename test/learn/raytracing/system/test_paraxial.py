@@ -8,6 +8,8 @@ import torch
 from odak.catalog import refractive_index
 from odak.learn.raytracing.system import (
     best_focus,
+    distortion,
+    distortion_grid,
     first_order,
     load_system,
     optical_system,
@@ -18,6 +20,7 @@ from odak.learn.raytracing.system import (
     trace_fields,
 )
 from odak.raytracing import Toroid
+from odak.raytracing.surfaces import Biconic
 
 F64 = torch.float64
 
@@ -201,3 +204,42 @@ def test_third_order_sums_are_differentiable_and_name_limits():
         seidel_sums(optical_system([surface(shape=Toroid(0.1, 0.2))], 1.0))
     with pytest.raises(ValueError, match=r"surfaces\[0\] is shifted or tilted"):
         seidel_sums(optical_system([surface(9.0, material=1.5, tilt=(1.0, 0.0))], 1.0))
+
+
+def squeezing(image: float = 47.0) -> optical_system:
+    """Return an anamorphic lens: two cylinders with power along x in front of a rotationally symmetric lens."""
+    items = [
+        surface(shape=Biconic(1 / 60), thickness=4.0, material=1.5),
+        surface(thickness=50.0),
+        surface(shape=Biconic(-1 / 30), thickness=2.0, material=1.5),
+        surface(thickness=5.0),
+        surface(60.0, thickness=5.0, material=1.6, stop=True),
+        surface(-60.0, thickness=image),
+    ]
+    return optical_system(items, 4.0, fields=[(0.0, 5.0), (5.0, 0.0), (4.0, 3.0)])
+
+
+def test_first_order_of_an_anamorphic_system_per_axis():
+    """The focal lengths are those of real rays near the axis, and differ by the squeeze; the axis y is the default."""
+    lens = squeezing()
+    found = {axis: first_order(lens, axis=axis) for axis in "xy"}
+    for axis, components in (("x", "xu"), ("y", "yv")):
+        ray = trace_fields(lens, 1e-4 * torch.eye(2, dtype=torch.float64), fields=[0.0])
+        height, slope = (getattr(ray, name)[0, 0, "xy".index(axis)] for name in components)
+        assert float(found[axis].focal_length) == pytest.approx(-2e-4 / float(slope), rel=1e-7)
+        assert float(found[axis].image_distance) == pytest.approx(47.0 - float(height / slope), rel=1e-7)
+    assert float(found["x"].focal_length / found["y"].focal_length) == pytest.approx(1.93, abs=0.01)
+    assert first_order(lens) == found["y"]
+    with pytest.raises(ValueError, match="axis must be one of"):
+        first_order(lens, axis="z")
+
+
+def test_a_squeeze_is_no_distortion():
+    """Distortion is the deviation from the paraxial point of both axes: it falls with the square of the field."""
+    lens = squeezing()
+    assert float(distortion(lens).abs().max()) < 4e-3
+    small = torch.tensor([(0.0, 0.5), (0.5, 0.0), (0.4, 0.3)], dtype=torch.float64)
+    assert torch.allclose(distortion(lens, fields=small) * 4, distortion(lens, fields=2 * small), rtol=0.02)
+    ideal, real = distortion_grid(lens, 3)
+    assert float((ideal - real).abs().max()) < 4e-3 * float(ideal.abs().max())
+    assert float(ideal[2, 2, 0] / ideal[2, 2, 1]) == pytest.approx(1.845, abs=0.01)
