@@ -1112,7 +1112,8 @@ def _solved_by_numpy(start, direction, shape: Shape, aperture, select: str):
     )
     if not plain or _torch_private.is_transformed(*tensors):
         return None
-    found = _solved_arrays(*_mapped(lambda value: value.detach().resolve_neg().numpy(), given), type(shape), select)
+    start, direction, aperture, parameters = _mapped(lambda value: value.detach().resolve_neg().numpy(), given)
+    found = _solved_arrays(start, direction, aperture, parameters, type(shape), select)
     return tuple(torch.from_numpy(np.asarray(value)) for value in found)
 
 

@@ -417,15 +417,15 @@ class Passage(NamedTuple):
     status: Any = None
 
 
-def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable[..., Any] | None = None) -> State:
+def plain_trace(layout: Layout, *tensors: Any, record: Callable[..., Any] | None = None) -> State:
     """Return rays behind the last surface; those that fail lie on the axis.
 
     Parameters
     ----------
     layout : Layout
         The sequence.
-    *tensors : torch.Tensor
-        The six components of the rays ``[B, R]``, and what :func:`flat_arguments` returns.
+    *tensors : torch.Tensor or numpy.ndarray
+        The six components of the rays ``[B, R]``, and what :func:`flat_arguments` returns; all of one library.
     record : callable, optional
         Called with the :class:`Passage` of each surface and coordinate break.
 

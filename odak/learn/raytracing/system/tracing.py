@@ -166,8 +166,9 @@ def trace(
     Notes
     -----
     Sequences of planes, conics and even aspheres without tilts go through a fused kernel, in blocks that fit into the
-    cache; all others through the intersections and interfaces of :mod:`odak.raytracing`, block by block. For gradients
-    only the rays that enter are kept (and their statuses). Under torch.func, autograd keeps what it needs.
+    cache; all others through the intersections and interfaces of :mod:`odak.raytracing`, block by block, a few thousand
+    rays without derivatives in NumPy. For gradients only the rays that enter are kept (and their statuses). Under
+    torch.func, autograd keeps what it needs.
 
     Examples
     --------
