@@ -328,6 +328,11 @@ def real_dtype(value):
     return xp.float64 if is_double(value) else xp.float32
 
 
+def is_complex(value) -> bool:
+    """Return whether a number or an array is complex."""
+    return isinstance(value, complex) or "complex" in str(getattr(value, "dtype", ""))
+
+
 def to_complex(field):
     """Return `field` as complex64 or complex128, after its own precision."""
     dtype = field.dtype

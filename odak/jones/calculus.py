@@ -520,7 +520,7 @@ def common(xp: ModuleType | None = None, device: Device = None, dtype: DType = N
     elif dtype not in (xp.complex64, xp.complex128):
         raise TypeError(f"dtype must be {xp.complex64} or {xp.complex128}, got {dtype}")
     wide = {
-        name: _array.converted(value, xp, device, xp.complex128 if _is_complex(value) else xp.float64)
+        name: _array.converted(value, xp, device, xp.complex128 if _array.is_complex(value) else xp.float64)
         for name, value in given.items()
     }
     _validate.fitting(**wide)
@@ -551,13 +551,9 @@ def square_shape(name: str, matrix: ArrayT, size: int) -> None:
 def check_angle(name: str, value: Any) -> Any:
     """Return angles after checking that they are real; arrays are checked for their type alone."""
     value = _validate.given(name, value)
-    if _is_complex(value):
+    if _array.is_complex(value):
         raise TypeError(f"{name} must be real, got {value!r:.100}")
     return value
-
-
-def _is_complex(value) -> bool:
-    return isinstance(value, complex) or "complex" in str(getattr(value, "dtype", ""))
 
 
 class PolarizationEllipse(NamedTuple):

@@ -48,9 +48,12 @@ class Parametric:
     ----------
     ranks : mapping
         Number of axes of a parameter that belong to one surface, 0 unless given.
+    fixed : tuple of str
+        Fields that are no numbers to vary.
     """
 
     ranks: ClassVar[Mapping[str, int]] = {"coefficients": 1}
+    fixed: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     def ranks_of_parameters(cls) -> tuple[int, ...]:

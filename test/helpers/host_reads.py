@@ -56,7 +56,8 @@ REASONS = {
         raytracing/system/lens_fields: __init__ _check _traced apply
         raytracing/system/image_simulation: _chief _response point_spread_map
         raytracing/system/optimise: _deviated _dispersed _irregular_shapes iso_10110_tolerances
-        raytracing/system/paraxial: _check_forward _near_reach ghost_system medium passed seidel_sums
+        raytracing/system/paraxial: _check_forward _near_reach ghost_system medium met seidel_sums
+        raytracing/system/films: __post_init__ _between reflects
         raytracing/system/polarisation: jones_vector ghosts
         raytracing/system/pupils: _far real_places
         raytracing/system/specification: checked_fields checked_settings number_or_infinity

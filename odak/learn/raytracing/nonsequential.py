@@ -22,6 +22,7 @@ from odak.catalog.materials import MICROMETRES, Material, absorption_coefficient
 from odak.catalog.materials import material as find_material
 from odak.learn._tensors import reals_of, tensor
 from odak.learn.raytracing.mesh import triangle_mesh
+from odak.learn.raytracing.system.films import PolarizingFilm
 from odak.learn.raytracing.system.pupils import launch
 from odak.learn.raytracing.system.surfaces import (
     Coating,
@@ -494,9 +495,9 @@ def system_elements(system: optical_system) -> list[Element]:
     Parameters
     ----------
     system : optical_system
-        The system, without diffractive phases and graded media. Coordinate breaks and mirrors place what follows.
-        Surfaces end at their apertures; those without at 1.05 times the largest distance of the rays of its fields from
-        the vertex, as drawings show them.
+        The system, without diffractive phases, graded media and polarising films. Coordinate breaks and mirrors
+        place what follows. Surfaces end at their apertures; those without at 1.05 times the largest distance of the
+        rays of its fields from the vertex, as drawings show them.
 
     Returns
     -------
@@ -507,7 +508,7 @@ def system_elements(system: optical_system) -> list[Element]:
     Raises
     ------
     ValueError
-        If a surface has a phase or a graded medium.
+        If a surface has a phase, a graded medium or a polarising film.
 
     Examples
     --------
@@ -529,6 +530,8 @@ def system_elements(system: optical_system) -> list[Element]:
             continue
         if item.phase is not None or item.gradient is not None:
             raise ValueError(f"system must be without phases and gradients, got one at surfaces[{i}]")
+        if isinstance(item.coating, PolarizingFilm):
+            raise ValueError(f"system must be without polarising films, got one at surfaces[{i}]")
         behind = before if item.reflects else (item.index if item.material is None else item.material)
         media, films = (before, behind), item.coating
         if signs[i] < 0:

@@ -69,6 +69,10 @@ from .eye import liou_brennan_eye as liou_brennan_eye
 from .eye import navarro_eye as navarro_eye
 from .eye import retinal_field as retinal_field
 from .eye import retinal_image as retinal_image
+from .films import JonesFilm as JonesFilm
+from .films import PolarizerFilm as PolarizerFilm
+from .films import PolarizingFilm as PolarizingFilm
+from .films import RetarderFilm as RetarderFilm
 from .image_simulation import PointSpreadMap as PointSpreadMap
 from .image_simulation import demosaic as demosaic
 from .image_simulation import expose_sensor as expose_sensor

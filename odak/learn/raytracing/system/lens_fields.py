@@ -428,10 +428,8 @@ class _Characteristic:
         path = path + x * p * self.axes[1].slope + y * q * self.axes[0].slope
         losses = torch.ones_like(path)
         if self.element.polarization is not None:
-            vector = torch.tensor(self.element.polarization, dtype=torch.complex128, device=path.device)
             through = polarized_trace(system, sent, prescription=numbers, vignetting=False)
-            power = (through.jones @ (vector / vector.abs().square().sum().sqrt())).abs().square().sum(-1)
-            losses = (power * through.absorption).clamp_min(1e-24).sqrt()
+            losses = through.throughput(self.element.polarization).clamp_min(1e-24).sqrt()
         return (one.reshape(shape) for one in (path, sent.v * front, sent.u * front, losses))
 
     @torch.no_grad()

@@ -1,12 +1,14 @@
 """First-order properties by ABCD matrices, in float64, differentiable and for batches of systems."""
 
 import math
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import torch
 
 from odak import _array, _show, _validate
 from odak._array import is_readable
+from odak.learn.raytracing.system.films import PolarizingFilm
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.specification import (
     Conjugates,
@@ -701,8 +703,10 @@ def _graded_sums(gradient, base, spread, thickness, rays) -> tuple[Any, ...]:
     return tuple(state[:4]), added, dispersed
 
 
-def ghost_system(system: optical_system, first: int, second: int) -> optical_system:
+def ghost_system(system: optical_system, first: int, second: int, *further: int) -> optical_system:
     """Return the sequence of a ghost: light reflected at one surface, back at an earlier one, and on to the image.
+
+    It is also the path of a folded (pancake) system, described by its surfaces without a fold.
 
     Parameters
     ----------
@@ -712,12 +716,15 @@ def ghost_system(system: optical_system, first: int, second: int) -> optical_sys
         Number of the surface at which light is reflected forwards again.
     second : int
         Number of the later surface at which it is reflected backwards before.
+    *further : int
+        Surfaces of further reflections in the order of the light: backwards, forwards, …
 
     Returns
     -------
     optical_system
         With the same entrance beam, fields and wavelengths; the surfaces between the two are passed three times.
         :func:`polarized_trace` computes the brightness of the ghost: coatings and the media on both sides are kept.
+        Polarising films keep their parameters, so that gradients reach those of the system.
 
     Raises
     ------
@@ -732,8 +739,12 @@ def ghost_system(system: optical_system, first: int, second: int) -> optical_sys
     """
     items: list[Any] = list(checked_system(system).surfaces)
     first, second = (_validate.place_in(n, v, len(items)) for n, v in (("first", first), ("second", second)))
+    turns = [second, first, *(_validate.place_in("further", value, len(items)) for value in further)]
     if not first < second:
         raise ValueError(f"first must be below second, got {first} and {second}")
+    # Backwards at the surfaces of even places: each must lie ahead of the one before.
+    if len(turns) % 2 or any(b <= a if i % 2 else b >= a for i, (a, b) in enumerate(pairwise(turns))):
+        raise ValueError(f"further must be pairs of later and earlier surfaces, got {further} behind {(second, first)}")
     if any(is_break(item) or item.phase is not None or item.gradient is not None or item.reflects for item in items):
         raise ValueError("system must be made of refracting surfaces without coordinate breaks, phases and gradients")
 
@@ -742,21 +753,27 @@ def ghost_system(system: optical_system, first: int, second: int) -> optical_sys
             return system.object_material
         return float(items[i].index.detach()) if items[i].material is None else items[i].material
 
-    def films(i: int, backwards: bool, behind=None):
+    def films(i: int, way: int, behind):
         held = items[i].coating
+        if isinstance(held, PolarizingFilm):
+            return held
         if held is None:
             return None if behind is None else Coating(substrate=behind)
-        held = held.reversed() if backwards else held
+        held = held if way > 0 else held.reversed()
         values = [float(value) for value in held.thicknesses]
         return Coating(held.media, values, behind, held.unit)
 
-    def passed(i: int, thickness, material, backwards: bool = False, behind=None) -> surface:
+    def met(i: int, way: int, folds: bool = False) -> surface:
+        """Return a surface that light meets forwards (way 1) or backwards (−1), and passes or is reflected at."""
         item = items[i]
+        # On it goes to the next vertex: behind the surface, or in front of it.
+        ahead = i if (way > 0) != folds else i - 1
+        far = medium(i if way > 0 else i - 1)
         return surface(
-            coating=films(i, backwards, behind),
+            coating=films(i, way, far if folds else None),
             shape=item.shape,
-            thickness=float(thickness.detach()),
-            material=material,
+            thickness=float(items[ahead].thickness.detach()) * (-way if folds else way),
+            material="mirror" if folds else far,
             semi_diameter=item.semi_diameter,
             aperture=item.apertures or None,
             shift=item.shift.detach(),
@@ -764,13 +781,15 @@ def ghost_system(system: optical_system, first: int, second: int) -> optical_sys
         )
 
     with torch.no_grad():
-        sequence = [passed(i, items[i].thickness, medium(i)) for i in range(second)]
-        # The reflecting interfaces lie between the same media, and have their coatings.
-        sequence.append(passed(second, -items[second - 1].thickness, "mirror", False, medium(second)))
-        sequence += [passed(i, -items[i - 1].thickness, medium(i - 1), True) for i in range(second - 1, first, -1)]
-        sequence.append(passed(first, items[first].thickness, "mirror", True, medium(first - 1)))
-        sequence += [passed(i, items[i].thickness, medium(i)) for i in range(first + 1, len(items))]
-        stop = system.stop if system.stop < second else system.stop + 2 * (second - first)
+        sequence, place, way = [], 0, 1
+        for turn in turns:
+            sequence += [met(i, way) for i in range(place, turn, way)]
+            # The reflecting interfaces lie between the same media, and have their coatings.
+            sequence.append(met(turn, way, True))
+            way = -way
+            place = turn + way
+        sequence += [met(i, 1) for i in range(place, len(items))]
+        stop = system.stop if system.stop < second else len(sequence) - len(items) + system.stop
         sequence[stop].stop = True
         pupil = entrance_pupil(system)
         size = float(2 * pupil.reach if system.at_infinity else torch.sin(torch.atan(pupil.reach)))
@@ -782,5 +801,5 @@ def ghost_system(system: optical_system, first: int, second: int) -> optical_sys
         conjugates=Conjugates(system.object_distance, system.object_material),
         image=system.image,
         unit=system.unit,
-        name=SystemRecord(f"{system.name}, ghost of surfaces {second} and {first}", system.source),
+        name=SystemRecord(f"{system.name}, ghost of surfaces {' and '.join(map(str, turns))}", system.source),
     )

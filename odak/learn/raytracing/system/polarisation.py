@@ -1,6 +1,7 @@
 """Polarised rays: their 3 × 3 matrices through a system, losses, diattenuation, retardance, and images of points."""
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -8,10 +9,11 @@ import torch
 from odak import _show, _validate
 from odak.catalog.materials import Material, absorption_coefficient
 from odak.learn.raytracing.nonsequential import axes_across, binned
+from odak.learn.raytracing.system.films import PolarizingFilm
 from odak.learn.raytracing.system.paraxial import first_order, ghost_system
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.pupils import launch
-from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
+from odak.learn.raytracing.system.sequence import IDENTITY, Passage, flat_arguments, placement, plain_trace
 from odak.learn.raytracing.system.surfaces import Coating, checked_system, layout_of, optical_system
 from odak.learn.raytracing.system.tracing import Traced, checked_rays, finished, spread_rays
 from odak.learn.raytracing.system.waves import Spread, chosen_samples, pupil_image
@@ -68,8 +70,27 @@ class PolarizedRays(NamedTuple):
     @property
     def transmittance(self) -> torch.Tensor:
         """Fraction of the power of unpolarised light that arrives, ``[...]``; 0 for rays that are lost."""
-        power = self.jones.abs().square().sum((-2, -1)) / 2 * self.absorption
-        return torch.where(self.traced.arrived, power, 0.0)
+        return self.throughput()
+
+    def throughput(self, polarization: Sequence[complex] | None = None) -> torch.Tensor:
+        """Return the fraction of the power of light of a state of polarisation that arrives, ``[...]``.
+
+        Parameters
+        ----------
+        polarization : sequence of two numbers, optional
+            Jones vector along x and y in front of the system, complex perhaps; unpolarised by default.
+
+        Returns
+        -------
+        torch.Tensor
+            0 for rays that are lost.
+        """
+        if polarization is None:
+            power = self.jones.abs().square().sum((-2, -1)) / 2
+        else:
+            state = torch.tensor(jones_vector(polarization), dtype=self.matrix.dtype, device=self.matrix.device)
+            power = (self.jones @ state).abs().square().sum(-1) / state.abs().square().sum()
+        return torch.where(self.traced.arrived, power * self.absorption, 0.0)
 
     @property
     def diattenuation(self) -> torch.Tensor:
@@ -125,7 +146,8 @@ def polarized_trace(
     ----------
     system : optical_system
         The system. Surfaces without a coating are bare interfaces, mirrors without one ideal; diffractive phases turn
-        the field with the ray, without loss.
+        the field with the ray, without loss. Polarising films (:class:`PolarizingFilm`) act on the
+        side of each surface that is met: as mirrors by what they reflect, otherwise by what they transmit.
     rays : Rays or torch.Tensor
         From :func:`launch`, or ``[..., 2, 3]``, points from the first vertex.
     prescription : Prescription, optional
@@ -136,7 +158,7 @@ def polarized_trace(
     Returns
     -------
     PolarizedRays
-        complex128, differentiable in rays, numbers and the thicknesses of the films.
+        complex128, differentiable in rays, numbers and the parameters of the films.
 
     Notes
     -----
@@ -174,6 +196,7 @@ class _Record:
 
     def __init__(self, system, numbers, rays):
         self.system, self.wavelength = system, numbers.wavelength[:, None]
+        self.shift, self.tilt = numbers.shift, numbers.tilt
         one = torch.eye(3, dtype=torch.float64, device=rays[0].device)
         self.rotation = one.expand(*rays[0].shape, 3, 3)
         self.matrix = self.rotation.to(torch.complex128)
@@ -197,21 +220,46 @@ class _Record:
         self.absorption = self.absorption * self._passed(passage.length)
         if item is not None and not item.reflects:
             self.medium = item.material
-        if item is None or (passage.action == "pass" and item.own_phase is None):
+        film = None if item is None else item.coating
+        if item is None or (passage.action == "pass" and item.own_phase is None and film is None):
             return
         k, out, normal = (torch.stack(torch.broadcast_tensors(*way), -1) for way in passage[2:5])
-        s = _across(k, normal)
-        p, p_out = torch.linalg.cross(k, s), torch.linalg.cross(out, s)
+        along = out[..., :, None] * k[..., None, :]
+        if isinstance(film, PolarizingFilm):
+            self._pass_film(film, item, passage, k, out, normal, along)
+            return
         if item.own_phase is not None:
             rotation = _rotation_between(k, out, item.reflects)
             self._multiply(rotation.to(self.matrix.dtype), rotation)
             return
-        along = out[..., :, None] * k[..., None, :]
+        s = _across(k, normal)
+        p, p_out = torch.linalg.cross(k, s), torch.linalg.cross(out, s)
         a, b = (s[..., :, None] * s[..., None, :], p_out[..., :, None] * p[..., None, :])
         side = -1.0 if item.reflects else 1.0
-        coefficients = self._coefficients(item, passage, k, out, normal)
+        coefficients = self._coefficients(item, film, passage, k, out, normal)
         matrix = sum(c[..., None, None] * part for c, part in zip(coefficients, (a, b), strict=True)) + along
         self._multiply(matrix, a + side * b + along)
+
+    def _pass_film(self, film, item, passage, k, out, normal, along) -> None:
+        """Multiply by the matrix of a polarising film."""
+        place = IDENTITY
+        if self.tilt is not None:
+            place = placement(self.shift[:, None, passage.place], self.tilt[:, None, passage.place])
+        axes = self._axes(place)
+        normal = (axes.mT @ normal[..., None])[..., 0]
+        normal = torch.where(normal[..., 2:] < 0, -normal, normal)
+        frame = axes @ torch.cat([transverse_axes(normal), normal[..., None]], -1)
+        ways = [(frame.mT @ way[..., None])[..., 0] for way in (k, out)]
+        before, behind = (frame @ _carried_axes(way) for way in ways)
+        index = passage.before
+        found = film.matrices(index * ways[0][..., 0], index * ways[0][..., 1], self.wavelength, self.system.unit)
+        # An ideal mirror turns the field over.
+        jones = -found.reflection if item.reflects else found.transmission
+        jones = jones.to(self.matrix.dtype)
+        if not item.reflects:
+            jones = torch.where((ways[0][..., 2] < 0)[..., None, None], jones.mT, jones)
+        matrix = behind.to(jones.dtype) @ jones @ before.mT.to(jones.dtype)
+        self._multiply(matrix + along, behind @ before.mT + along)
 
     def _multiply(self, matrix, rotation) -> None:
         self.matrix, self.rotation = matrix @ self.matrix, rotation @ self.rotation
@@ -221,13 +269,13 @@ class _Record:
         zero = torch.zeros_like(self.absorption)
         return torch.stack([torch.stack([value + zero for value in row], -1) for row in frame.matrix], -2)
 
-    def _coefficients(self, item, passage, k, out, normal) -> tuple[Any, ...]:
+    def _coefficients(self, item, film, passage, k, out, normal) -> tuple[Any, ...]:
         """Return the complex amplitude coefficients along s and p."""
-        if item.reflects and item.own_coating is None:
+        if item.reflects and film is None:
             one = torch.ones_like(self.absorption, dtype=self.matrix.dtype)
             return -one, one
         cosine, cosine_behind = ((way * normal).sum(-1).abs() for way in (k, out))
-        films = BARE if item.own_coating is None else item.coating
+        films = BARE if film is None else film
         n1, n2, unit = passage.before, passage.behind, self.system.unit
         found = films.amplitudes(n1, n2, cosine, cosine_behind, self.wavelength, unit)
         return found[:2] if item.reflects else found[2:]
@@ -237,6 +285,13 @@ class _Record:
         if not isinstance(self.medium, Material):
             return 1.0
         return torch.exp(-absorption_coefficient(self.medium, self.wavelength, self.system.unit) * length.abs())
+
+
+def _carried_axes(direction):
+    """Return the axes x and y carried along from the z axis or from −z, as columns ``[..., 3, 2]``."""
+    axes = transverse_axes(direction)
+    # Those from −z are right-handed about the ray, with y turned over.
+    return torch.where(direction[..., 2, None, None] < 0, axes * axes.new_tensor([1.0, -1.0]), axes)
 
 
 def _across(k, normal):
@@ -263,7 +318,7 @@ def _rotation_between(k, out, reflects: bool):
 
 
 class Ghost(NamedTuple):
-    """Light that is reflected at one surface, back at an earlier one, and arrives at the image.
+    """Light that is reflected at one surface, back at an earlier one, perhaps again, and arrives at the image.
 
     Attributes
     ----------
@@ -283,6 +338,8 @@ class Ghost(NamedTuple):
         The same along y.
     share : torch.Tensor
         Fraction of the light that each ray brings, ``[fields, rays]``; 0 for rays that are lost.
+    further : tuple of int
+        Surfaces of further reflections, as of :func:`ghost_system`.
 
     Examples
     --------
@@ -300,6 +357,7 @@ class Ghost(NamedTuple):
     x: torch.Tensor
     y: torch.Tensor
     share: torch.Tensor
+    further: tuple[int, ...] = ()
 
 
 class Ghosts(NamedTuple):
@@ -364,8 +422,10 @@ def ghosts(
     fields: Any = None,
     wavelength: float | None = None,
     least: float = 1e-9,
+    polarization: Sequence[complex] | None = None,
+    reflections: int = 2,
 ) -> Ghosts:
-    """Return all ghosts of two reflections in a system, with their power and place.
+    """Return all ghosts of two reflections in a system, or of more, with their power and place.
 
     Parameters
     ----------
@@ -381,6 +441,10 @@ def ghosts(
     least : float, default: 1e-9
         Ghosts whose ray through the middle of the pupil brings less than this fraction of the light, on the first
         field, are left out.
+    polarization : sequence of two numbers, optional
+        Jones vector of the light along x and y in front of the system; unpolarised by default.
+    reflections : int, default: 2
+        Largest number of reflections, even.
 
     Returns
     -------
@@ -390,13 +454,14 @@ def ghosts(
     Raises
     ------
     ValueError
-        If the system cannot be traced backwards.
+        If the system cannot be traced backwards, or the number of reflections is odd.
 
     Notes
     -----
     Of n surfaces there are n(n − 1)/2 ghosts of two reflections; each is the sequence of :func:`ghost_system`, traced
-    by :func:`polarized_trace`. Ghosts of four reflections are weaker by a reflectance squared. Light that is reflected
-    by the image plane itself, by a sensor, is not among them.
+    by :func:`polarized_trace`. Ghosts of four reflections are weaker by a reflectance squared, but not in folded
+    (pancake) systems, whose image itself is one of two reflections. Light that is reflected by the image plane itself,
+    by a sensor, is not among them.
 
     Examples
     --------
@@ -407,34 +472,49 @@ def ghosts(
     """
     checked_system(system)
     samples = _validate.integer("samples", samples, minimum=2)
+    reflections = _validate.integer("reflections", reflections, minimum=2)
     least = _validate.constant("least", least, least=0)
     if wavelength is None:
         wavelength = system.wavelengths[system.reference]
     wavelength = _validate.constant("wavelength", wavelength, positive=True)
-    count, device = len(system.surfaces), system.surfaces[0].thickness.device
+    state = None if polarization is None else jones_vector(polarization)
+    if reflections % 2:
+        raise ValueError(f"reflections must be an even number, got {reflections}")
+    # Wave plates, and surfaces between equal media without a film, reflect nothing.
+    films = [item.coating for item in system.surfaces]
+    actions = layout_of(system.surfaces, system.prescription([wavelength]), system.image).actions
+    mirrors = [
+        i
+        for i, (film, action) in enumerate(zip(films, actions, strict=False))
+        if (film.reflects if isinstance(film, PolarizingFilm) else film is not None or action != "pass")
+    ]
     found = []
-    for second in range(1, count):
-        for first in range(second):
-            way = ghost_system(system, first, second).to(device)
-            numbers = way.prescription([wavelength])
-            # One ray tells whether there is anything to see.
-            middle = launch(
-                way, torch.zeros(1, 2, dtype=torch.float64, device=device), fields=fields, prescription=numbers
-            )
-            if float(polarized_trace(way, middle, prescription=numbers).transmittance.flatten()[0]) <= least:
-                continue
-            found.append(_ghost(first, second, way, samples, fields, numbers))
+    ways: list[tuple[int, ...]] = [()]
+    for step in range(reflections):
+        # Forwards light meets the surfaces behind the last one that reflected it, backwards those in front of it.
+        ways = [(*way, i) for way in ways for i in mirrors if not way or (i < way[-1] if step % 2 else i > way[-1])]
+        found += [_ghost(system, way, samples, fields, wavelength, (least, state)) for way in ways if step % 2]
     numbers = system.prescription([wavelength])
     rays = launch(system, "grid", samples, fields=fields, prescription=numbers)
-    direct = polarized_trace(system, rays, prescription=numbers).transmittance[0].mean(-1)
-    return Ghosts(tuple(sorted(found, key=lambda ghost: -float(ghost.power.mean()))), direct)
+    direct = polarized_trace(system, rays, prescription=numbers).throughput(state)[0].mean(-1)
+    kept = [ghost for ghost in found if ghost is not None]
+    return Ghosts(tuple(sorted(kept, key=lambda ghost: -float(ghost.power.mean()))), direct)
 
 
-def _ghost(first: int, second: int, way, samples: int, fields, numbers) -> Ghost:
+def _ghost(system, places: tuple[int, ...], samples: int, fields, wavelength: float, options) -> Ghost | None:
+    """Return a ghost of surfaces in the order of its reflections; None if there is next to nothing to see."""
+    (second, first, *further), (least, state) = places, options
+    device = system.surfaces[0].thickness.device
+    way = ghost_system(system, first, second, *further).to(device)
+    numbers = way.prescription([wavelength])
+    # One ray tells whether there is anything to see.
+    middle = launch(way, torch.zeros(1, 2, dtype=torch.float64, device=device), fields=fields, prescription=numbers)
+    if float(polarized_trace(way, middle, prescription=numbers).throughput(state).flatten()[0]) <= least:
+        return None
     traced = polarized_trace(
         way, launch(way, "grid", samples, fields=fields, prescription=numbers), prescription=numbers
     )
-    share = traced.transmittance[0]
+    share = traced.throughput(state)[0]
     arrived = traced.traced.arrived[0]
     x, y = (torch.where(arrived, value[0], 0.0) for value in (traced.traced.x, traced.traced.y))
     share = share / share.shape[-1]
@@ -442,7 +522,7 @@ def _ghost(first: int, second: int, way, samples: int, fields, numbers) -> Ghost
     weight = share / torch.where(power > 0, power, 1.0)[:, None]
     squared = sum((weight * (v - (weight * v).sum(-1, keepdim=True)) ** 2).sum(-1) for v in (x, y))
     focus = first_order(way, prescription=numbers).image_distance - way.surfaces[-1].thickness
-    return Ghost(first, second, power, focus, torch.as_tensor(squared).sqrt(), x, y, share)
+    return Ghost(first, second, power, focus, torch.as_tensor(squared).sqrt(), x, y, share, tuple(further))
 
 
 def jones_vector(values: Any) -> tuple[complex, complex]:

@@ -241,9 +241,12 @@ def _kept(value):
 
 
 def plain(value):
-    """Return a number, or nested lists of numbers, of tensors and tuples."""
+    """Return a number, or nested lists of numbers, of tensors and tuples; names of materials."""
     if isinstance(value, torch.Tensor):
-        return _torch_private.as_constant(value).detach().tolist()
+        held = _torch_private.as_constant(value).detach()
+        return (torch.view_as_real(held) if held.is_complex() else held).tolist()
+    if isinstance(value, Material):
+        return value.name
     return [plain(entry) for entry in value] if isinstance(value, (tuple, list)) else value
 
 

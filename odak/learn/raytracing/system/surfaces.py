@@ -13,12 +13,13 @@ import numpy as np
 import torch
 
 from odak import _show, _validate
-from odak._array import Array, complex_dtype, is_array, is_readable, namespace
+from odak._array import Array, complex_dtype, is_array, is_complex, is_readable, namespace
 from odak._lengths import film_in, in_unit, light_in
 from odak._warnings import ArgumentWarning, warn
 from odak.catalog.materials import MICROMETRES, Material, refractive_index
 from odak.catalog.materials import material as find_material
 from odak.jones.thin_films import stack_response
+from odak.learn.raytracing.system.films import PolarizingFilm
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription, padded
 from odak.learn.raytracing.system.sequence import STANDARD, Frames, Layout, axis_signs, placement
 from odak.learn.raytracing.system.specification import (
@@ -212,20 +213,23 @@ VARIABLES = ("curvature", "radius", "conic", "coefficients", "thickness", "index
 
 
 class _Parameters(torch.nn.Module):
-    """Parameters of a shape or a phase as buffers, any of which may become a torch.nn.Parameter."""
+    """Parameters of a shape, a phase or a film as buffers, any of which may become a torch.nn.Parameter."""
 
     def __init__(self, name: str, given: Any):
         super().__init__()
         self.kind: type[Any] = type(given)
         for field in fields_of(given):
             value = getattr(given, field.name)
+            if field.name in given.fixed:
+                setattr(self, field.name, value)
+                continue
             value = list(value) if isinstance(value, tuple) else value
-            if not (isinstance(value, list) and not value):
+            if not is_complex(value) and not (isinstance(value, list) and not value):
                 value = _validate.real(f"{name}.{field.name}", value)
             _hold(self, field.name, value)
 
     def build(self) -> Any:
-        """Return the shape or phase with the current parameters."""
+        """Return the shape, phase or film with the current parameters."""
         return self.kind(*(getattr(self, field.name) for field in fields_of(self.kind)))
 
 
@@ -273,9 +277,9 @@ class surface(torch.nn.Module):
         A grating, a hologram, a phase polynomial or an ideal lens on it.
     gradient : odak.raytracing.gradients.Gradient, optional
         Graded index of the medium behind it, of which `material` gives the base index; up to the next surface.
-    coating : Coating, optional
-        Thin films on it, which :func:`polarized_trace` takes into account; a mirror without is ideal, any other surface
-        without is bare.
+    coating : Coating or PolarizingFilm, optional
+        Thin films on it, or a polariser, wave plate or half mirror, which :func:`polarized_trace` takes into account; a
+        mirror without is ideal, any other surface without is bare.
     stop : bool
         Whether it is the aperture stop.
     shift : sequence of float or torch.Tensor
@@ -330,7 +334,7 @@ class surface(torch.nn.Module):
         aperture: Aperture | Sequence[Aperture] | None = None,
         phase: Phase | None = None,
         gradient: Gradient | None = None,
-        coating: Coating | None = None,
+        coating: Coating | PolarizingFilm | None = None,
         stop: bool = False,
         shift: Sequence[float] = (0.0, 0.0),
         tilt: Sequence[float] = (0.0, 0.0),
@@ -375,7 +379,7 @@ class surface(torch.nn.Module):
                 "gradient belongs to the medium behind a surface that refracts, not to a mirror, got "
                 f"{type(gradient).__name__}"
             )
-        self.own_coating: _Films | None = None
+        self.own_coating: _Films | _Parameters | None = None
         self.coating = coating
         self.semi_diameter = semi_diameter
         if semi_diameter is not None:
@@ -416,16 +420,22 @@ class surface(torch.nn.Module):
         return None if self.own_gradient is None else self.own_gradient.build()
 
     @property
-    def coating(self) -> Coating | None:
-        """Thin films on the surface, with their current thicknesses; may be assigned."""
+    def coating(self) -> Coating | PolarizingFilm | None:
+        """Films on the surface, with their current parameters; may be assigned."""
         return None if self.own_coating is None else self.own_coating.build()
 
     @coating.setter
-    def coating(self, value: Coating | None) -> None:
+    def coating(self, value: Coating | PolarizingFilm | None) -> None:
         if value is None:
             self.own_coating = None
             return
-        if _checked("coating", value, Coating).substrate is not None and self.material != MIRROR:
+        if isinstance(value, PolarizingFilm):
+            if self.material == MIRROR and not value.reflects:
+                raise ValueError(f"coating of a mirror must reflect light, got {value!r:.120}")
+            self.own_coating = _Parameters("coating", value)
+            return
+        _validate.instance("coating", value, Coating, "a Coating or a PolarizingFilm")
+        if value.substrate is not None and self.material != MIRROR:
             raise ValueError(
                 "substrate of a coating belongs to mirrors: of other surfaces it is the medium behind; got "
                 f"{value.substrate!r:.80}"
@@ -459,7 +469,7 @@ class surface(torch.nn.Module):
         name : str
             "curvature", "radius", "conic", "coefficients", "thickness", "index" (of a material given as a number),
             "shift" or "tilt"; or a parameter of the shape, the phase or the gradient ("coefficients" belongs to the
-            first of them that has any); "thicknesses" of the coating.
+            first of them that has any); "thicknesses" of thin films, or a parameter of a polarising film.
         """
         for held in (self.own_shape, self.own_phase, self.own_gradient, self.own_coating):
             if held is not None and isinstance(name, str) and _has(held, name):
@@ -627,9 +637,10 @@ def _hold(module, name: str, value) -> None:
             raise TypeError(
                 f"{name} must be a number, a tensor without gradient or a torch.nn.Parameter, got a tensor of a graph"
             )
-        module.register_buffer(name, value.detach().to(torch.float64))
+        module.register_buffer(name, value.detach().to(torch.complex128 if value.is_complex() else torch.float64))
     else:
-        module.register_buffer(name, torch.as_tensor(value, dtype=torch.float64).clone())
+        dtype = torch.complex128 if is_complex(value) else torch.float64
+        module.register_buffer(name, torch.as_tensor(value, dtype=dtype).clone())
 
 
 def _vary(module, name: str) -> torch.nn.Parameter:

@@ -25,6 +25,7 @@ from odak.catalog.materials import (  # noqa: F401
     model_glass,
     nearest_materials,
 )
+from odak.learn.raytracing.system.films import PolarizingFilm
 from odak.learn.raytracing.system.paraxial import entrance_pupil, first_order
 from odak.learn.raytracing.system.pupils import at_stop, through_places, trace_fields
 from odak.learn.raytracing.system.specification import AIR, PARTS, plain
@@ -222,8 +223,10 @@ def _shape(item: Any) -> dict:
         entry["phase"] = _by_fields(item.phase)
     if item.own_gradient is not None:
         entry["gradient"] = _by_fields(item.gradient)
-    if item.own_coating is not None:
-        coating = item.coating
+    coating = item.coating
+    if isinstance(coating, PolarizingFilm):
+        entry["coating"] = _by_fields(coating)
+    elif coating is not None:
         entry["coating"] = {"media": [_film(value) for value in coating.media]}
         entry["coating"] |= {"thicknesses": plain(coating.thicknesses)}
         entry["coating"] |= {} if coating.substrate is None else {"substrate": _film(coating.substrate)}
@@ -376,7 +379,9 @@ def _built(where: str, entry, keys) -> surface:
     if "aperture" in entry:
         parts = entry["aperture"] if isinstance(entry["aperture"], list) else [entry["aperture"]]
         entry["aperture"] = [_from_fields(f"aperture of {where}", Aperture, part) for part in parts]
-    if "coating" in entry:
+    if isinstance(entry.get("coating"), dict) and "kind" in entry["coating"]:
+        entry["coating"] = _from_fields(f"coating of {where}", PolarizingFilm, entry["coating"])
+    elif "coating" in entry:
         _known(f"coating of {where}", entry["coating"], {"media", "thicknesses", "substrate", "unit"})
         with named_errors(f"coating of {where}"):
             entry["coating"] = Coating(**entry["coating"])
