@@ -26,7 +26,7 @@ from odak.cli.job import Job, depth_map_path, find_preset, image_path
 from odak.cli.options import InputError, option_name
 from odak.tools import check_directory
 from odak.tools.file import file_depth, save_levels
-from odak.tools.paths import replacing, validate_path
+from odak.tools.paths import replacing, validate_path, write_file
 
 if TYPE_CHECKING:
     import numpy
@@ -209,8 +209,7 @@ def write_json(path: Path, value: dict) -> None:
         The dictionary.
     """
     text = json.dumps(value, indent=2, allow_nan=False) + "\n"
-    with replacing(str(path)) as stream:
-        stream.write(text.encode("utf-8"))
+    write_file(str(path), text.encode("utf-8"))
 
 
 def write_png(path: Path, image: "Image.Image") -> None:

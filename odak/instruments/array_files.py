@@ -11,7 +11,7 @@ import numpy as np
 
 from odak import _validate
 from odak.tools.file import MOST_BYTES
-from odak.tools.paths import regular_file, replacing, validate_path
+from odak.tools.paths import regular_file, validate_path, write_file
 
 SUFFIXES = (".h5", ".hdf5")
 # Bytes of arrays for each byte of a file, above MOST_BYTES; what compresses better is stored as it is.
@@ -63,8 +63,7 @@ def write_hdf5(
             image = store.id.get_file_image()
         if promised <= _most(len(image)):
             break
-    with replacing(path) as stream:
-        stream.write(image)
+    write_file(path, image)
 
 
 def read_hdf5(path: str | os.PathLike, kind: str, version: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

@@ -15,7 +15,7 @@ from odak.instruments.calibration import UNITS, Calibration
 from odak.instruments.captures import LARGEST_DISTANCE, PITCHES, WAVELENGTHS
 from odak.instruments.mapping import Lens, Registration
 from odak.tools.file import read_npz
-from odak.tools.paths import replacing, validate_path
+from odak.tools.paths import validate_path, write_file
 
 FORMAT, VERSION = "odak calibration", 1
 
@@ -65,8 +65,7 @@ def save_calibration(path: str | os.PathLike[str], calibration: Calibration) -> 
     packed = io.BytesIO()
     text = json.dumps({**header, "units": UNITS})
     np.savez(packed, header=np.frombuffer(text.encode(), dtype=np.uint8), **arrays)
-    with replacing(path) as stream:
-        stream.write(packed.getbuffer())
+    write_file(path, packed.getbuffer())
 
 
 def load_calibration(path: str | os.PathLike[str]) -> Calibration:

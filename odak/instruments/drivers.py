@@ -15,7 +15,7 @@ import numpy as np
 
 from odak import _show, _validate
 from odak._warnings import ArgumentWarning, warn
-from odak.tools.paths import replacing, validate_path
+from odak.tools.paths import replacing, validate_path, write_file
 
 # Value of OpenCV's property CAP_PROP_AUTO_EXPOSURE that switches automatic exposure off.
 _MANUAL_EXPOSURE = 1.0
@@ -549,8 +549,7 @@ class FileModulator:
         found = checked_levels(levels, self.shape, self.bits)
         before, self._number = self._number, self._number + 1
         _write_array(os.path.join(self._folder, f"pattern_{self._number}.npy"), found)
-        with replacing(os.path.join(self._folder, "pattern.txt")) as stream:
-            stream.write(str(self._number).encode())
+        write_file(os.path.join(self._folder, "pattern.txt"), str(self._number).encode())
         if self._answer:
             answer = os.path.join(self._folder, "shown.txt")
             _wait(lambda: _number_in(answer) == self._number, self._timeout, answer)
@@ -621,8 +620,7 @@ class FileCamera:
         """Return captures, integers ``[count, rows, columns]`` of the region."""
         count = _validate.integer("count", count, minimum=1)
         self._number = str(int(self._number) + 1)
-        with replacing(os.path.join(self._folder, "request.txt")) as stream:
-            stream.write(f"{self._number} {count} {self.exposure!r}".encode())
+        write_file(os.path.join(self._folder, "request.txt"), f"{self._number} {count} {self.exposure!r}".encode())
         path = os.path.join(self._folder, f"capture_{self._number}.npy")
         _wait(lambda: os.path.exists(path), self._timeout, path)
         try:

@@ -128,8 +128,7 @@ class agent(Prepared):
         timeout: float | None = 60.0,
         verbose: bool = True,
     ) -> None:
-        if compute is not None and not callable(compute):
-            raise TypeError(f"compute must be callable, got {type(compute).__name__}")
+        _validate.function_or_none("compute", compute)
         self.compute, self.cluster = compute, cluster
         self.server, self.verbose = _validate.flag("server", server), _validate.flag("verbose", verbose)
         if direct is not None:

@@ -32,7 +32,7 @@ from odak._python import python_command
 from odak._warnings import OdakWarning, warn
 from odak.manager.tasks import thread_variables
 from odak.tools.file import check_directory
-from odak.tools.paths import replacing
+from odak.tools.paths import replacing, write_file
 
 LOOPBACK = "127.0.0.1"
 GPU = "GPU"
@@ -539,8 +539,7 @@ async def _work(address: str, parts: list[dict[Any, Any]], security: Any, joined
         if started.done():
             await _check_joined(started)
             threads, gpus = int(parts[0]["env"]["OMP_NUM_THREADS"]), sum(bool(part["resources"]) for part in parts)
-            with replacing(joined) as stream:
-                stream.write(json.dumps([len(parts), threads, gpus]).encode())
+            write_file(joined, json.dumps([len(parts), threads, gpus]).encode())
             gone = asyncio.gather(*(nanny.finished() for nanny in nannies))
             last: list[asyncio.Future] = [gone, asked]
             await asyncio.wait(last, return_when=asyncio.FIRST_COMPLETED)

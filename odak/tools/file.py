@@ -30,7 +30,7 @@ from odak._validate import one_of
 from odak._warnings import AccuracyWarning, ArgumentWarning, warn
 from odak.log import logger
 from odak.tools.paths import expanduser as expanduser
-from odak.tools.paths import extension_of, regular_file, replacing, temporary_name
+from odak.tools.paths import extension_of, regular_file, replacing, temporary_name, write_file
 from odak.tools.paths import get_base_filename as get_base_filename
 from odak.tools.paths import validate_cwd as validate_cwd
 from odak.tools.paths import validate_path as validate_path
@@ -307,8 +307,7 @@ def save_dictionary(settings: Settings, filename: str | os.PathLike[str]) -> Set
     """
     path = validate_path(filename)
     content = json.dumps(settings, ensure_ascii=False, indent=4, default=_plain).encode()
-    with replacing(path) as stream:
-        stream.write(content)
+    write_file(path, content)
     return settings
 
 
@@ -401,8 +400,7 @@ def write_to_text_file(content: str | Iterable[Any], filename: str | os.PathLike
     items = [content] if isinstance(content, str) else content
     text = "".join(f"{item}\n" for item in items).encode()
     if flag in ("w", "w+"):
-        with replacing(path) as stream:
-            stream.write(text)
+        write_file(path, text)
         return True
     if not os.path.isdir(os.path.dirname(path)):
         raise ValueError(f"Folder {os.path.dirname(path)!r} does not exist")

@@ -358,11 +358,8 @@ def correlation_2d(first_tensor: ArrayT, second_tensor: Array) -> ArrayT:
     xp = _array.namespace(
         _validate.image("first_tensor", first_tensor), _validate.image("second_tensor", second_tensor)
     )
-    if tuple(first_tensor.shape[-2:]) != tuple(second_tensor.shape[-2:]):
-        raise ValueError(
-            f"second_tensor must have the rows and columns of first_tensor, {list(first_tensor.shape[-2:])}; "
-            f"got {list(second_tensor.shape[-2:])}"
-        )
+    rows, columns = first_tensor.shape[-2:]
+    _validate.shaped("second_tensor", second_tensor, f"[..., {rows}, {columns}], with the sides of first_tensor")
     axes = (-2, -1)
     first, second = (xp.fft.fftn(_array.to_complex(value), axes=axes) for value in (first_tensor, second_tensor))
     return xp.fft.ifftshift(xp.fft.ifftn(first * xp.conj(second), axes=axes), axes=axes)

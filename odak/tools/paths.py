@@ -231,6 +231,12 @@ def _text(name, value):
     return text
 
 
+def write_file(path: str | os.PathLike[str], content: bytes | memoryview) -> None:
+    """Write a file whole, as `replacing` does."""
+    with replacing(path) as stream:
+        stream.write(content)
+
+
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     """Yield a binary stream whose content takes the place of a file when the block ends without an error.

@@ -9,7 +9,7 @@ import plyfile
 
 from odak import _validate
 from odak._array import Array
-from odak.tools.paths import replacing, validate_path
+from odak.tools.paths import replacing, validate_path, write_file
 from odak.visualize import _arrays
 from odak.visualize._arrays import linear_light
 
@@ -220,8 +220,7 @@ class PLY_object:
             "v {:.9g} {:.9g} {:.9g} {:.6g} {:.6g} {:.6g}".format(*p, *c) for p, c in zip(places, colours, strict=True)
         ]
         lines += ["f {} {} {}".format(*corner) for corner in (faces["vertex_indices"] + 1).tolist()]
-        with replacing(validate_path(savefn, [".obj"])) as stream:
-            stream.write(("\n".join(lines) + "\n").encode())
+        write_file(validate_path(savefn, [".obj"]), ("\n".join(lines) + "\n").encode())
 
     def save_glTF(self, savefn: str | os.PathLike[str] = "out.glb", unit: str = "mm") -> None:
         """Write a binary glTF file by the package trimesh, with normals, colours and double-sided matt materials.

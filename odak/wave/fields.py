@@ -728,11 +728,7 @@ def compose_double_phase(component_high: Array, component_low: Array) -> Array:
     """
     component_high = _validate.image("component_high", component_high)
     component_low = _validate.image("component_low", component_low)
-    if tuple(component_high.shape) != tuple(component_low.shape):
-        raise ValueError(
-            f"component_low must have component_high's shape {tuple(component_high.shape)}, "
-            f"got {tuple(component_low.shape)}"
-        )
+    _validate.shaped("component_low", component_low, f"{list(component_high.shape)} as component_high")
     high_even, high_odd = component_high[..., 0::2, :], component_high[..., 1::2, :]
     low_even, low_odd = component_low[..., 0::2, :], component_low[..., 1::2, :]
     return _interleave_rows(_interleave_columns(high_even, low_even), _interleave_columns(low_odd, high_odd))
@@ -928,10 +924,9 @@ def propagate_field(points0: Array, points1: Array, field0: Array, wave_number: 
     _validate.real("wave_number", wave_number)
     if _validate.integer("direction", direction, minimum=-1) == 0 or direction > 1:
         raise ValueError(f"direction must be 1 or -1, got {direction}")
-    if tuple(_validate.array("field0", field0, like=points0).shape) != (points0.shape[0],):
-        raise ValueError(
-            f"field0 must have one value for each of the {len(points0)} points0, got {tuple(field0.shape)}"
-        )
+    _validate.shaped(
+        "field0", _validate.array("field0", field0, like=points0), f"[{points0.shape[0]}], a value for each of points0"
+    )
     xp = _array.namespace(points0, points1, field0)
     field0 = _array.to_complex(_validate.array("field0", field0, like=points0))
     real = xp.float64 if field0.dtype == xp.complex128 else xp.float32

@@ -205,10 +205,7 @@ def _adam_step(da, state, phase, gradient, step: float) -> dict[str, Any]:
 def _starting_phase(da, amplitude, initial_phase):
     if initial_phase is not None:
         initial_phase = _validate.image("initial_phase", initial_phase)
-        if tuple(initial_phase.shape) != tuple(amplitude.shape):
-            raise ValueError(
-                f"initial_phase must have the target's shape {tuple(amplitude.shape)}, got {tuple(initial_phase.shape)}"
-            )
+        _validate.shaped("initial_phase", initial_phase, f"{list(amplitude.shape)} as target")
         return da.asarray(initial_phase).astype(np.float32).rechunk(amplitude.chunks)
     bends = []
     for n, chunks in zip(amplitude.shape, amplitude.chunks, strict=True):

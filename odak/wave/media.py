@@ -359,8 +359,7 @@ def scattered_field(
     incident = _array.to_complex(_validate.image("incident", incident))
     index = _validate.array("index", index)
     _validate.shaped("incident", incident, "[rows, columns] or [depth, rows, columns]")
-    if tuple(index.shape) != tuple(incident.shape):
-        raise ValueError(f"index must have the shape of incident, {tuple(incident.shape)}, got {tuple(index.shape)}")
+    _validate.shaped("index", index, f"{list(incident.shape)} as incident")
     _validate.one_device(incident=incident, index=index)
     for name, value in (("dx", dx), ("wavelength", wavelength), ("background", background), ("tolerance", tolerance)):
         _validate.number(name, value, positive=True)

@@ -136,10 +136,8 @@ def _filter_by_given_kernel(field, request: Request):
     kernel = request.kernel
     if kernel is None:
         kernel = xp.ones(size, dtype=field.dtype, device=_array.device_of(field))
-    if tuple(_validate.image("kernel", kernel).shape[-2:]) != size:
-        raise ValueError(
-            f"kernel must have the shape [..., {size[0]}, {size[1]}] of the propagated field, got {tuple(kernel.shape)}"
-        )
+    accepted = f"[..., {size[0]}, {size[1]}], of the shape of the propagated field"
+    _validate.shaped("kernel", _validate.image("kernel", kernel), accepted)
     kernel = xp.fft.ifftshift(_array.cast(kernel, field), axes=_AXES)
     return convolve(field, _times_aperture(kernel, request.aperture, field))
 

@@ -228,10 +228,7 @@ def _starting_phase(target, initial_phase, seed):
     _validate.seed("seed", seed)
     if initial_phase is None:
         return _array.cast(uniform(shape, seed, target) * math.pi, target)
-    if tuple(_validate.image("initial_phase", initial_phase).shape) != shape:
-        raise ValueError(
-            f"initial_phase must have the field's shape (each of fields), {shape}, got {tuple(initial_phase.shape)}"
-        )
+    _validate.shaped("initial_phase", _validate.image("initial_phase", initial_phase), f"{list(shape)} as field")
     _validate.check_values("initial_phase", initial_phase)
     return _array.cast(initial_phase, target)
 
@@ -693,10 +690,7 @@ def _starting_phasor(initial_phase, seed, target):
     _validate.seed("seed", seed)
     if initial_phase is None:
         return _random_phasor(tuple(target.shape), seed, target)
-    if tuple(_validate.image("initial_phase", initial_phase).shape) != tuple(target.shape):
-        raise ValueError(
-            f"initial_phase must have the field's shape {tuple(target.shape)}, got {tuple(initial_phase.shape)}"
-        )
+    _validate.shaped("initial_phase", _validate.image("initial_phase", initial_phase), f"{list(target.shape)} as field")
     _validate.real("initial_phase", initial_phase)
     return _array.phasor(_array.cast(initial_phase, target), _array.complex_dtype(target))
 
@@ -716,8 +710,7 @@ def _checked_intensities(intensities, wanted):
 
 def _checked_illumination(illumination, like, shape):
     light = _array.cast(_validate.real("illumination", illumination), like)
-    if light.ndim < 2 or tuple(light.shape[-2:]) != tuple(shape[-2:]):
-        raise ValueError(
-            f"illumination must have the hologram's (the field's) shape {tuple(shape[-2:])}, got {tuple(light.shape)}"
-        )
+    _validate.shaped(
+        "illumination", light, f"[..., {shape[-2]}, {shape[-1]}], of the shape of the hologram (the field)"
+    )
     return light

@@ -362,11 +362,8 @@ def _pair(name, image, reference, stacked: bool = False):
     """Return an image and its reference after checking that their rows and columns are the same."""
     image = _validate.image(name, image)
     reference = _array.to_complex(_validate.image("reference", reference))
-    if tuple(image.shape[-2:]) != tuple(reference.shape[-2:]):
-        raise ValueError(
-            f"reference must have the rows and columns {tuple(image.shape[-2:])} of {name}, "
-            f"got {tuple(reference.shape)}"
-        )
+    rows, columns = image.shape[-2:]
+    _validate.shaped("reference", reference, f"[..., {rows}, {columns}], with the rows and columns of {name}")
     if not stacked:
         _validate.fitting(**{name: image, "reference": reference})
     return image, reference

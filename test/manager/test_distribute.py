@@ -130,7 +130,7 @@ def test_progress_is_shown_unless_it_is_not_wanted(capsys):
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
-        ({"compute": 3}, TypeError, "compute must be callable, got int"),
+        ({"compute": 3}, TypeError, "compute must be a function, got 3"),
         ({"cluster": "slurm"}, ValueError, "'local', the address of a scheduler .* got 'slurm'"),
         ({"cluster": 3}, TypeError, "cluster must be a string, a Dask cluster or client, or False; got int"),
         ({"retries": -1}, ValueError, "retries must be at least 0"),

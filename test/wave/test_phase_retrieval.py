@@ -75,7 +75,7 @@ def test_start_can_be_given(target):
     flat = odak.wave.gerchberg_saxton(target, 1, *GEOMETRY, propagation_type="AS", initial_phase=np.zeros((64, 64)))[0]
     same = odak.wave.gerchberg_saxton(target, 1, *GEOMETRY, propagation_type="AS", initial_phase=np.zeros((64, 64)))[0]
     np.testing.assert_array_equal(flat, same)
-    with pytest.raises(ValueError, match="initial_phase must have the field's shape"):
+    with pytest.raises(ValueError, match=r"initial_phase must be .* as field"):
         odak.wave.gerchberg_saxton(target, 1, *GEOMETRY, initial_phase=np.zeros((4, 4)))
     with pytest.raises(ValueError, match="n_iterations must be at least 1"):
         odak.wave.gerchberg_saxton(target, 0, *GEOMETRY)

@@ -103,7 +103,7 @@ def test_custom_kernel_is_centred(field):
         propagate(field, zero_padding=(True, False, True)),
         atol=1e-12,
     )
-    with pytest.raises(ValueError, match="kernel must have the shape"):
+    with pytest.raises(ValueError, match=r"kernel must be .* of the shape of the propagated field"):
         odak.wave.custom(field, kernel[:5])
     with pytest.raises(ValueError, match="kernel is for propagation_type 'custom'"):
         propagate(field, "AS", kernel=kernel)

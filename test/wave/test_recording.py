@@ -160,7 +160,7 @@ def test_unwrapping_without_its_package_says_what_to_install(monkeypatch):
     ("call", "error", "message"),
     [
         (lambda r: wave.off_axis_field(np.ones(SHAPE), np.ones(SHAPE), PITCH), ValueError, "bandwidth must be given"),
-        (lambda r: wave.off_axis_field(np.ones((4, 4)), r, PITCH), ValueError, "reference must have the rows"),
+        (lambda r: wave.off_axis_field(np.ones((4, 4)), r, PITCH), ValueError, "reference must be .* with the rows"),
         (lambda r: wave.phase_shifting_field(np.ones((2, *SHAPE)), r, (0, 1)), ValueError, "phase_steps must be three"),
         (lambda r: wave.phase_shifting_field(np.ones((3, *SHAPE)), r, (0, 0, 1)), ValueError, "phase_steps must be th"),
         (lambda r: wave.phase_shifting_field(np.ones((2, *SHAPE)), r, (0, 1, 2)), ValueError, "holograms must be"),

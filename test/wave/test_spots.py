@@ -201,7 +201,7 @@ def test_uniformity():
         ((np.ones((3, 3)), (8, 8), WAVELENGTH, DX, 1, 0.0), {}, ValueError, "focal must be finite and not zero"),
         ((np.ones((3, 3)), (8, 8), WAVELENGTH, DX), {"intensities": np.ones(2)}, ValueError, "one for each of 3"),
         ((np.ones((3, 3)), (8, 8), WAVELENGTH, DX), {"intensities": np.zeros(3)}, ValueError, "must be positive"),
-        ((np.ones((3, 3)), (8, 8), WAVELENGTH, DX), {"illumination": np.ones(8)}, ValueError, "illumination must have"),
+        ((np.ones((3, 3)), (8, 8), WAVELENGTH, DX), {"illumination": np.ones(8)}, ValueError, "illumination must be"),
     ],
 )
 def test_bad_arguments_are_named(arguments, options, error, message):
@@ -212,7 +212,7 @@ def test_bad_arguments_are_named(arguments, options, error, message):
 def test_bad_targets_are_named():
     with pytest.raises(TypeError, match="field must be an array"):
         weighted_gerchberg_saxton([[1.0]], 1)
-    with pytest.raises(ValueError, match="initial_phase must have the field's shape"):
+    with pytest.raises(ValueError, match=r"initial_phase must be .* as field"):
         weighted_gerchberg_saxton(np.ones((4, 4)), 1, initial_phase=np.ones((4, 5)))
     for bad in (0.0, math.nan, math.inf):
         with pytest.raises(ValueError, match="field must be finite and not zero everywhere"):

@@ -1133,9 +1133,5 @@ class gaussian_3d_volume(nn.Module):
 def _check_same_samples(name, samples, ground_truth):
     for key, value in ((name, samples), ("ground_truth", ground_truth)):
         _validate.instance(key, value, torch.Tensor, "a tensor")
-    if samples.shape != ground_truth.shape:
-        raise ValueError(
-            f"{name} and ground_truth must have the same number of samples, got {list(samples.shape)} and "
-            f"{list(ground_truth.shape)}"
-        )
+    _validate.alike(**{name: samples, "ground_truth": ground_truth})
     _validate.one_device(**{name: samples, "ground_truth": ground_truth})

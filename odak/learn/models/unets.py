@@ -613,10 +613,8 @@ class spatially_varying_kernel_generation_model(nn.Module):
         field = images("field", field, self.input_channels - 1, weight, smallest=smallest)
         focal_surface = images("focal_surface", focal_surface, 1, weight)
         wanted = (len(field), 1, *field.shape[-2:])
-        if tuple(focal_surface.shape) not in (wanted, (1, *wanted[1:])):
-            raise ValueError(
-                f"focal_surface must be {wanted}, or have a batch of 1, as field is; got {tuple(focal_surface.shape)}"
-            )
+        accepted = f"[{wanted[0]} or 1, 1, {wanted[2]}, {wanted[3]}] as field is"
+        _validate.shaped("focal_surface", focal_surface, accepted)
         return focal_surface, field
 
 

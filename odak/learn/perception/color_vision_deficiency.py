@@ -311,10 +311,8 @@ def compute_local_contrast_similarity(
     """
     for name, patch in (("patch_x", patch_x), ("patch_y", patch_y)):
         floating_tensor(name, patch)
-    if patch_x.shape != patch_y.shape or patch_x.ndim != 2:
-        raise ValueError(
-            f"patch_x and patch_y must be [D, N] of one shape, got {tuple(patch_x.shape)} and {tuple(patch_y.shape)}"
-        )
+    _validate.shaped("patch_x", patch_x, "[D, N]")
+    _validate.alike(patch_x=patch_x, patch_y=patch_y)
     _validate.one_device(patch_x=patch_x, patch_y=patch_y)
     _validate.number("epsilon", epsilon, positive=True)
     return _similarity(patch_x, patch_y, 0, epsilon)

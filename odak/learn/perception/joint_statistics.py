@@ -321,8 +321,7 @@ def synthesize_texture(
     iterations = _validate.integer("iterations", iterations)
     if rows % (1 << levels) or columns % (1 << levels):
         raise ValueError(f"size must be multiples of {1 << levels} for {levels} levels, got {(rows, columns)}")
-    if progress is not None and not callable(progress):
-        raise TypeError(f"progress must be callable, got {type(progress).__name__}")
+    _validate.function_or_none("progress", progress)
     generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
     with _torch_private.keeping(), torch.no_grad():
         sample = sample.clone()

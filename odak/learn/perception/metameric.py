@@ -169,8 +169,7 @@ class _StatisticsLoss(nn.Module):
         has there.
         """
         iterations = _validate.integer("iterations", iterations)
-        if progress is not None and not callable(progress):
-            raise TypeError(f"progress must be callable, got {type(progress).__name__}")
+        _validate.function_or_none("progress", progress)
         if not image.numel():
             raise ValueError(f"image must not be empty, got {tuple(image.shape)}")
         with _torch_private.keeping(), torch.no_grad():

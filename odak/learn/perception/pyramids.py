@@ -765,11 +765,8 @@ class FrequencySteerablePyramid(nn.Module):
             kind = kind_of(image)
             raise TypeError(f"image must be a tensor of real floats [..., H, W], float32 or float64, got {kind}")
         smallest = 1 << (self.n_levels - 1)
-        if image.ndim < 2 or 0 in image.shape or min(image.shape[-2:]) < smallest:
-            raise ValueError(
-                f"image must be [..., H, W], not empty, with sides of at least {smallest} for {self.n_levels} levels, "
-                f"got {tuple(image.shape)}"
-            )
+        accepted = f"[..., {smallest} or more, {smallest} or more], not empty, with {self.n_levels} levels"
+        _validate.shaped("image", image, accepted)
         rows, columns = image.shape[-2:]
         return rows, columns
 

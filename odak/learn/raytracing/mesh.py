@@ -774,8 +774,7 @@ def _checked_normals(normals, vertices: torch.Tensor):
     if isinstance(normals, str):
         return _validate.one_of("normals", normals, ("flat", "smooth"))
     (normals,) = reals_of(normals=normals)
-    if normals.shape != vertices.shape:
-        raise ValueError(f"normals must be {tuple(vertices.shape)} as the vertices, got {tuple(normals.shape)}")
+    _validate.shaped("normals", normals, f"{list(vertices.shape)} as the vertices")
     return normals
 
 

@@ -315,8 +315,7 @@ class Interface:
         given = self.reflectance, self.transmittance
         for name, kind in (("coating", Coating), ("phase", Phase), ("scatter", Scatter)):
             value = getattr(self, name)
-            if value is not None and not isinstance(value, kind):
-                raise TypeError(f"{name} must be a {kind.__name__} or None, got {type(value).__name__}")
+            _validate.instance(name, value, (kind, type(None)), f"a {kind.__name__} or None")
         if (given[0] is None) != (given[1] is None):
             raise ValueError(f"reflectance and transmittance must be given both or neither, got {given}")
         if given[0] is not None and self.coating is not None:

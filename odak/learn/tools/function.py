@@ -279,11 +279,8 @@ def compose_bspline_2d(
     for name, value in (("control_coefficients", control_coefficients), ("basis_matrix", basis_matrix)):
         if not (separable and value is basis_matrix):
             _validate.instance(name, value, torch.Tensor, "a tensor")
-    if tuple(basis_matrix.shape) != (control_coefficients.numel(), rows * columns):
-        raise ValueError(
-            f"basis_matrix must be {[control_coefficients.numel(), rows * columns]} for these control_coefficients "
-            f"and this resolution, got {list(basis_matrix.shape)}"
-        )
+    accepted = f"[{control_coefficients.numel()}, {rows * columns}] for these control_coefficients and this resolution"
+    _validate.shaped("basis_matrix", basis_matrix, accepted)
     held = basis_matrix
     factors: Sequence[Any] = (held.rows, held.columns) if isinstance(held, SeparableBasis) else (held,)
     dtype = torch.promote_types(control_coefficients.dtype, factors[0].dtype)

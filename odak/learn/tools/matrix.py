@@ -470,10 +470,8 @@ def slice_rgbd_targets(
     (depth_plane_positions,) = _validate.constants(depth_plane_positions=depth_plane_positions)
     for name, value in (("target", target), ("depth", depth)):
         _validate.instance(name, value, torch.Tensor, "a tensor")
-    if target.ndim != 3 or depth.shape != target.shape[-2:]:
-        raise ValueError(
-            f"target must be [C, H, W] and depth [H, W], got {tuple(target.shape)} and {tuple(depth.shape)}"
-        )
+    rows, columns = _validate.shaped("target", target, "[C, H, W]").shape[-2:]
+    _validate.shaped("depth", depth, f"[{rows}, {columns}], the rows and columns of target")
     _validate.one_device(target=target, depth=depth)
     target, depth = (value if value.is_floating_point() else value.float() for value in (target, depth))
     edges = tensor("depth_plane_positions", depth_plane_positions, depth.dtype)

@@ -178,11 +178,7 @@ class multi_layer_perceptron(torch.nn.Module):
             self.optimizer.zero_grad()
             with torch.enable_grad():
                 estimate = self._output("x_values", x_values)
-                if estimate.shape != y_values.shape:
-                    raise ValueError(
-                        f"y_values must be {list(estimate.shape)} for x_values of {list(x_values.shape)}, "
-                        f"got {list(y_values.shape)}"
-                    )
+                _validate.shaped("y_values", y_values, f"{list(estimate.shape)} for x_values of {list(x_values.shape)}")
                 loss = self.loss_function(estimate, y_values)
             loss.backward()
             self.optimizer.step()

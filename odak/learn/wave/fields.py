@@ -116,8 +116,7 @@ def exposure(
     power = tensor("power", power).to(field.real.dtype)
     _validate.shaped("power", power, f"[{field.shape[0]}, {field.shape[2]}] like field")
     _validate.one_device(field=field, power=power)
-    if workspace is not None and not isinstance(workspace, Workspace):
-        raise TypeError(f"workspace must be a Workspace or None, got {type(workspace).__name__}")
+    _validate.instance("workspace", workspace, (Workspace, type(None)), "a Workspace or None")
     if one_each:
         # Colours of one frame.
         field, power = field.transpose(0, 2), power.mT

@@ -307,11 +307,10 @@ class focal_surface_light_propagation(nn.Module):
         colours = (self.sv_kernel_generation.input_channels - 1) // 2
         phase_only_hologram = images("phase_only_hologram", phase_only_hologram, colours, weight, smallest=smallest)
         focal_surface = images("focal_surface", focal_surface, 1, weight)
-        if focal_surface.shape[-2:] != phase_only_hologram.shape[-2:]:
-            raise ValueError(
-                f"focal_surface must have the rows and columns of phase_only_hologram, "
-                f"{list(phase_only_hologram.shape[-2:])}; got {list(focal_surface.shape)}"
-            )
+        rows, columns = phase_only_hologram.shape[-2:]
+        _validate.shaped(
+            "focal_surface", focal_surface, f"[..., {rows}, {columns}], with the sides of phase_only_hologram"
+        )
         input_field = self.generate_input_field(phase_only_hologram)
         kernels = self.sv_kernel_generation(focal_surface, input_field)
         real, imaginary = self.light_propagation(kernels, input_field).chunk(2, dim=1)

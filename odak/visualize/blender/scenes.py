@@ -26,7 +26,7 @@ from odak._warnings import AccuracyWarning, DeviceWarning, warn
 from odak.catalog.materials import MICROMETRES
 from odak.log import logger
 from odak.tools.file import _kill_with_children, read_npz, validate_path
-from odak.tools.paths import replacing
+from odak.tools.paths import replacing, write_file
 from odak.visualize.blender.items import (
     D_LINE,
     KINDS,
@@ -347,14 +347,12 @@ def write_scene(path: str, document: dict[Any, Any]) -> str:
     store = os.path.splitext(path)[0] + ".npz"
     packed = io.BytesIO()
     np.savez(packed, **arrays)
-    with replacing(store) as stream:
-        stream.write(packed.getbuffer())
+    write_file(store, packed.getbuffer())
     # Identifies the pair of files, which cannot be replaced at one instant.
     digest = hashlib.sha256(packed.getbuffer()).hexdigest()
     text = {"format": FORMAT, "version": VERSION, "arrays": os.path.basename(store), "arrays_sha256": digest}
     text |= document | {"objects": entries}
-    with replacing(path) as stream:
-        stream.write(json.dumps(text, indent=1, allow_nan=False).encode())
+    write_file(path, json.dumps(text, indent=1, allow_nan=False).encode())
     return path
 
 

@@ -682,8 +682,7 @@ def field_show(
     chosen = {_validate.one_of("quantities", name, QUANTITIES) for name in names}
     stack = values.reshape(-1, *values.shape[-2:])
     layout = _validate.one_of("layout", layout, LAYOUTS)
-    if filename is not None and not isinstance(filename, (str, os.PathLike)):
-        raise TypeError(f"filename must be a path or None, got {filename!r:.80}")
+    _validate.instance("filename", filename, (str, os.PathLike, type(None)), "a path or None")
     if layout == "auto":
         still = filename is not None and os.path.splitext(os.fspath(filename))[1].lower() in figures.IMAGES
         layout = "slider" if len(stack) > MOST_ROWS and not still else "rows"

@@ -25,7 +25,7 @@ import numpy as np
 from odak import _validate
 from odak._warnings import ArgumentWarning, warn
 from odak.log import logger
-from odak.tools.paths import extension_of, replacing, validate_path
+from odak.tools.paths import extension_of, replacing, validate_path, write_file
 
 try:
     import plotly.graph_objects as graph
@@ -732,8 +732,7 @@ def write_html(figure: Any, filename: str | os.PathLike[str], plotlyjs: Any = Tr
     """
     path, plotlyjs = validate_path(filename, HTML), _library_of(plotlyjs)
     text = page.to_html(figure, include_plotlyjs=plotlyjs, include_mathjax=False, full_html=True)
-    with replacing(path) as stream:
-        stream.write(text.encode())
+    write_file(path, text.encode())
     return division(figure)
 
 
@@ -751,8 +750,7 @@ def write_markdown(figure: dict[Any, Any], filename: str | os.PathLike[str], plo
     """
     path = validate_path(filename, MARKDOWN)
     text = division(figure, _library_of(plotlyjs))
-    with replacing(path) as stream:
-        stream.write(text.encode() + b"\n")
+    write_file(path, text.encode() + b"\n")
     return text
 
 
@@ -794,8 +792,7 @@ def show(figure: dict[Any, Any]) -> str | None:
     if not script.exists():
         from plotly.offline import get_plotlyjs
 
-        with replacing(str(script)) as stream:
-            stream.write(get_plotlyjs().encode())
+        write_file(str(script), get_plotlyjs().encode())
     logger.info("Figure written to %s", path)
     if can_open():
         webbrowser.open(path.as_uri())

@@ -189,8 +189,8 @@ def test_one_focal_surface_serves_a_batch():
     [
         ((1, 1, 16, 16), (1, 5, 16, 16), r"field must be \[B, 6, H, W\]"),
         ((1, 1, 15, 16), (1, 6, 15, 16), "H and W of at least 16"),
-        ((1, 1, 16, 17), (1, 6, 16, 16), r"focal_surface must be \(1, 1, 16, 16\)"),
-        ((2, 1, 16, 16), (3, 6, 16, 16), r"focal_surface must be \(3, 1, 16, 16\), or have a batch of 1"),
+        ((1, 1, 16, 17), (1, 6, 16, 16), r"focal_surface must be \[1 or 1, 1, 16, 16\]"),
+        ((2, 1, 16, 16), (3, 6, 16, 16), r"focal_surface must be \[3 or 1, 1, 16, 16\]"),
     ],
 )
 def test_shapes_that_do_not_meet_are_named(focal, field, named):

@@ -59,7 +59,7 @@ def test_gradient_reaches_the_picture():
     ("target", "depth", "positions", "kind", "message"),
     [
         (torch.ones(4, 4), torch.ones(4, 4), [0, 1], ValueError, r"target must be \[C, H, W\]"),
-        (torch.ones(3, 4, 4), torch.ones(4, 5), [0, 1], ValueError, r"depth \[H, W\]"),
+        (torch.ones(3, 4, 4), torch.ones(4, 5), [0, 1], ValueError, "depth must be"),
         (torch.ones(3, 4, 4), torch.ones(4, 4), [0], ValueError, "depth_plane_positions must be two or more rising"),
         (torch.ones(3, 4, 4), torch.ones(4, 4), [0, 1, 1], ValueError, "rising numbers"),
         ([[1.0]], torch.ones(4, 4), [0, 1], TypeError, "target must be a tensor, got list"),

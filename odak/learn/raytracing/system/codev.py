@@ -39,7 +39,7 @@ from odak.learn.raytracing.system.system_files import (
 from odak.raytracing.apertures import Aperture, CircularAperture, EllipticAperture, RectangularAperture
 from odak.raytracing.interfaces import RadialPhase
 from odak.raytracing.surfaces import Biconic, Conic, EvenAsphere, PolynomialFreeform, Shape, Toroid
-from odak.tools.paths import _text, replacing
+from odak.tools.paths import _text, write_file
 
 LENGTHS = {"M": 1.0, "MM": 1.0, "C": 10.0, "CM": 10.0, "I": 25.4, "IN": 25.4}
 # Coefficients of r⁴, r⁶, … by their letters.
@@ -829,8 +829,7 @@ def write_seq(system: optical_system, path: str | os.PathLike[str]) -> None:
     'Double Gauss f/2'
     """
     path, text = _text("path", path), _seq_text(without_derivatives(system))
-    with replacing(path) as stream:
-        stream.write(text.encode("utf-8"))
+    write_file(path, text.encode("utf-8"))
 
 
 def _listed(key: str, values) -> str:

@@ -409,10 +409,8 @@ class lens_design:
     def _checked(self, values: Any) -> torch.Tensor:
         """Return values of the variables in float64 after checking how many they are."""
         values = _validate.real("values", values)
-        if not isinstance(values, torch.Tensor) or values.ndim < 1 or values.shape[-1] != len(self.values):
-            raise ValueError(
-                f"values must be a tensor [..., {len(self.values)}], got {getattr(values, 'shape', values)}"
-            )
+        _validate.instance("values", values, torch.Tensor, "a tensor")
+        _validate.shaped("values", values, f"[..., {len(self.values)}]")
         return values.double()
 
     def _glass_indices(self, index, chosen, places):

@@ -70,7 +70,7 @@ from odak.learn.raytracing.system.waves import (
     pupil_image,
     relative_illumination,
 )
-from odak.tools.paths import _text, replacing
+from odak.tools.paths import _text, write_file
 
 COLOURS = ((33, 102, 172), (27, 120, 55), (178, 24, 43), (118, 42, 131), (179, 88, 6), (1, 102, 94))
 INK, FAINT, GLASS = "#202020", "#9a9a9a", "#d9e9f6"
@@ -1317,8 +1317,7 @@ def lens_report(
         if name == "layout":
             parts += _numbers_of(system, aim, quality)
     page = _PAGE.format(title=html.escape(system.name or "Optical system"), body="\n".join(parts))
-    with replacing(path) as stream:
-        stream.write(page.encode("utf-8"))
+    write_file(path, page.encode("utf-8"))
 
 
 _PAGE = """<!DOCTYPE html>

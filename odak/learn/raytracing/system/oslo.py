@@ -30,7 +30,7 @@ from odak.learn.raytracing.system.system_files import (
 )
 from odak.raytracing.interfaces import IdealLens
 from odak.raytracing.surfaces import Conic, EvenAsphere
-from odak.tools.paths import _text, replacing
+from odak.tools.paths import _text, write_file
 
 # Wavelengths in micrometres of files that state none, the primary one first.
 WAVES = (0.58756, 0.48613, 0.65627)
@@ -335,8 +335,7 @@ def write_len(system: optical_system, path: str | os.PathLike[str]) -> None:
     'Double Gauss f/2'
     """
     path, text = _text("path", path), _len_text(without_derivatives(system))
-    with replacing(path) as stream:
-        stream.write(text.encode("utf-8"))
+    write_file(path, text.encode("utf-8"))
 
 
 def _len_text(system) -> str:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from odak import _show
+from odak import _show, _validate
 from odak.learn.raytracing.system.sequence import Numbers
 from odak.raytracing.surfaces import EvenAsphere, Shape
 
@@ -231,6 +231,5 @@ def padded(value: torch.Tensor, count: int) -> torch.Tensor:
 
 def checked_prescription(prescription: Prescription | None) -> Prescription | None:
     """Return a prescription after checking that it is one; None stays None."""
-    if prescription is not None and not isinstance(prescription, Prescription):
-        raise TypeError(f"prescription must be a Prescription, got {type(prescription).__name__}")
+    _validate.instance("prescription", prescription, (Prescription, type(None)), "a Prescription")
     return prescription

@@ -44,7 +44,7 @@ from odak.raytracing.interfaces import Phase
 from odak.raytracing.surfaces import (
     Shape,
 )
-from odak.tools.paths import _text, replacing
+from odak.tools.paths import _text, write_file
 
 FOLDER = Path(__file__).resolve().parents[3] / "catalog" / "data"
 MAXIMUM_BYTES = 4 << 20
@@ -126,8 +126,7 @@ def save_system(system: optical_system, path: str | os.PathLike[str]) -> None:
     """
     path = _text("path", path)
     text = json.dumps(system_to_dict(system), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    with replacing(path) as stream:
-        stream.write(text.encode("utf-8"))
+    write_file(path, text.encode("utf-8"))
 
 
 def system_to_dict(system: optical_system) -> dict[Any, Any]:

@@ -58,7 +58,7 @@ from odak.raytracing.surfaces import (
     Toroid,
     ZernikeFreeform,
 )
-from odak.tools.paths import _text, replacing
+from odak.tools.paths import _text, write_file
 from odak.tools.zernike import fringe_to_nm, noll_to_nm, zernike_norm
 
 MAXIMUM_SURFACES, MAXIMUM_TERMS = 1000, 500
@@ -1104,8 +1104,7 @@ def write_zmx(system: optical_system, path: str | os.PathLike[str]) -> None:
     0.0
     """
     path, text = _text("path", path), _zmx_text(without_derivatives(system))
-    with replacing(path) as stream:
-        stream.write(text.encode("utf-8"))
+    write_file(path, text.encode("utf-8"))
 
 
 def _zmx_text(system) -> str:

@@ -439,8 +439,7 @@ class propagator(display_volume):
         if not isinstance(kernels, torch.Tensor) or kernels.ndim != 4 or 0 in kernels.shape:
             got = list(kernels.shape) if isinstance(kernels, torch.Tensor) else type(kernels).__name__
             raise ValueError(f"kernels must be a tensor [planes, colours, rows, columns], got {got}")
-        if workspace is not None and not isinstance(workspace, Workspace):
-            raise TypeError(f"workspace must be a Workspace or None, got {type(workspace).__name__}")
+        _validate.instance("workspace", workspace, (Workspace, type(None)), "a Workspace or None")
         _validate.one_device(holograms=holograms, kernels=kernels)
         return self._spread(holograms, frames, kernels, workspace, self._one_source_per_frame)
 

@@ -109,8 +109,7 @@ def check_pair(input_image, target_image) -> None:
 def checked_eyebox(eyebox: dict | None) -> dict:
     """Return offset and diameter of an eyebox in samples, the usual ones where they are not given."""
     usual = {"offset": 0.0, "diameter": 100}
-    if eyebox is not None and not isinstance(eyebox, dict):
-        raise TypeError(f"eyebox must be a dictionary of offset and diameter, got {eyebox!r:.80}")
+    _validate.instance("eyebox", eyebox, (dict, type(None)), "a dictionary of offset and diameter")
     if unknown := set(map(str, eyebox or {})) - set(usual):
         raise ValueError(f"eyebox must contain offset and diameter, got {', '.join(sorted(unknown))}")
     return usual | (eyebox or {})

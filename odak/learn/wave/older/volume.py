@@ -763,8 +763,7 @@ class holographic_display(display_volume):
         if illumination is None:
             illumination = torch.ones(self.resolution)
         illumination = _validate.image("illumination", tensor("illumination", illumination))
-        if tuple(illumination.shape) != tuple(self.resolution):
-            raise ValueError(f"illumination must be {self.resolution}, got {tuple(illumination.shape)}")
+        _validate.shaped("illumination", illumination, f"{self.resolution}")
         self.register_buffer("amplitude", illumination.to(self.device), persistent=False)
 
     def generate_kernels(self) -> None:
