@@ -95,8 +95,9 @@ class NumberedDevice(Protocol):
 
 # In signatures: the result is an array of the library of the argument.
 ArrayT = TypeVar("ArrayT", bound=Array)
-# Several numbers, such as a place (y, x) or angles about three axes.
-Numbers: TypeAlias = Sequence[float | Array] | Array
+# A number, and several numbers such as a place (y, x) or angles about three axes.
+Amount: TypeAlias = float | Array
+Numbers: TypeAlias = Sequence[Amount] | Array
 if TYPE_CHECKING:
     Device: TypeAlias = str | torch.device | NumberedDevice | None
     DType: TypeAlias = str | type | np.dtype | torch.dtype | None

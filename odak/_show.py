@@ -12,13 +12,14 @@ import inspect
 import io
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from odak._array import is_array, is_readable
 from odak._warnings import OdakWarning
 
+Kind = TypeVar("Kind", bound=type)
 # Longest description, and longest text within one.
 LONGEST, WORDS = 600, 48
 # Largest side of a picture in pixels.
@@ -159,6 +160,19 @@ def one_line(described: Any, **more: Any) -> str:
         What is said besides.
     """
     return f"{type(described).__name__}({numbers_of(described, **more)})"
+
+
+class Shown:
+    """Base class of what shows itself in one line."""
+
+    def __repr__(self) -> str:
+        return one_line(self)
+
+
+def shown(kind: Kind) -> Kind:
+    """Let a named tuple, which has no other base, show itself in one line."""
+    kind.__repr__ = one_line  # type: ignore[assignment]
+    return kind
 
 
 def numbers_of(described: Any, **more: Any) -> str:

@@ -19,9 +19,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 # Bare Any among the parameters and results of the packages whose doors are to have none; the numbers only shrink.
-MOST_ANY = {"odak.learn.perception": 0, "odak.learn.raytracing.system": 83, "odak.learn.wave": 10, "odak.wave": 0}
+MOST_ANY = {"odak.learn.perception": 0, "odak.learn.raytracing.system": 0, "odak.learn.wave": 10, "odak.wave": 0}
 # Least share of the symbols of all modules that have a known type; the number only grows.
-LEAST_KNOWN = 0.83
+LEAST_KNOWN = 0.84
 _BARE = re.compile(r"\w: Any(?= = |,|\)|$)|-> Any$")
 
 

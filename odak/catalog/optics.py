@@ -31,7 +31,7 @@ class SurfaceFigure(Protocol):
         ...
 
 
-class plane_detector:
+class plane_detector(_show.Shown):
     """A flat detector of rectangular pixels that adds up the amplitudes of rays.
 
     Parameters
@@ -73,8 +73,6 @@ class plane_detector:
     >>> np.argwhere(detector.get_amplitude())[0], round(float(detector.get_amplitude().max()), 4)
     (array([2, 3, 0]), 9.9502)
     """
-
-    __repr__ = _show.one_line
 
     def __init__(
         self,
@@ -212,7 +210,7 @@ class plane_detector:
         self.fig.show()
 
 
-class thin_diffuser:
+class thin_diffuser(_show.Shown):
     """A flat diffuser: each ray leaves it as a cone of rays about its onward direction.
 
     Parameters
@@ -253,8 +251,6 @@ class thin_diffuser:
     array([[0.05249, 0.     , 1.     ],
            [0.06999, 0.     , 1.     ]])
     """
-
-    __repr__ = _show.one_line
 
     def __init__(
         self,
@@ -347,7 +343,7 @@ def _rotated(vectors: np.ndarray, directions: np.ndarray) -> np.ndarray:
     return vectors @ np.swapaxes(matrix, -1, -2)
 
 
-class plano_convex_lens:
+class plano_convex_lens(_show.Shown):
     """A plano-convex lens of a catalogue; lengths in millimetres.
 
     Parameters
@@ -393,8 +389,6 @@ class plano_convex_lens:
     >>> normal[0, 0], distance
     (array([ 0.,  0., -1.]), array([4.]))
     """
-
-    __repr__ = _show.one_line
 
     def __init__(
         self,

@@ -75,8 +75,8 @@ FIRST_GRIDS, GRIDS, LAST_GRIDS = 2, 2, 4
 REGIONS = (3, 3)
 
 
-@dataclass(frozen=True)
-class Calibration:
+@dataclass(frozen=True, repr=False)
+class Calibration(_show.Shown):
     """Results of the calibration of an optical table.
 
     Attributes
@@ -129,8 +129,6 @@ class Calibration:
     regional_phases: np.ndarray | None = field(default=None, repr=False)
     uncertainty: dict[str, float] = field(default_factory=dict, repr=False)
     unmodulated: complex = 0.0
-
-    __repr__ = _show.one_line
 
     @classmethod
     def nominal(cls, modulator: Modulator, camera: Camera, wavelength: float, distance: float | Lens) -> "Calibration":

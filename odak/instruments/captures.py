@@ -27,8 +27,8 @@ WAVELENGTHS, PITCHES, LARGEST_DISTANCE = (1e-9, 1e-3), (1e-8, 1e-2), 1e3
 EXPOSURES, MOST_BITS = (1e-12, 1e6), 32
 
 
-@dataclass(frozen=True)
-class Captures:
+@dataclass(frozen=True, repr=False)
+class Captures(_show.Shown):
     """Patterns that a modulator showed and what a camera captured of each.
 
     Attributes
@@ -72,8 +72,6 @@ class Captures:
     camera_bits: int
     exposure: float
     dark: np.ndarray | float = 0.0
-
-    __repr__ = _show.one_line
 
     def __len__(self) -> int:
         return len(self.levels)

@@ -21,7 +21,7 @@ from odak.tools.paths import replacing, validate_path, write_file
 _MANUAL_EXPOSURE = 1.0
 
 
-class ScreenModulator:
+class ScreenModulator(_show.Shown):
     """Modulator that is a screen of this computer: a window over the whole of it shows the levels as grey.
 
     Parameters
@@ -55,8 +55,6 @@ class ScreenModulator:
     """
 
     bits = 8
-
-    __repr__ = _show.one_line
 
     @_validate.takes_units("pitch")
     def __init__(
@@ -162,7 +160,7 @@ def _window_on(pygame: Any, display: int, shape: Sequence[int]) -> Any:
     return pygame.Window("odak", (columns, rows), place, borderless=True, always_on_top=True)
 
 
-class VideoCamera:
+class VideoCamera(_show.Shown):
     """Camera of the USB video class, or anything else that OpenCV opens, such as a file of a video.
 
     Parameters
@@ -191,8 +189,6 @@ class VideoCamera:
     >>> from odak.instruments import VideoCamera
     >>> camera = VideoCamera(0, pitch=3e-6)  # doctest: +SKIP
     """
-
-    __repr__ = _show.one_line
 
     @_validate.takes_units("pitch")
     def __init__(
@@ -252,7 +248,7 @@ class VideoCamera:
         self._stream.release()
 
 
-class GenICamCamera:
+class GenICamCamera(_show.Shown):
     """Camera with a GenICam interface, as most industrial ones have: GigE Vision, USB3 Vision, CoaXPress, 10 GigE.
 
     Each capture is triggered by software, so that no frame is older than the pattern.
@@ -281,8 +277,6 @@ class GenICamCamera:
     >>> from odak.instruments import GenICamCamera
     >>> camera = GenICamCamera(3.45e-6, device="40012345", pixel_format="Mono12")  # doctest: +SKIP
     """
-
-    __repr__ = _show.one_line
 
     @_validate.takes_units("pitch")
     def __init__(
@@ -370,7 +364,7 @@ class GenICamCamera:
         self._harvester.reset()
 
 
-class MicroManagerCamera:
+class MicroManagerCamera(_show.Shown):
     """Camera that Micro-Manager drives: scientific cameras of most makers, through its device adapters.
 
     Parameters
@@ -393,8 +387,6 @@ class MicroManagerCamera:
     >>> from odak.instruments import MicroManagerCamera
     >>> camera = MicroManagerCamera("table.cfg", pitch=6.5e-6)  # doctest: +SKIP
     """
-
-    __repr__ = _show.one_line
 
     @_validate.takes_units("pitch")
     def __init__(self, configuration: Any, pitch: float, device: str | None = None):
@@ -434,7 +426,7 @@ class MicroManagerCamera:
         return np.stack(frames)
 
 
-class MicroManagerModulator:
+class MicroManagerModulator(_show.Shown):
     """Modulator that Micro-Manager drives, by an adapter of its maker or as a screen.
 
     Parameters
@@ -465,8 +457,6 @@ class MicroManagerModulator:
 
     bits = 8
 
-    __repr__ = _show.one_line
-
     @_validate.takes_units("pitch")
     def __init__(self, configuration: Any, pitch: float, device: str | None = None, settling_time: float = 0.05):
         self.pitch = float(_validate.number("pitch", pitch, positive=True))
@@ -487,7 +477,7 @@ class MicroManagerModulator:
         time.sleep(self.settling_time)
 
 
-class FileModulator:
+class FileModulator(_show.Shown):
     """Modulator behind a folder, of another computer for instance: each pattern is a file that appears whole.
 
     The pattern of number k is written as ``pattern_<k>.npy`` and then named by ``pattern.txt``, which holds k. Whoever
@@ -521,8 +511,6 @@ class FileModulator:
     ...     sorted(os.listdir(folder))
     ['pattern.txt', 'pattern_1.npy']
     """
-
-    __repr__ = _show.one_line
 
     @_validate.takes_units("pitch")
     def __init__(
@@ -559,7 +547,7 @@ class FileModulator:
             os.remove(old)
 
 
-class FileCamera:
+class FileCamera(_show.Shown):
     """Camera behind a folder, of another computer for instance: each request and each capture is a file.
 
     A request of number k is ``request.txt`` with three numbers: k, how many captures, and the exposure in seconds. The
@@ -594,8 +582,6 @@ class FileCamera:
     ...     camera.capture(2).shape
     (2, 4, 6)
     """
-
-    __repr__ = _show.one_line
 
     @_validate.takes_units("pitch")
     def __init__(

@@ -16,7 +16,7 @@ from odak.instruments.drivers import _imported, checked_levels
 from odak.tools.paths import validate_path
 
 
-class RaspberryPiCamera:
+class RaspberryPiCamera(_show.Shown):
     """Camera of a Raspberry Pi, whose raw frames are read by picamera2.
 
     Automatic exposure is off and the gain is 1. Each frame begins after it was asked for, so that none is older than
@@ -42,8 +42,6 @@ class RaspberryPiCamera:
     >>> from odak.instruments import RaspberryPiCamera
     >>> camera = RaspberryPiCamera(channel="green")  # doctest: +SKIP
     """
-
-    __repr__ = _show.one_line
 
     @_validate.takes_units("pitch")
     def __init__(self, device: int = 0, channel: str = "green", pitch: float | None = None):
@@ -120,7 +118,7 @@ class RaspberryPiCamera:
         self._camera.close()
 
 
-class HoloeyeModulator:
+class HoloeyeModulator(_show.Shown):
     """Modulator of Holoeye, driven by version 4 of its SLM Display SDK.
 
     Parameters
@@ -151,8 +149,6 @@ class HoloeyeModulator:
     """
 
     bits = 8
-
-    __repr__ = _show.one_line
 
     def __init__(self, preselect: str = "", settling_time: float = 0.1):
         _validate.instance("preselect", preselect, str, "a string")
@@ -192,7 +188,7 @@ def _declarations(path: str) -> dict[str, list[str]]:
     return found
 
 
-class MeadowlarkModulator:
+class MeadowlarkModulator(_show.Shown):
     """Modulator of Meadowlark, driven by the C functions of one of its Blink SDKs.
 
     Parameters
@@ -236,8 +232,6 @@ class MeadowlarkModulator:
     """
 
     bits = 8
-
-    __repr__ = _show.one_line
 
     @_validate.takes_units("pitch")
     def __init__(
@@ -328,7 +322,7 @@ class MeadowlarkModulator:
         self._library.Delete_SDK()
 
 
-class ThorlabsCamera:
+class ThorlabsCamera(_show.Shown):
     """Scientific camera of Thorlabs (Zelux, Kiralux, Quantalux and others), driven by its own Python package.
 
     Each frame is triggered by software, so that none is older than the pattern. The gain is the smallest, and the black
@@ -355,8 +349,6 @@ class ThorlabsCamera:
     >>> from odak.instruments import ThorlabsCamera
     >>> camera = ThorlabsCamera("12345")  # doctest: +SKIP
     """
-
-    __repr__ = _show.one_line
 
     @_validate.takes_units("pitch")
     def __init__(self, device: int | str = 0, pitch: float | None = None, timeout: float = 5.0):

@@ -105,8 +105,8 @@ def plane_points(pixels: ArrayT, shape: tuple[int, int], homography: Array, dist
     return xp.stack([along / depth, across / depth], axis=-1)
 
 
-@dataclass(frozen=True)
-class Registration:
+@dataclass(frozen=True, repr=False)
+class Registration(_show.Shown):
     """Mapping from pixels of the camera to the plane in which the modulator forms its image.
 
     Attributes
@@ -139,8 +139,6 @@ class Registration:
     shape: tuple[int, int]
     residual: float = 0.0
     uncertainty: float = 0.0
-
-    __repr__ = _show.one_line
 
     def plane_points(self, pixels: np.ndarray) -> np.ndarray:
         """Return the points x, y in metres ``[..., 2]`` that are imaged onto pixels (column, row) ``[..., 2]``."""

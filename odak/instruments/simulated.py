@@ -90,7 +90,7 @@ class Truth:
         return plane_points(pixels, shape, self.homography, self.distortion)
 
 
-class SimulatedTable:
+class SimulatedTable(_show.Shown):
     """Modulator, camera, laser, stage and polariser on a simulated table with hidden faults.
 
     Light of a Gaussian beam, off centre and aberrated, meets a phase-only modulator with a nonlinear response and a
@@ -176,8 +176,6 @@ class SimulatedTable:
     >>> table.camera.capture(2).shape
     (2, 40, 48)
     """
-
-    __repr__ = _show.one_line
 
     @_validate.takes_units("pitch", "wavelength", "distance", "camera_pitch")
     def __init__(
@@ -465,12 +463,10 @@ class SimulatedTable:
         return self._transfer[1]
 
 
-class SimulatedModulator:
+class SimulatedModulator(_show.Shown):
     """Simulated phase-only modulator of 8 bits; see :class:`SimulatedTable`."""
 
     bits = 8
-
-    __repr__ = _show.one_line
 
     def __init__(self, table: SimulatedTable, shape: tuple[int, int], pitch: float, settling_time: float = 0.0):
         self._table, self.shape, self.pitch, self.settling_time = table, shape, pitch, settling_time
@@ -483,12 +479,10 @@ class SimulatedModulator:
         table.clock += self.settling_time
 
 
-class SimulatedCamera:
+class SimulatedCamera(_show.Shown):
     """Simulated camera of 12 bits with noise, fixed pattern and saturation; see :class:`SimulatedTable`."""
 
     bits = 12
-
-    __repr__ = _show.one_line
 
     def __init__(self, table: SimulatedTable, shape: tuple[int, int], pitch: float, draw: np.random.Generator):
         self._table, self.shape, self.pitch = table, shape, pitch
@@ -542,19 +536,15 @@ class SimulatedCamera:
         return map_coordinates(part, [a - c for a, c in zip(at, corner, strict=True)], order=3, mode="constant")
 
 
-class SimulatedLaser:
+class SimulatedLaser(_show.Shown):
     """Simulated laser; see :class:`SimulatedTable`."""
-
-    __repr__ = _show.one_line
 
     def __init__(self, wavelength: float):
         self.wavelength, self.power = wavelength, 1.0
 
 
-class SimulatedRotator:
+class SimulatedRotator(_show.Shown):
     """Simulated rotation mount with a polariser; see :class:`SimulatedTable`."""
-
-    __repr__ = _show.one_line
 
     def __init__(self):
         self.angle = 0.0
@@ -564,10 +554,8 @@ class SimulatedRotator:
         self.angle = float(_validate.number("angle", angle))
 
 
-class SimulatedStage:
+class SimulatedStage(_show.Shown):
     """Simulated linear stage on which the camera is mounted; see :class:`SimulatedTable`."""
-
-    __repr__ = _show.one_line
 
     def __init__(self):
         self.position = 0.0

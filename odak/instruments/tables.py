@@ -11,8 +11,8 @@ from odak.instruments.protocols import Camera, Modulator, check_square_pixels, c
 
 
 @_validate.takes_units("wavelength", "distance")
-@dataclass(frozen=True)
-class OpticalTable:
+@dataclass(frozen=True, repr=False)
+class OpticalTable(_show.Shown):
     """A modulator, a camera, the light path between them, and what has been measured of them.
 
     Each measurement takes a table and returns what it found; ``dataclasses.replace`` returns the table with it, for the
@@ -63,8 +63,6 @@ class OpticalTable:
     registration: Registration | None = None
     wavefront: np.ndarray | float = 0.0
     amplitude: np.ndarray | float | None = None
-
-    __repr__ = _show.one_line
 
     def __post_init__(self):
         check_square_pixels(self.modulator, self.camera)

@@ -10,6 +10,7 @@ from odak._array import Array, is_array, namespace, phasor_of_cycles
 _TAU = 2 * _array.numpy_namespace.pi
 
 
+@_show.shown
 class StackResponse(NamedTuple):
     """Response of a stack of thin films to a plane wave; each item is an array of the broadcast shape.
 
@@ -41,9 +42,6 @@ class StackResponse(NamedTuple):
     reflectance: Any
     transmittance: Any
     absorptance: Any
-
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
 
 @_validate.takes_units(degrees=("angle",))

@@ -6,7 +6,7 @@ import sys
 import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,9 +15,6 @@ from array_api_compat import torch as torch_namespace
 from odak._array import Array, ArrayT
 from odak._call_forms import unknown_argument
 from odak.learn._tensors import checked_device, tensors_of
-
-P = ParamSpec("P")
-R = TypeVar("R")
 
 _TITLES = ("Parameters", "Returns", "Yields", "Raises", "Warns", "See Also", "Notes", "References", "Examples")
 _TYPED = ("Returns", "Yields", "Raises", "Warns")
@@ -45,31 +42,15 @@ _IN_CODE = (
 )
 
 
-@typing.overload
 def torch_face(
-    core: Callable[P, Array],
+    core: Callable[..., Any],
     *,
     tensors: Iterable[str] = (),
     defaults: Mapping[str, Any] | None = None,
     through: Callable[..., Any] | None = None,
     describe: Mapping[str, str] | str | None = None,
     name: str | None = None,
-) -> Callable[P, torch.Tensor]: ...
-
-
-@typing.overload
-def torch_face(
-    core: Callable[P, R],
-    *,
-    tensors: Iterable[str] = (),
-    defaults: Mapping[str, Any] | None = None,
-    through: Callable[..., Any] | None = None,
-    describe: Mapping[str, str] | str | None = None,
-    name: str | None = None,
-) -> Callable[P, R]: ...
-
-
-def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None, name=None):
+) -> Callable[..., Any]:
     """Return the PyTorch function of a function of the core.
 
     It calls the core's function with torch as the array library (where the core has an argument `xp`, which it hides)
@@ -101,7 +82,7 @@ def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None, 
     Returns
     -------
     callable
-        The function; a type checker sees the core's parameters.
+        The function; a type checker takes its signature from ``odak/learn/_faces``.
     """
     signature = _signature(core, defaults or {})
     named, keywords = tuple(signature.parameters), frozenset(signature.parameters)
@@ -143,16 +124,17 @@ def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None, 
             options["device"] = checked_device("device", options["device"])
         return core(**options) if through is None else through(core, **options)
 
-    face.__name__ = face.__qualname__ = name or core.__name__
-    face.__module__ = sys._getframe(1).f_globals["__name__"]
-    face.__signature__ = signature
-    face.__wrapped__ = core  # so that the source is found
-    face.__is_face__ = True
-    face.__units__ = getattr(core, "__units__", {})
-    face.__annotations__ = {name: p.annotation for name, p in signature.parameters.items()}
-    face.__annotations__["return"] = signature.return_annotation
+    made: Any = face
+    made.__name__ = made.__qualname__ = name or core.__name__
+    made.__module__ = sys._getframe(1).f_globals["__name__"]
+    made.__signature__ = signature
+    made.__wrapped__ = core  # so that the source is found
+    made.__is_face__ = True
+    made.__units__ = getattr(core, "__units__", {})
+    made.__annotations__ = {name: p.annotation for name, p in signature.parameters.items()}
+    made.__annotations__["return"] = signature.return_annotation
     texts = _sections(describe) if isinstance(describe, str) else describe or {}
-    face.__doc__ = _documentation(core, named, preset, texts)
+    made.__doc__ = _documentation(core, named, preset, texts)
     return face
 
 

@@ -289,6 +289,7 @@ def _pair(ray0, ray1):
 THRESHOLD = 1e-6
 
 
+@_show.shown
 class FieldRays(NamedTuple):
     """Rays of a field, one of each sample.
 
@@ -319,9 +320,6 @@ class FieldRays(NamedTuple):
     ray: Array
     power: Array
     path: Array
-
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
 
 def rays_from_field(

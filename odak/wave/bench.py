@@ -902,6 +902,7 @@ class FirstOrderSystem:
         return self.abcd
 
 
+@_show.shown
 class BenchPlane(NamedTuple):
     """Field behind an element of a bench.
 
@@ -930,11 +931,8 @@ class BenchPlane(NamedTuple):
     pitch: Pitch
     element: object
 
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
-
-class optical_bench:
+class optical_bench(_show.Shown):
     """Sequence of optical elements as one object, differentiable in each of its numbers.
 
     A lens that is steeper than the samples of the field can follow goes into the ray matrix of the space behind it
@@ -965,8 +963,6 @@ class optical_bench:
     >>> focus.shape, pitch
     ((128, 128), 2e-06)
     """
-
-    __repr__ = _show.one_line
 
     @_validate.takes_units("wavelength")
     def __init__(self, elements: Iterable[Any], wavelength: float | Array):

@@ -22,6 +22,7 @@ _ADAPTING = 100.0
 _DARKEST = 1e-9
 
 
+@_show.shown
 class ColorRendering(NamedTuple):
     """How light renders colours, by the colour rendering index.
 
@@ -49,10 +50,8 @@ class ColorRendering(NamedTuple):
     special: torch.Tensor
     temperature: torch.Tensor
 
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
-
+@_show.shown
 class ColorFidelity(NamedTuple):
     """How light renders colours, by TM-30.
 
@@ -82,9 +81,6 @@ class ColorFidelity(NamedTuple):
     gamut: torch.Tensor
     samples: torch.Tensor
     temperature: torch.Tensor
-
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
 
 def color_rendering_index(spectrum: torch.Tensor, wavelengths: torch.Tensor | Sequence[float]) -> ColorRendering:

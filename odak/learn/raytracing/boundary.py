@@ -373,7 +373,7 @@ def intersect_w_surface_batch(ray: Any, triangle: Any) -> tuple[torch.Tensor, to
     return core.plane_hits(ray, _in_front(triangle, ray))
 
 
-class detector(Prepared):
+class detector(_show.Shown, Prepared):
     """A rectangle of pixels in space.
 
     Parameters
@@ -424,8 +424,6 @@ class detector(Prepared):
     """
 
     _fixed = ("colors", "resolution", "size", "pixel_size", "plane", "device")
-
-    __repr__ = _show.one_line
 
     def __init__(
         self,

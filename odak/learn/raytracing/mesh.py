@@ -296,6 +296,7 @@ def _leaves(tree: Tree, beam: Beam, best, face, ray, node, chosen):
     return closer, torch.where(face == none, -1, face)
 
 
+@_show.shown
 class MeshHit(NamedTuple):
     """Intersections of rays with a mesh of triangles.
 
@@ -331,9 +332,6 @@ class MeshHit(NamedTuple):
     face: Any
     barycentric: Any
     status: Any
-
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
     @property
     def hit(self) -> torch.Tensor:
@@ -495,7 +493,7 @@ BACKENDS = ("auto", "torch", "embree")
 SMALL = 1024
 
 
-class triangle_mesh:
+class triangle_mesh(_show.Shown):
     """Triangles over shared vertices, for rays to meet.
 
     Parameters
@@ -540,8 +538,6 @@ class triangle_mesh:
     >>> hit.distance, hit.face
     (tensor([5., nan]), tensor([ 0, -1]))
     """
-
-    __repr__ = _show.one_line
 
     def __init__(
         self,
@@ -789,7 +785,7 @@ def _per_ray(name: str, value, rays: torch.Tensor) -> torch.Tensor | None:
         raise ValueError(f"{name} must be a number or {tuple(rays.shape[:-2])}, one for each of the rays") from error
 
 
-class planar_mesh(Prepared):
+class planar_mesh(_show.Shown, Prepared):
     """A rectangle of triangles whose vertices can be lifted, to be learned.
 
     Parameters
@@ -835,8 +831,6 @@ class planar_mesh(Prepared):
     """
 
     _fixed = ("size", "number_of_meshes", "device")
-
-    __repr__ = _show.one_line
 
     def __init__(
         self,

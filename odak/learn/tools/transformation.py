@@ -295,7 +295,7 @@ if not TYPE_CHECKING:
     distance_between_two_points = torch_face(transformation.distance_between_two_points, tensors=("point1", "point2"))
 
 
-class PerspectiveCamera:
+class PerspectiveCamera(_show.Shown):
     """A pinhole camera whose axes and place are given as x' = x·R + T for points as rows.
 
     Parameters
@@ -324,8 +324,6 @@ class PerspectiveCamera:
     >>> camera.transform_world_to_camera_space(torch.zeros(1, 3))
     tensor([[0., 0., 5.]])
     """
-
-    __repr__ = _show.one_line
 
     def __init__(
         self,

@@ -790,8 +790,8 @@ class display_model(Prepared, torch.nn.Module):
         return torch.nn.functional.interpolate(values, self.shape, mode="bicubic", align_corners=False)[0, 0]
 
 
-@dataclass(frozen=True)
-class DisplayFit:
+@dataclass(frozen=True, repr=False)
+class DisplayFit(_show.Shown):
     """Outcome of fitting a model to captures.
 
     Attributes
@@ -828,8 +828,6 @@ class DisplayFit:
     uncertainties: dict[str, torch.Tensor]
     history: list[float] = field(repr=False)
     noise: tuple[float, float]
-
-    __repr__ = _show.one_line
 
 
 def fit_display(

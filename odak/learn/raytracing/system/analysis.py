@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -21,6 +21,11 @@ from odak.learn.raytracing.system.paraxial import (
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.pupils import (
     AIMS,
+    FieldOptions,
+    Pupil,
+    RayOptions,
+    TraceOptions,
+    WaveOptions,
     at_stop,
     field_points,
     launch,
@@ -32,7 +37,7 @@ from odak.learn.raytracing.system.pupils import (
     weights_of,
 )
 from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
-from odak.learn.raytracing.system.specification import checked_weights, largest_of, plain
+from odak.learn.raytracing.system.specification import FieldPoints, Values, checked_weights, largest_of, plain
 from odak.learn.raytracing.system.surfaces import (
     checked_system,
     is_break,
@@ -42,9 +47,12 @@ from odak.learn.raytracing.system.surfaces import (
     wavelength_shares,
     wavelengths_of,
 )
-from odak.learn.raytracing.system.tracing import in_surface_frame, spread_rays, trace
+from odak.learn.raytracing.system.tracing import Rays, in_surface_frame, spread_rays, trace
 from odak.raytracing.geometry import safe_sqrt
 from odak.tools.zernike import fringe_to_nm, noll_to_nm, osa_to_nm, zernike_norm, zernike_polynomial
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 REFERENCES = ("centroid", "chief")
 CENTRE = torch.zeros(1, 2, dtype=torch.float64)
@@ -57,6 +65,7 @@ ORDERS: dict[str, tuple[Callable[[int], tuple[int, int]], int]] = {
 }
 
 
+@_show.shown
 class Spots(NamedTuple):
     """A spot diagram.
 
@@ -91,21 +100,18 @@ class Spots(NamedTuple):
     status: torch.Tensor
     weights: torch.Tensor | None = None
 
-    def __repr__(self) -> str:
-        return _show.one_line(self)
-
     def _repr_html_(self) -> str:
         return _show.page(self, "odak.learn.raytracing.system.drawing:spots_view")
 
 
 def spot_diagram(
     system: optical_system,
-    pupil: Any = "rings",
+    pupil: Pupil = "rings",
     count: int = 6,
     *,
     reference: str = "centroid",
     prescription: Prescription | None = None,
-    **options: Any,
+    **options: "Unpack[RayOptions]",
 ) -> Spots:
     """Return the intersections of the rays of each field point with the image plane.
 
@@ -145,12 +151,8 @@ def spot_diagram(
     share = share if weights is None else share * weights
     number = (kept * share).sum((-3, -1))
     if reference == "chief":
-        chief = trace_fields(
-            system,
-            torch.zeros(1, 2, dtype=torch.float64),
-            prescription=prescription,
-            **{**options, "vignetting": False},
-        )
+        unblocked: dict[str, Any] = {**options, "vignetting": False}
+        chief = trace_fields(system, CENTRE, prescription=prescription, **unblocked)
         cx, cy = (value[..., reference_of(system, prescription), :, 0].to(x.dtype) for value in (chief.x, chief.y))
     else:
         cx, cy = ((share * value).sum((-3, -1)) / number for value in (x, y))
@@ -164,7 +166,15 @@ def spot_diagram(
     return Spots(x, y, torch.stack([cx, cy], -1), rms, largest, traced.status, weights)
 
 
-def rms_spot(system: optical_system, pupil: Any = "rings", count: int = 6, **options: Any) -> torch.Tensor:
+class SizeOptions(TraceOptions, total=False):
+    """Of :func:`rms_spot`."""
+
+    reference: str
+
+
+def rms_spot(
+    system: optical_system, pupil: Pupil = "rings", count: int = 6, **options: "Unpack[SizeOptions]"
+) -> torch.Tensor:
     """Return the root mean square distance of the rays from their centroid, ``[..., F]``, all wavelengths together.
 
     Parameters
@@ -197,7 +207,7 @@ def rms_spot(system: optical_system, pupil: Any = "rings", count: int = 6, **opt
 
 
 def ray_fan(
-    system: optical_system, axis: str = "y", count: int = 21, **options: Any
+    system: optical_system, axis: str = "y", count: int = 21, **options: "Unpack[TraceOptions]"
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the transverse ray aberration along a diameter of the pupil.
 
@@ -237,7 +247,7 @@ def ray_fan(
 
 
 def path_fan(
-    system: optical_system, axis: str = "y", count: int = 21, **options: Any
+    system: optical_system, axis: str = "y", count: int = 21, **options: "Unpack[WaveOptions]"
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the optical path difference along a diameter of the pupil.
 
@@ -276,7 +286,7 @@ def path_fan(
     return torch.linspace(-1, 1, count, dtype=torch.float64, device=found.path.device), found.path
 
 
-def lateral_color(system: optical_system, **options: Any) -> torch.Tensor:
+def lateral_color(system: optical_system, **options: "Unpack[TraceOptions]") -> torch.Tensor:
     """Return the distances in the image of the chief rays of all wavelengths from the one of the reference wavelength.
 
     Parameters
@@ -315,7 +325,7 @@ def lateral_color(system: optical_system, **options: Any) -> torch.Tensor:
 
 @_validate.takes_units()
 def axial_color(
-    system: optical_system, wavelengths: Any = None, prescription: Prescription | None = None
+    system: optical_system, wavelengths: Values | None = None, prescription: Prescription | None = None
 ) -> torch.Tensor:
     """Return the paraxial focal shift: image distances at wavelengths less that at the reference wavelength.
 
@@ -355,7 +365,7 @@ def axial_color(
 
 
 def distortion_grid(
-    system: optical_system, points: int = 11, prescription: Prescription | None = None, **options: Any
+    system: optical_system, points: int = 11, prescription: Prescription | None = None, **options: "Unpack[RayOptions]"
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the image points of the chief rays of a square grid of field points, with and without distortion.
 
@@ -393,14 +403,15 @@ def distortion_grid(
     y, x = torch.meshgrid(line, line, indexing="ij")
     fields = torch.stack([x, y], -1).reshape(-1, 2)
     fields = torch.rad2deg(torch.atan(fields)) if system.at_infinity else fields
-    options = {"vignetting": False} | options | {"fields": fields, "prescription": prescription}
-    chief = trace_fields(system, CENTRE, **options)
+    given: dict[str, Any] = {"vignetting": False, **options, "fields": fields, "prescription": prescription}
+    chief = trace_fields(system, CENTRE, **given)
     place = reference_of(system, prescription)
     real = torch.stack([value[..., place, :, 0] for value in (chief.x, chief.y)], -1)
     ideal = paraxial_points(system, prescription, fields)
     return tuple(value.reshape(*value.shape[:-2], points, points, 2) for value in (ideal, real))  # type: ignore[return-value]
 
 
+@_show.shown
 class Footprint(NamedTuple):
     """Intersections of rays with a surface.
 
@@ -422,18 +433,15 @@ class Footprint(NamedTuple):
     y: torch.Tensor
     status: torch.Tensor
 
-    def __repr__(self) -> str:
-        return _show.one_line(self)
-
 
 def footprint(
     system: optical_system,
     place: int,
-    pupil: Any = "rings",
+    pupil: Pupil = "rings",
     count: int = 6,
     *,
     prescription: Prescription | None = None,
-    **options: Any,
+    **options: "Unpack[RayOptions]",
 ) -> Footprint:
     """Return the intersections of the rays of each field point with a surface.
 
@@ -471,7 +479,8 @@ def footprint(
     place = _validate.place_in("place", place, len(checked_system(system).surfaces))
     if is_break(system.surfaces[place]):
         raise ValueError(f"place must be a surface, got the coordinate break {place}")
-    found = trace_fields(system, pupil, count, prescription=prescription, until=place, **options)
+    given: Any = options
+    found = trace_fields(system, pupil, count, prescription=prescription, until=place, **given)
     numbers = system.prescription() if prescription is None else prescription
     x, y, _ = in_surface_frame(system, numbers, place, found)
     return Footprint(x, y, found.status)
@@ -483,7 +492,7 @@ def pupil_aberration(
     count: int = 21,
     *,
     prescription: Prescription | None = None,
-    fields: Any = None,
+    fields: FieldPoints | None = None,
     aim: str = "paraxial",
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return how far from their paraxial places rays meet the stop, or the entrance pupil.
@@ -542,6 +551,7 @@ def pupil_aberration(
     return line, torch.where(kept, turned * place - line, torch.nan)
 
 
+@_show.shown
 class Incidence(NamedTuple):
     """Angles between rays and the normals of the surfaces, the image included.
 
@@ -566,17 +576,14 @@ class Incidence(NamedTuple):
     angle: torch.Tensor
     places: tuple[int, ...]
 
-    def __repr__(self) -> str:
-        return _show.one_line(self)
-
 
 def incidence_angles(
     system: optical_system,
-    pupil: Any = "y",
+    pupil: Pupil = "y",
     count: int = 21,
     *,
     prescription: Prescription | None = None,
-    **options: Any,
+    **options: "Unpack[FieldOptions]",
 ) -> Incidence:
     """Return where rays meet each surface and at what angle of incidence.
 
@@ -610,8 +617,9 @@ def incidence_angles(
     """
     checked_system(system), checked_prescription(prescription)
     numbers = system.prescription() if prescription is None else prescription
-    vignetting = _validate.flag("vignetting", options.pop("vignetting", True))
-    rays = launch(system, pupil, count, prescription=prescription, **options)
+    given: Any = options
+    vignetting = _validate.flag("vignetting", given.pop("vignetting", True))
+    rays = launch(system, pupil, count, prescription=prescription, **given)
     layout = layout_of(system.surfaces, numbers, system.image, vignetting)
     flat, shape = spread_rays(rays, numbers)
     passages: list[Passage] = []
@@ -629,7 +637,7 @@ def incidence_angles(
 
 
 def through_focus(
-    system: optical_system, shifts: Any, pupil: Any = "rings", count: int = 6, **options: Any
+    system: optical_system, shifts: Values, pupil: Pupil = "rings", count: int = 6, **options: "Unpack[TraceOptions]"
 ) -> torch.Tensor:
     """Return the root mean square size of the spots in planes before and behind the image plane.
 
@@ -684,7 +692,7 @@ def through_focus(
 
 
 def best_focus(
-    system: optical_system, pupil: str | torch.Tensor = "rings", count: int = 6, **options: Any
+    system: optical_system, pupil: Pupil = "rings", count: int = 6, **options: "Unpack[TraceOptions]"
 ) -> torch.Tensor:
     """Return where the plane of the smallest spots lies, from the image surface along z.
 
@@ -722,8 +730,43 @@ def best_focus(
     return (before - behind) / (2 * (before - 2 * here + behind))
 
 
+@_show.shown
+class Spread(NamedTuple):
+    """A diffraction image of a point.
+
+    Attributes
+    ----------
+    intensity : torch.Tensor
+        ``[..., W, F, rows, columns]``, 1 at the peak of the same pupil without aberrations; sample n // 2 of each axis
+        is the chief ray's point. Rows are y, columns x.
+    pitch : torch.Tensor
+        Pixel pitches (y, x) in the system's unit, ``[..., W, F, 2]``.
+    strehl : torch.Tensor
+        Largest of the samples, ``[..., W, F]``; :func:`strehl_ratio` is the peak itself.
+    energy : torch.Tensor or None
+        Sum of the samples of an image of any width, ``[..., W, F]``; None where it is not known. The samples here add
+        up to less, by what falls beside them and by what the samples on the edge of the pupil leave out.
+
+    Examples
+    --------
+    The image of a point on the axis is centred:
+
+    >>> from odak.learn.raytracing.system import Spread, optical_system, point_spread_function, surface
+    >>> parabola = surface(radius=-200.0, conic=-1.0, thickness=-100.0, material="mirror")
+    >>> mirror = optical_system([parabola], aperture=20.0)
+    >>> spread = point_spread_function(mirror, 32, 128)
+    >>> divmod(int(spread.intensity[0, 0].argmax()), 128)
+    (64, 64)
+    """
+
+    intensity: torch.Tensor
+    pitch: torch.Tensor
+    strehl: torch.Tensor
+    energy: torch.Tensor | None = None
+
+
 def encircled_energy(
-    found: Any, radii: Any = None, wavelength_weights: Sequence[float] | None = None
+    found: Spread | Spots, radii: Values | None = None, wavelength_weights: Sequence[float] | None = None
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the fraction of the energy within circles about the centroid of an image of a point.
 
@@ -793,7 +836,10 @@ def encircled_energy(
 
 
 def distortion(
-    system: optical_system, prescription: Prescription | None = None, projection: str = "tangent", **options: Any
+    system: optical_system,
+    prescription: Prescription | None = None,
+    projection: str = "tangent",
+    **options: "Unpack[RayOptions]",
 ) -> torch.Tensor:
     """Return the deviation of the chief ray from the paraxial one in the image, over the paraxial image height.
 
@@ -850,7 +896,10 @@ def relative_deviation(points: torch.Tensor, ideal: torch.Tensor) -> torch.Tenso
 
 
 def paraxial_points(
-    system: optical_system, prescription: Prescription | None = None, fields: Any = None, projection: str = "tangent"
+    system: optical_system,
+    prescription: Prescription | None = None,
+    fields: FieldPoints | None = None,
+    projection: str = "tangent",
 ) -> torch.Tensor:
     """Return the points of the paraxial chief rays in the image plane, ``[..., F, 2]``, at the reference wavelength."""
     projection = _validate.one_of("projection", projection, ("tangent", "angle"))
@@ -888,7 +937,7 @@ def paraxial_points(
 
 @differentiates
 def field_curvature(
-    system: optical_system, prescription: Prescription | None = None, **options: Any
+    system: optical_system, prescription: Prescription | None = None, **options: "Unpack[FieldOptions]"
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the distances from the image surface to the tangential and the sagittal focus along z.
 
@@ -921,7 +970,7 @@ def field_curvature(
     >>> bool((tangential - sagittal)[:, 0].abs().max() < 1e-6)
     True
     """
-    own = {name: options[name] for name in ("fields", "aim") if name in options}
+    own: dict[str, Any] = {name: options[name] for name in ("fields", "aim") if name in options}
     place = CENTRE.clone().requires_grad_()
     with torch.enable_grad():
         rays = launch(system, place, prescription=prescription, **own)
@@ -952,6 +1001,7 @@ def _along(value: torch.Tensor, place: torch.Tensor, axis: int) -> torch.Tensor:
     return torch.zeros_like(value[..., 0])
 
 
+@_show.shown
 class Wavefront(NamedTuple):
     """Path differences of a bundle of rays.
 
@@ -990,17 +1040,14 @@ class Wavefront(NamedTuple):
     status: torch.Tensor
     weights: torch.Tensor | None = None
 
-    def __repr__(self) -> str:
-        return _show.one_line(self)
-
 
 def wavefront(
     system: optical_system,
-    pupil: Any = "gauss",
+    pupil: Pupil = "gauss",
     count: int = 12,
     *,
     prescription: Prescription | None = None,
-    fields: Any = None,
+    fields: FieldPoints | None = None,
     aim: str = "paraxial",
     vignetting: bool = True,
 ) -> Wavefront:
@@ -1049,7 +1096,7 @@ def wavefront(
     """
     vignetting = _validate.flag("vignetting", vignetting)
     points = pupil_of(pupil, count, system)
-    options = {"prescription": prescription, "fields": fields, "aim": aim}
+    options: dict[str, Any] = {"prescription": prescription, "fields": fields, "aim": aim}
     rays = launch(system, torch.cat([torch.zeros_like(points[..., :1, :]), points], -2), **options)
     traced = trace(system, rays, prescription=prescription, vignetting=vignetting)
     if vignetting:
@@ -1080,7 +1127,7 @@ def wavefront(
     return Wavefront(torch.where(kept, lag, torch.nan), rms, points, cosines, status, weights)
 
 
-def path_at_start(system: optical_system, rays: Any, numbers: Prescription) -> float | torch.Tensor:
+def path_at_start(system: optical_system, rays: Rays, numbers: Prescription) -> float | torch.Tensor:
     """Return the optical path of rays up to their starts, from a plane wavefront or from one point."""
     if not system.at_infinity:
         return 0.0
@@ -1148,6 +1195,7 @@ def zernike_fit(found: Wavefront, terms: int = 15, order: str = "noll") -> tuple
     return _fitted(found, torch.stack(values, -1))
 
 
+@_show.shown
 class QFit(NamedTuple):
     """Coefficients of a wavefront in Forbes' gradient-orthogonal polynomials.
 
@@ -1173,9 +1221,6 @@ class QFit(NamedTuple):
     cosine: torch.Tensor
     sine: torch.Tensor
     residual: torch.Tensor
-
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
 
 def q_fit(found: Wavefront, radial: int = 4, azimuthal: int = 4) -> QFit:

@@ -114,6 +114,7 @@ class DesignStage(NamedTuple):
     system: optical_system
 
 
+@_show.shown
 class AutomaticResult(NamedTuple):
     """An automatic design.
 
@@ -138,9 +139,6 @@ class AutomaticResult(NamedTuple):
     system: optical_system
     stages: tuple[DesignStage, ...]
     start: optical_system
-
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
 
 @dataclass(frozen=True)
@@ -178,7 +176,7 @@ class LensRequirements:
     0.02
     """
 
-    focal_length: Any
+    focal_length: float
     f_number: float
     half_field: float
     wavelengths: Sequence[Any] = (486.1327e-6, 587.5618e-6, 656.2725e-6)

@@ -23,6 +23,7 @@ THINNEST, GAIN = 1e-3, 1e-3
 WIDEST = 0.25
 
 
+@_show.shown
 class CoatingDesign(NamedTuple):
     """Result of a design of a coating.
 
@@ -47,9 +48,6 @@ class CoatingDesign(NamedTuple):
     coating: Coating
     merit: float
     history: tuple[tuple[int, float], ...]
-
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
 
 class _Aim(NamedTuple):

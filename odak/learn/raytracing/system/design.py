@@ -13,6 +13,7 @@ from odak.catalog.materials import MICROMETRES, cauchy_through, model_glass
 from odak.learn.raytracing.system.environment import Environment, expanded
 from odak.learn.raytracing.system.operands import (
     Operand,
+    Operands,
     View,
     checked_operands,
     clear_heights,
@@ -23,7 +24,7 @@ from odak.learn.raytracing.system.operands import (
 )
 from odak.learn.raytracing.system.optimise import LADDER, least_squares, linearised_forward
 from odak.learn.raytracing.system.paraxial import check_media, entrance_pupil, matrix, signed_indices
-from odak.learn.raytracing.system.pupils import AIMS, pupil_of
+from odak.learn.raytracing.system.pupils import AIMS, Pupil, pupil_of
 from odak.learn.raytracing.system.surfaces import Prescription, checked_system, is_break, optical_system
 from odak.learn.raytracing.system.zooms import configurations
 
@@ -58,10 +59,10 @@ class Variable(NamedTuple):
     """
 
     name: str
-    surfaces: Any
-    lower: Any = None
-    upper: Any = None
-    terms: Any = None
+    surfaces: int | Iterable[int]
+    lower: float | Sequence[float] | None = None
+    upper: float | Sequence[float] | None = None
+    terms: Sequence[int] | None = None
 
 
 class Pickup(NamedTuple):
@@ -154,7 +155,7 @@ class DesignResult(NamedTuple):
     values: torch.Tensor
 
 
-class lens_design:
+class lens_design(_show.Shown):
     """Optimisation problem of a system: its operands, variables, pickups and solves.
 
     Parameters
@@ -203,17 +204,15 @@ class lens_design:
     (True, 60)
     """
 
-    __repr__ = _show.one_line
-
     def __init__(
         self,
         system: optical_system,
-        operands: Any,
-        variables: Any,
+        operands: Operands,
+        variables: Variable | Iterable[Variable],
         *,
         pickups: Sequence[Pickup] = (),
         solves: Sequence[Solve] = (),
-        pupil: Any = "rings",
+        pupil: Pupil = "rings",
         count: int = 4,
         aim: str = "paraxial",
     ):
@@ -811,19 +810,19 @@ class zoom_design(lens_design):
 
     def __init__(
         self,
-        zoom: Any,
-        operands: Any,
-        variables: Any,
+        zoom: configurations,
+        operands: Operands,
+        variables: Variable | Iterable[Variable],
         *,
         pickups: Sequence[Pickup] = (),
         solves: Sequence[Solve] = (),
-        pupil: Any = "rings",
+        pupil: Pupil = "rings",
         count: int = 4,
         aim: str = "paraxial",
     ):
         _validate.instance("zoom", zoom, configurations, "configurations of a system")
         self.zoom = zoom
-        options = {"pickups": pickups, "solves": solves, "pupil": pupil, "count": count, "aim": aim}
+        options: dict[str, Any] = {"pickups": pickups, "solves": solves, "pupil": pupil, "count": count, "aim": aim}
         listed = _listed(operands) if not isinstance(operands, (str, Operand)) else [operands]
         with torch.no_grad():
             self.each: list[lens_design] = [

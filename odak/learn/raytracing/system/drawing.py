@@ -8,7 +8,7 @@ import html
 import io
 import math
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -54,7 +54,7 @@ from odak.learn.raytracing.system.pupils import (
     vignetting_factors,
 )
 from odak.learn.raytracing.system.sketches import SystemScene, field_label, system_scene, unit_of
-from odak.learn.raytracing.system.specification import largest_of, plain
+from odak.learn.raytracing.system.specification import Values, largest_of, plain
 from odak.learn.raytracing.system.surfaces import checked_system, is_break, is_glass, optical_system
 from odak.learn.raytracing.system.system_files import system_to_dict
 from odak.learn.raytracing.system.tracing import curved_paths, ray_paths
@@ -615,7 +615,7 @@ def _wavelength(system, j: int) -> str:
 @takes_constants("frequency", "shifts")
 @torch.no_grad()
 def through_focus_figure(
-    system: optical_system, shifts: Any = None, frequency: float | None = None, aim: str = "paraxial"
+    system: optical_system, shifts: Values | None = None, frequency: float | None = None, aim: str = "paraxial"
 ) -> Figure:
     """Return spots in five planes about the image plane, their sizes, and the modulation at one frequency.
 
@@ -862,7 +862,7 @@ def modulation_frequencies(system: optical_system) -> list[float]:
 @takes_constants("frequencies")
 @torch.no_grad()
 def performance_figure(
-    system: optical_system, points: int = 11, frequencies: Any = None, aim: str = "paraxial"
+    system: optical_system, points: int = 11, frequencies: Values | None = None, aim: str = "paraxial"
 ) -> Figure:
     """Return spots, wavefronts, modulation and vignetting over the field along y.
 
@@ -997,7 +997,7 @@ def pupil_figure(system: optical_system, place: int | None = None, aim: str = "p
 
 
 @torch.no_grad()
-def footprint_figure(system: optical_system, places: Any = None, aim: str = "paraxial") -> Figure:
+def footprint_figure(system: optical_system, places: Sequence[int] | None = None, aim: str = "paraxial") -> Figure:
     """Return where the rays of each field meet surfaces, at the reference wavelength, with the rims of the surfaces.
 
     Parameters
@@ -1130,7 +1130,9 @@ def seidel_figure(system: optical_system) -> Figure:
 
 
 @torch.no_grad()
-def tolerance_figure(system: optical_system, found: Any, limit: float | None = None) -> Figure:
+def tolerance_figure(
+    system: optical_system, found: ToleranceResult | Sensitivity, limit: float | None = None
+) -> Figure:
     """Return the yield of a tolerance analysis, or the changes by each deviation alone.
 
     Parameters

@@ -16,8 +16,8 @@ from odak.learn.raytracing.system.surfaces import Row, checked_system, is_break,
 
 def in_environment(
     system: optical_system,
-    temperature: Any = 20.0,
-    pressure: Any = 101325.0,
+    temperature: float | torch.Tensor = 20.0,
+    pressure: float | torch.Tensor = 101325.0,
     *,
     mount: float = 0.0,
     mirror: float = 0.0,
@@ -90,8 +90,8 @@ def in_environment(
 class Environment(NamedTuple):
     """What :func:`in_environment` takes."""
 
-    temperature: Any = 20.0
-    pressure: Any = 101325.0
+    temperature: float | torch.Tensor = 20.0
+    pressure: float | torch.Tensor = 101325.0
     mount: Any = 0.0
     mirror: Any = 0.0
     nominal: float = 20.0

@@ -594,6 +594,7 @@ def _kept_transfer(*arguments):
         return eye_transfer_function(*arguments)
 
 
+@_show.shown
 class RetinalField(NamedTuple):
     """Field on the retina, for a field that enters the eye.
 
@@ -617,9 +618,6 @@ class RetinalField(NamedTuple):
 
     field: torch.Tensor
     pitch: tuple[float, float]
-
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
 
 @_validate.takes_units()

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _show, _validate
-from odak._array import is_readable
+from odak._array import Array, is_readable
 from odak._torch_private import in_own_precision
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import floating
@@ -27,6 +27,7 @@ LINE, DEGREE = 13, 7
 HELD = 0.9
 
 
+@_show.shown
 class PointSpreadMap(NamedTuple):
     """Point spread functions of a lens over a sensor; C counts channels, rows are along y and columns along x.
 
@@ -69,9 +70,6 @@ class PointSpreadMap(NamedTuple):
     pitch: float
     shape: tuple[int, int]
 
-    def __repr__(self) -> str:
-        return _show.one_line(self)
-
 
 @in_own_precision
 def point_spread_map(
@@ -83,7 +81,7 @@ def point_spread_map(
     kernel: int = 25,
     kind: str = "rays",
     count: int = 10,
-    response: Any = None,
+    response: Sequence[Sequence[float]] | Array | None = None,
     losses: bool = False,
     prescription: Prescription | None = None,
 ) -> PointSpreadMap:

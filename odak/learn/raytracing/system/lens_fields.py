@@ -33,7 +33,7 @@ _CROSSING = (
 
 
 @dataclass(frozen=True, repr=False)
-class TracedSystem:
+class TracedSystem(_show.Shown):
     """A lens system as an element of an optical bench: a field of many points goes through it at once.
 
     Use it to see a hologram or a display through real lenses, such as an eyepiece: aberrations over the field,
@@ -106,8 +106,6 @@ class TracedSystem:
     polarization: Sequence[complex] | None = None
     tolerance: float = 1e-3
 
-    __repr__ = _show.one_line
-
     def __post_init__(self) -> None:
         if checked_system(self.system).at_infinity:
             raise ValueError("system must have an object_distance, got one with its object at infinity")
@@ -146,7 +144,7 @@ class TracedSystem:
         gap = self.system.object_distance / index[..., 0]
         return (found.a, found.b + gap * found.a), (found.c, found.d + gap * found.c)
 
-    def apply(self, field: torch.Tensor, pitch: Any, wavelength: Any) -> tuple[Any, ...]:
+    def apply(self, field: torch.Tensor, pitch: float | Sequence[float], wavelength: float) -> tuple[torch.Tensor, Any]:
         """Return the field in the image plane of the system and its pixel pitch.
 
         Parameters

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -22,7 +22,7 @@ from odak.learn.raytracing.system.analysis import (
 )
 from odak.learn.raytracing.system.paraxial import FirstOrder, first_order
 from odak.learn.raytracing.system.prescriptions import Prescription
-from odak.learn.raytracing.system.pupils import launch, pupil_of, weights_of
+from odak.learn.raytracing.system.pupils import Pupil, launch, pupil_of, weights_of
 from odak.learn.raytracing.system.surfaces import (
     field_shares,
     is_break,
@@ -68,7 +68,7 @@ class Operand(NamedTuple):
     ['focal_length', 'back_focal_distance']
     """
 
-    kind: Any
+    kind: str | Callable[..., Any]
     target: float | None = None
     weight: float = 1.0
     lower: float | None = None
@@ -90,6 +90,9 @@ class Operand(NamedTuple):
         if self.upper is not None:
             limits.append(values - self.upper)
         return self.weight * free, abs(self.weight) * torch.cat(limits, -1)
+
+
+Operands: TypeAlias = str | Operand | Iterable[str | Operand]
 
 
 class View:
@@ -118,7 +121,7 @@ class View:
         self,
         system: optical_system,
         prescription: Prescription,
-        pupil: Any = "rings",
+        pupil: Pupil = "rings",
         count: int = 4,
         aim: str = "paraxial",
         heights: torch.Tensor | None = None,
@@ -466,7 +469,7 @@ OPERANDS: dict[str, Callable[..., torch.Tensor]] = {
 }
 
 
-def checked_operands(operands: Any) -> list[Operand]:
+def checked_operands(operands: Operands) -> list[Operand]:
     """Return operands after checking them; a name alone becomes an operand of that kind."""
     listed = [operands] if isinstance(operands, (str, Operand)) else operands
     if not isinstance(listed, Iterable):

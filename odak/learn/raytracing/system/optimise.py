@@ -41,6 +41,7 @@ DISTRIBUTIONS = ("normal", "uniform")
 COMPENSATORS = ("curvature", "conic", "thickness", "shift", "tilt")
 
 
+@_show.shown
 class LevenbergMarquardtResult(NamedTuple):
     """Result of a Levenberg–Marquardt optimization.
 
@@ -66,9 +67,6 @@ class LevenbergMarquardtResult(NamedTuple):
     loss: float
     history: tuple[float, ...]
     converged: bool
-
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
 
 @differentiates
@@ -430,6 +428,7 @@ class Perturbation(NamedTuple):
     pivot: float = 0.0
 
 
+@_show.shown
 class ToleranceResult(NamedTuple):
     """Result of a Monte Carlo analysis of tolerances.
 
@@ -456,10 +455,7 @@ class ToleranceResult(NamedTuple):
     nominal: torch.Tensor
     prescription: Prescription
 
-    def __repr__(self) -> str:
-        return _show.one_line(self)
-
-    def yield_within(self, limit: Any) -> torch.Tensor:
+    def yield_within(self, limit: float | torch.Tensor) -> torch.Tensor:
         """Return the share of the systems whose merits are all at most `limit`; lost ones, of merit NaN, are none.
 
         Parameters
@@ -472,6 +468,7 @@ class ToleranceResult(NamedTuple):
         return good.double().mean()
 
 
+@_show.shown
 class Sensitivity(NamedTuple):
     """Merits of a system with one number off at a time.
 
@@ -495,9 +492,6 @@ class Sensitivity(NamedTuple):
     names: tuple[str, ...]
     merit: torch.Tensor
     nominal: torch.Tensor
-
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
 
 def sensitivity(
@@ -643,7 +637,7 @@ def tolerance(
 def tolerances_for_yield(
     system: optical_system,
     perturbations: Sequence[Perturbation],
-    limit: Any,
+    limit: float | torch.Tensor,
     share: float = 0.9,
     *,
     samples: int = 200,

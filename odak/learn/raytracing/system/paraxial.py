@@ -24,6 +24,7 @@ from odak.raytracing.gradients import AxialGradient, RadialGradient, step
 SEIDEL_STEPS = 20
 
 
+@_show.shown
 class FirstOrder(NamedTuple):
     """First-order properties of a system at one wavelength; each ``[...]``, with the axes of the batch of systems.
 
@@ -77,9 +78,6 @@ class FirstOrder(NamedTuple):
     f_number: torch.Tensor
     working_f_number: torch.Tensor
     numerical_aperture: torch.Tensor
-
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
     def _repr_html_(self) -> str:
         return _show.fields_html(self, "First order, lengths in the unit of the system")
@@ -204,6 +202,7 @@ def image_distances(system: optical_system, p: Prescription) -> torch.Tensor:
     return distance(p._replace(coefficients=p.coefficients.unsqueeze(-3), **rows))
 
 
+@_show.shown
 class ParaxialRays(NamedTuple):
     """Marginal and chief ray of first-order optics; the axis S + 1 counts surfaces, the image last.
 
@@ -226,11 +225,10 @@ class ParaxialRays(NamedTuple):
     chief_height: torch.Tensor
     chief_slope: torch.Tensor
 
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
-
-def paraxial_rays(system: optical_system, field: Any = None, prescription: Prescription | None = None) -> ParaxialRays:
+def paraxial_rays(
+    system: optical_system, field: float | torch.Tensor | None = None, prescription: Prescription | None = None
+) -> ParaxialRays:
     """Return the paraxial marginal and chief ray at the reference wavelength: the axes of a y–ȳ diagram.
 
     Parameters
@@ -468,6 +466,7 @@ def _far_reach(system, whole: Matrix, n, place):
     return (1 / whole.c).abs() * (1 / (2 * size) if system.aperture_type == "F-number" else size)
 
 
+@_show.shown
 class ThirdOrder(NamedTuple):
     """Third-order and chromatic aberrations; the axis S counts surfaces.
 
@@ -495,11 +494,10 @@ class ThirdOrder(NamedTuple):
     chromatic: torch.Tensor
     transverse: dict[Any, Any]
 
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
-
-def seidel_sums(system: optical_system, field: Any = None, prescription: Prescription | None = None) -> ThirdOrder:
+def seidel_sums(
+    system: optical_system, field: float | torch.Tensor | None = None, prescription: Prescription | None = None
+) -> ThirdOrder:
     """Return the Seidel coefficients of a system by surface, and the corresponding transverse aberrations.
 
     Parameters

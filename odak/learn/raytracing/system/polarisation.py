@@ -14,14 +14,16 @@ from odak.learn.raytracing.system.paraxial import first_order, ghost_system
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.pupils import launch
 from odak.learn.raytracing.system.sequence import IDENTITY, Passage, flat_arguments, placement, plain_trace
+from odak.learn.raytracing.system.specification import FieldPoints
 from odak.learn.raytracing.system.surfaces import Coating, checked_system, layout_of, optical_system
-from odak.learn.raytracing.system.tracing import Traced, checked_rays, finished, spread_rays
+from odak.learn.raytracing.system.tracing import RaysLike, Traced, checked_rays, finished, spread_rays
 from odak.learn.raytracing.system.waves import Spread, chosen_samples, pupil_image
 from odak.raytracing.geometry import safe_sqrt
 
 BARE = Coating()
 
 
+@_show.shown
 class PolarizedRays(NamedTuple):
     """Rays at the end of a polarised trace; the axes ``[...]`` are ``[..., wavelengths, fields, pupil points]``.
 
@@ -56,9 +58,6 @@ class PolarizedRays(NamedTuple):
     incoming: torch.Tensor
     outgoing: torch.Tensor
     absorption: torch.Tensor
-
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
     @property
     def jones(self) -> torch.Tensor:
@@ -138,7 +137,7 @@ def transverse_axes(direction: torch.Tensor) -> torch.Tensor:
 
 
 def polarized_trace(
-    system: optical_system, rays: Any, *, prescription: Prescription | None = None, vignetting: bool = True
+    system: optical_system, rays: RaysLike, *, prescription: Prescription | None = None, vignetting: bool = True
 ) -> PolarizedRays:
     """Trace polarised rays through a system, with the losses at its surfaces and within its glasses.
 
@@ -389,7 +388,9 @@ class Ghosts(NamedTuple):
         """Power of all ghosts relative to the power of the image, both in the whole image plane, ``[fields]``."""
         return sum((ghost.power for ghost in self.paths), torch.zeros_like(self.direct)) / self.direct
 
-    def irradiance(self, size: Any, pixels: Any = (64, 64), field: int = 0) -> torch.Tensor:
+    def irradiance(
+        self, size: float | Sequence[float], pixels: Sequence[int] = (64, 64), field: int = 0
+    ) -> torch.Tensor:
         """Return the power of all ghosts on each unit of area of the image, ``[rows, columns]``, y and x ascending.
 
         Parameters
@@ -419,7 +420,7 @@ def ghosts(
     system: optical_system,
     samples: int = 15,
     *,
-    fields: Any = None,
+    fields: FieldPoints | None = None,
     wavelength: float | None = None,
     least: float = 1e-9,
     polarization: Sequence[complex] | None = None,
@@ -538,11 +539,11 @@ def jones_vector(values: Any) -> tuple[complex, complex]:
 
 def polarized_point_spread_function(
     system: optical_system,
-    polarization: Any = None,
+    polarization: Sequence[complex] | torch.Tensor | None = None,
     samples: int | None = None,
     size: int | None = None,
     *,
-    fields: Any = None,
+    fields: FieldPoints | None = None,
     aim: str = "paraxial",
     vignetting: bool = True,
     prescription: Prescription | None = None,

@@ -12,6 +12,7 @@ from odak.learn.raytracing.system.sequence import Numbers
 from odak.raytracing.surfaces import EvenAsphere, Shape
 
 
+@_show.shown
 class Prescription(NamedTuple):
     """Numbers of a batch of systems, float64; leading axes ``[...]`` are systems, S counts surfaces, W wavelengths.
 
@@ -55,9 +56,6 @@ class Prescription(NamedTuple):
     wavelengths: torch.Tensor | None = None
     gradients: tuple[Any, ...] | None = None
 
-    def __repr__(self) -> str:
-        return _show.one_line(self)
-
     def _repr_html_(self) -> str:
         return _show.page(self, Prescription._view)
 
@@ -93,7 +91,7 @@ class Prescription(NamedTuple):
         )
         return torch.Size(np.broadcast_shapes(*shapes))
 
-    def others(self, image: Any = None) -> list[tuple[torch.Tensor, int]]:
+    def others(self, image: torch.nn.Module | None = None) -> list[tuple[torch.Tensor, int]]:
         """Return the parameters of shapes, phases and index gradients, each with its own number of axes.
 
         Parameters
@@ -174,7 +172,7 @@ class Prescription(NamedTuple):
         values = [*self[:7], *(value for value, _ in self.others())]
         return any(value is not None and value.requires_grad for value in values)
 
-    def numbers(self, image: Any = None) -> Numbers:
+    def numbers(self, image: torch.nn.Module | None = None) -> Numbers:
         """Return the numbers with one row for each system and wavelength, ``[B, …]``, and the image added.
 
         Parameters

@@ -3,7 +3,7 @@
 import hashlib
 import math
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypedDict
 
 import numpy as np
 import torch
@@ -13,11 +13,14 @@ from odak._array import is_compiling, is_readable
 from odak.learn._tensors import checked_device, checked_dtype
 from odak.learn.raytracing.system.paraxial import entrance_pupil
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
-from odak.learn.raytracing.system.specification import is_number, plain, stacked
+from odak.learn.raytracing.system.specification import FieldPoints, is_number, plain, stacked
 from odak.learn.raytracing.system.surfaces import checked_system, is_break, optical_system
 from odak.learn.raytracing.system.tracing import Rays, Traced, in_surface_frame, trace
 from odak.raytracing.batches import needs_gradient
 from odak.raytracing.surfaces import Parametric
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 PATTERNS = ("rings", "grid", "x", "y", "random", "gauss")
 AIMS = ("paraxial", "real")
@@ -130,6 +133,7 @@ class ChiefRays(NamedTuple):
 _CHIEF_RAYS: dict[tuple[Any, ...], ChiefRays] = {}
 
 
+@_show.shown
 class PupilQuadrature(NamedTuple):
     """Points of a pupil with weights, in place of the name of a pattern.
 
@@ -151,8 +155,34 @@ class PupilQuadrature(NamedTuple):
     points: torch.Tensor
     weights: torch.Tensor
 
-    def __repr__(self) -> str:
-        return _show.one_line(self)
+
+# In signatures: a pattern of :func:`pupil_samples`, points, or points with weights.
+Pupil: TypeAlias = str | torch.Tensor | PupilQuadrature
+
+
+class FieldOptions(TypedDict, total=False):
+    """Of functions that aim rays from field points."""
+
+    fields: FieldPoints | None
+    aim: str
+    vignetting: bool
+
+
+class WaveOptions(FieldOptions, total=False):
+    """Of functions of wavefronts."""
+
+    prescription: Prescription | None
+
+
+class RayOptions(FieldOptions, total=False):
+    """Of functions that trace rays from field points."""
+
+    dtype: torch.dtype
+    until: int | None
+
+
+class TraceOptions(RayOptions, WaveOptions, total=False):
+    """Of :func:`trace_fields`."""
 
 
 @torch.no_grad()
@@ -160,7 +190,7 @@ def pupil_quadrature(
     system: optical_system,
     count: int = 12,
     *,
-    fields: Any = None,
+    fields: FieldPoints | None = None,
     prescription: Prescription | None = None,
     aim: str = "paraxial",
     vignetting: bool = True,
@@ -215,7 +245,7 @@ def pupil_quadrature(
     if not vignetting:
         return whole
     spoke = _spokes(count).to(device)
-    options = {"fields": fields, "prescription": numbers, "aim": aim}
+    options: dict[str, Any] = {"fields": fields, "prescription": numbers, "aim": aim}
 
     def clear(radius: torch.Tensor) -> torch.Tensor:
         """Return which of the rays at radii ``[..., spokes, R]`` of the spokes arrive, ``[F, spokes, R]``."""
@@ -276,7 +306,7 @@ def _polar_nodes(count: int) -> tuple[torch.Tensor, torch.Tensor]:
     return square.sqrt()[:, None] * spoke[:, None], (weights / len(spoke)).expand(len(spoke), -1)
 
 
-def weights_of(pupil: Any, count: int, like: torch.Tensor) -> torch.Tensor | None:
+def weights_of(pupil: Pupil, count: int, like: torch.Tensor) -> torch.Tensor | None:
     """Return the weights ``[P]`` or ``[F, P]`` of a pupil's points, None where all are alike."""
     if isinstance(pupil, PupilQuadrature):
         return pupil.weights.to(like)
@@ -289,10 +319,10 @@ def _line(count: int) -> torch.Tensor:
 
 def launch(
     system: optical_system,
-    pupil: str | torch.Tensor = "rings",
+    pupil: Pupil = "rings",
     count: int = 6,
     *,
-    fields: Any = None,
+    fields: FieldPoints | None = None,
     prescription: Prescription | None = None,
     aim: str = "paraxial",
     dtype: torch.dtype = torch.float64,
@@ -351,7 +381,9 @@ def launch(
 
 
 @torch.no_grad()
-def vignetting_factors(system: optical_system, fields: Any = None, *, aim: str = "paraxial") -> torch.Tensor:
+def vignetting_factors(
+    system: optical_system, fields: FieldPoints | None = None, *, aim: str = "paraxial"
+) -> torch.Tensor:
     """Return the vignetting factors of field points, as the apertures of a system have them.
 
     Parameters
@@ -429,7 +461,7 @@ def pupil_factors(system: optical_system, fields: torch.Tensor) -> torch.Tensor 
     return torch.where(same.any(1)[:, None], factors[same.to(torch.uint8).argmax(1)], 0.0)
 
 
-def field_points(system: Any, fields: Any = None) -> torch.Tensor:
+def field_points(system: Any, fields: FieldPoints | None = None) -> torch.Tensor:
     """Return field points ``[F, 2]`` of numbers y or pairs (x, y) in float64, the system's own by default."""
     if isinstance(fields, torch.Tensor):
         fields = torch.stack([0 * fields, fields], -1) if fields.ndim == 1 else fields
@@ -486,7 +518,7 @@ def through_places(system, fields: torch.Tensor, pupil, px, py, wide: bool = Fal
     return Rays(*rays[:3], *(torch.where(lost, torch.inf, value) for value in rays[3:]))
 
 
-def pupil_of(pupil: PupilQuadrature | str | torch.Tensor, count: int, system: optical_system) -> torch.Tensor:
+def pupil_of(pupil: Pupil, count: int, system: optical_system) -> torch.Tensor:
     """Return the points of a pupil, from the name of a pattern or as given."""
     checked_system(system)
     device = system.surfaces[0].thickness.device
@@ -959,7 +991,9 @@ def _newton(here, jacobian):
     return inverse * (by * ex - bx * ey), inverse * (ax * ey - ay * ex)
 
 
-def trace_fields(system: optical_system, pupil: Any = "rings", count: int = 6, **options: Any) -> Traced:
+def trace_fields(
+    system: optical_system, pupil: Pupil = "rings", count: int = 6, **options: "Unpack[TraceOptions]"
+) -> Traced:
     """Launch rays from all field points and trace them to the image plane.
 
     Parameters
@@ -985,6 +1019,6 @@ def trace_fields(system: optical_system, pupil: Any = "rings", count: int = 6, *
     >>> tuple(trace_fields(load_system("cooke_triplet"), "rings", 6).x.shape)
     (3, 3, 127)
     """
-    own = {name: options[name] for name in ("fields", "prescription", "aim", "dtype") if name in options}
-    rest = {name: value for name, value in options.items() if name not in ("fields", "aim", "dtype")}
+    own: Any = {name: options[name] for name in ("fields", "prescription", "aim", "dtype") if name in options}
+    rest: dict[str, Any] = {name: value for name, value in options.items() if name not in ("fields", "aim", "dtype")}
     return trace(system, launch(system, pupil, count, **own), **rest)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
-from typing import Any
+from typing import Any, TypeAlias
 
 import torch
 
@@ -14,6 +14,10 @@ from odak.catalog.materials import Material, check_weather
 from odak.catalog.materials import material as find_material
 from odak.raytracing.geometry import safe_sqrt
 
+# In signatures: a medium by its name, its record or its index; numbers; field points y or (x, y), or ``[F, 2]``.
+Medium: TypeAlias = str | Material | float | torch.Tensor
+Values: TypeAlias = Sequence[float] | torch.Tensor
+FieldPoints: TypeAlias = Sequence[float | Sequence[float]] | torch.Tensor
 MIRROR, AIR = "mirror", "air"
 APERTURES = ("EPD", "F-number", "NA", "stop")
 
@@ -169,7 +173,7 @@ class Conjugates:
     """
 
     object_distance: float | torch.Tensor = math.inf
-    object_material: Any = AIR
+    object_material: Medium = AIR
     afocal: bool = False
 
     def __post_init__(self) -> None:

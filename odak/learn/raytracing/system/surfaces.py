@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from odak import _show, _validate
-from odak._array import Array, complex_dtype, is_array, is_complex, is_readable, namespace
+from odak._array import Amount, Array, complex_dtype, is_array, is_complex, is_readable, namespace
 from odak._lengths import film_in, in_unit, light_in
 from odak._warnings import ArgumentWarning, warn
 from odak.catalog.materials import MICROMETRES, Material, refractive_index
@@ -27,6 +27,7 @@ from odak.learn.raytracing.system.specification import (
     MIRROR,
     Conjugates,
     Fields,
+    Medium,
     SystemAperture,
     SystemRecord,
     Wavelengths,
@@ -84,8 +85,8 @@ class Coating:
     """
 
     media: Sequence[Any] = ()
-    thicknesses: Any = ()
-    substrate: Any = None
+    thicknesses: Sequence[float | Array | str] | Array = ()
+    substrate: str | Material | complex | None = None
     unit: str | None = None
 
     def __post_init__(self) -> None:
@@ -136,7 +137,13 @@ class Coating:
         return replace(self, media=self.media[::-1], thicknesses=turned)
 
     def amplitudes(
-        self, n1: Any, n2: Any, cosine: Any, cosine_behind: Any, wavelength: Any, unit: str = "mm"
+        self,
+        n1: Amount,
+        n2: Amount,
+        cosine: Amount,
+        cosine_behind: Amount,
+        wavelength: Amount,
+        unit: str = "mm",
     ) -> Amplitudes:
         """Return the amplitude coefficients of rays.
 
@@ -246,7 +253,8 @@ class _Films(torch.nn.Module):
 
     def build(self) -> Coating:
         """Return the coating with the current thicknesses."""
-        return Coating(self.media, self.thicknesses, self.substrate, self.unit)
+        thicknesses: Any = self.thicknesses
+        return Coating(self.media, thicknesses, self.substrate, self.unit)
 
 
 class surface(torch.nn.Module):
@@ -329,7 +337,7 @@ class surface(torch.nn.Module):
         coefficients: Sequence[float] = (),
         shape: Shape | None = None,
         thickness: float = 0.0,
-        material: Any = "air",
+        material: Medium = "air",
         semi_diameter: float | None = None,
         aperture: Aperture | Sequence[Aperture] | None = None,
         phase: Phase | None = None,
@@ -1034,7 +1042,7 @@ class optical_system(torch.nn.Module):
             origins.append(torch.stack([v + 0 * one for v in place.origin]))
         return torch.stack(rotations), torch.stack(origins)
 
-    def vary(self, **which: Any) -> list[torch.nn.Parameter]:
+    def vary(self, **which: int | Iterable[int]) -> list[torch.nn.Parameter]:
         """Make parameters of numbers, for an optimizer, and return them.
 
         Parameters

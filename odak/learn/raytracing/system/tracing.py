@@ -2,7 +2,7 @@
 
 import math
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -29,6 +29,7 @@ BLOCK = 1 << 14
 FEW = 1 << 12
 
 
+@_show.shown
 class Rays(NamedTuple):
     """Rays in front of a system, each component ``[..., wavelengths or 1, fields, pupil points]``.
 
@@ -57,9 +58,6 @@ class Rays(NamedTuple):
     v: torch.Tensor
     w: torch.Tensor
 
-    def __repr__(self) -> str:
-        return _show.one_line(self)
-
     @classmethod
     def from_tensor(cls, ray: torch.Tensor) -> "Rays":
         """Return rays ``[..., 2, 3]`` (points and directions of any length) as components ``[1, 1, rays]``.
@@ -83,6 +81,7 @@ class Rays(NamedTuple):
         return torch.stack([torch.stack(parts[:3], -1), torch.stack(parts[3:], -1)], -2)
 
 
+@_show.shown
 class Traced(NamedTuple):
     """Rays at the end of a trace, each component ``[..., wavelengths, fields, pupil points]``; NaN where lost.
 
@@ -115,9 +114,6 @@ class Traced(NamedTuple):
     path: torch.Tensor
     status: torch.Tensor
 
-    def __repr__(self) -> str:
-        return _show.one_line(self)
-
     @property
     def arrived(self) -> torch.Tensor:
         """Whether the ray reached the last surface, bool."""
@@ -128,10 +124,14 @@ class Traced(NamedTuple):
         return torch.stack([torch.stack(self[:3], -1), torch.stack(self[3:6], -1)], -2)
 
 
+# In signatures: rays as :func:`launch` returns them, or points and directions ``[..., 2, 3]``.
+RaysLike: TypeAlias = Rays | torch.Tensor
+
+
 @_validate.takes_units()
 def trace(
     system: optical_system,
-    rays: Any,
+    rays: RaysLike,
     *,
     prescription: Prescription | None = None,
     until: int | None = None,
@@ -217,7 +217,7 @@ def _by_numpy(layout: Layout, *tensors: torch.Tensor) -> State:
     return State(*(torch.from_numpy(np.ascontiguousarray(value)) for value in state))
 
 
-def checked_rays(rays: Rays | torch.Tensor) -> Rays:
+def checked_rays(rays: RaysLike) -> Rays:
     """Return rays as components, given as Rays or as a tensor ``[..., 2, 3]``; TypeError for anything else."""
     if isinstance(rays, torch.Tensor):
         rays = Rays.from_tensor(rays)

@@ -1,9 +1,9 @@
 """Diffraction images by Fourier transform, by propagation and by Huygens' sum over rays, and fields on grids."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
 
 import numpy as np
 import torch
@@ -13,13 +13,16 @@ from odak._array import is_readable, phasor_of_cycles
 from odak._torch_private import forward_derivative
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import floating, takes_constants
-from odak.learn.raytracing.system.analysis import path_at_start, spot_diagram, wavefront
+from odak.learn.raytracing.system.analysis import Spread, path_at_start, spot_diagram, wavefront
 from odak.learn.raytracing.system.paraxial import check_image_space, entrance_pupil, first_order
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.pupils import (
     AIMS,
     SPOKES,
+    FieldOptions,
+    Pupil,
     PupilQuadrature,
+    WaveOptions,
     aimed,
     at_stop,
     field_points,
@@ -32,6 +35,7 @@ from odak.learn.raytracing.system.pupils import (
     through_places,
     trace_fields,
 )
+from odak.learn.raytracing.system.specification import FieldPoints, Values
 from odak.learn.raytracing.system.surfaces import checked_system, optical_system, wavelength_shares, wavelengths_of
 from odak.learn.raytracing.system.tracing import trace
 from odak.raytracing.geometry import safe_sqrt
@@ -49,6 +53,9 @@ STEP = 3e-4
 # Places of the search for the peak of an image: their distance in wavelengths over the aperture, their largest number
 # along each axis, and how often the neighbourhood of the best one is searched again.
 CLOSE, MOST, ZOOMS = 0.25, 301, 6
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
 # Rings of the quadratures among which the first converged one is taken, and the change that is small enough.
 RING_COUNTS, SMALL = (8, 16, 32, 64), 1e-3
 # Root mean square of wavefronts in waves above which transfer functions are computed from rays.
@@ -251,45 +258,8 @@ def _powers(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
     return torch.stack(terms, -1)
 
 
-class Spread(NamedTuple):
-    """A diffraction image of a point.
-
-    Attributes
-    ----------
-    intensity : torch.Tensor
-        ``[..., W, F, rows, columns]``, 1 at the peak of the same pupil without aberrations; sample n // 2 of each axis
-        is the chief ray's point. Rows are y, columns x.
-    pitch : torch.Tensor
-        Pixel pitches (y, x) in the system's unit, ``[..., W, F, 2]``.
-    strehl : torch.Tensor
-        Largest of the samples, ``[..., W, F]``; :func:`strehl_ratio` is the peak itself.
-    energy : torch.Tensor or None
-        Sum of the samples of an image of any width, ``[..., W, F]``; None where it is not known. The samples here add
-        up to less, by what falls beside them and by what the samples on the edge of the pupil leave out.
-
-    Examples
-    --------
-    The image of a point on the axis is centred:
-
-    >>> from odak.learn.raytracing.system import Spread, optical_system, point_spread_function, surface
-    >>> parabola = surface(radius=-200.0, conic=-1.0, thickness=-100.0, material="mirror")
-    >>> mirror = optical_system([parabola], aperture=20.0)
-    >>> spread = point_spread_function(mirror, 32, 128)
-    >>> divmod(int(spread.intensity[0, 0].argmax()), 128)
-    (64, 64)
-    """
-
-    intensity: torch.Tensor
-    pitch: torch.Tensor
-    strehl: torch.Tensor
-    energy: torch.Tensor | None = None
-
-    def __repr__(self) -> str:
-        return _show.one_line(self)
-
-
 def point_spread_function(
-    system: optical_system, samples: int | None = None, size: int | None = None, **options: Any
+    system: optical_system, samples: int | None = None, size: int | None = None, **options: "Unpack[WaveOptions]"
 ) -> Spread:
     """Return the image of a point with diffraction, by a Fourier transform of the exit pupil.
 
@@ -347,7 +317,7 @@ def pupil_image(
     system: optical_system,
     counts: Sequence[int],
     size: int | None,
-    options: dict[Any, Any],
+    options: Mapping[str, Any],
     amplitudes: Callable[..., Any] | None = None,
     fineness: int = 4,
 ) -> Spread:
@@ -520,7 +490,7 @@ def _derivatives(found, weight):
 
 
 def strehl_ratio(
-    system: optical_system, pupil: Any = "gauss", count: int | None = None, **options: Any
+    system: optical_system, pupil: Pupil = "gauss", count: int | None = None, **options: "Unpack[WaveOptions]"
 ) -> torch.Tensor:
     """Return the peak of the diffraction image of a point relative to the same pupil without aberrations.
 
@@ -575,7 +545,7 @@ def strehl_ratio(
     return found
 
 
-def _strehl(system, pupil, count: int, options: dict[Any, Any]) -> tuple[torch.Tensor, torch.Tensor]:
+def _strehl(system, pupil, count: int, options: Mapping[str, Any]) -> tuple[torch.Tensor, torch.Tensor]:
     """Return Strehl ratios, and the part of the pupil over which the rays are too few to resolve the wavefront."""
     found = wavefront(system, pupil, count, **options)
     given = options.get("prescription")
@@ -630,6 +600,7 @@ def _peak(
     return centres[0], centres[1]
 
 
+@_show.shown
 class FieldQuality(NamedTuple):
     """Converged numbers of the image of each field point.
 
@@ -664,9 +635,6 @@ class FieldQuality(NamedTuple):
     count: int  # type: ignore[assignment]  # hides tuple.count
     change: float
 
-    def __repr__(self) -> str:
-        return _show.one_line(self)
-
     def _repr_html_(self) -> str:
         return _show.page(self, FieldQuality._view)
 
@@ -680,7 +648,7 @@ class FieldQuality(NamedTuple):
 
 
 @torch.no_grad()
-def field_quality(system: optical_system, aim: str = "paraxial", *, fields: Any = None) -> FieldQuality:
+def field_quality(system: optical_system, aim: str = "paraxial", *, fields: FieldPoints | None = None) -> FieldQuality:
     """Return spots, wavefronts, Strehl ratios and vignetting of each field by quadratures that have converged.
 
     Parameters
@@ -796,7 +764,7 @@ def modulation_transfer_function(spread: Spread, axis: str = "y") -> tuple[torch
 
 
 @_validate.takes_units()
-def airy_pattern(radius: torch.Tensor, wavelength: float, numerical_aperture: float) -> Any:
+def airy_pattern(radius: torch.Tensor, wavelength: float, numerical_aperture: float) -> torch.Tensor:
     """Return the diffraction image (2J₁(v)/v)² of a point, v = 2π·NA·r/λ.
 
     Parameters
@@ -872,14 +840,26 @@ class _Bessel(torch.autograd.Function):
         return _Bessel.apply(0, x) - _Bessel.apply(1, x) / x if ctx.order else -_Bessel.apply(1, x)
 
 
+class ExitOptions(TypedDict, total=False):
+    """Of :func:`exit_field`, for images of its fields."""
+
+    field: int | torch.Tensor | Sequence[float]
+    wavelength: int | None
+    distance: float | None
+    aim: str
+    vignetting: bool
+    apodization: Callable[[torch.Tensor], torch.Tensor] | None
+    prescription: Prescription | None
+
+
 def propagated_point_spread_function(
     system: optical_system,
     size: int = 512,
     pitch: float | None = None,
     propagation_type: str = "Bandlimited Angular Spectrum",
     *,
-    fields: Any = None,
-    **options: Any,
+    fields: FieldPoints | None = None,
+    **options: "Unpack[ExitOptions]",
 ) -> Spread:
     """Return the image of a point with diffraction by propagating the field of the exit pupil to the image.
 
@@ -944,6 +924,7 @@ def propagated_point_spread_function(
     return Spread(intensity, pitches, intensity.amax((-2, -1)), energy)
 
 
+@_show.shown
 class ExitField(NamedTuple):
     """A field behind a system; lengths in the system's unit.
 
@@ -977,9 +958,6 @@ class ExitField(NamedTuple):
     wavelength: float
     to_image: torch.Tensor
     status: torch.Tensor
-
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
 
 @_validate.takes_units()
@@ -1207,7 +1185,7 @@ def huygens_point_spread_function(
     pitch: float | None = None,
     *,
     prescription: Prescription | None = None,
-    fields: Any = None,
+    fields: FieldPoints | None = None,
     aim: str = "paraxial",
     vignetting: bool = True,
 ) -> Spread:
@@ -1446,7 +1424,12 @@ def modulation_at(spread: Spread, frequency: float, axis: str = "y") -> torch.Te
 
 
 def through_focus_modulation(
-    system: optical_system, shifts: Any, frequency: float, axis: str = "y", samples: int | None = None, **options: Any
+    system: optical_system,
+    shifts: Values,
+    frequency: float,
+    axis: str = "y",
+    samples: int | None = None,
+    **options: "Unpack[WaveOptions]",
 ) -> torch.Tensor:
     """Return the modulation transfer at one frequency in planes before and behind the image plane.
 
@@ -1522,7 +1505,12 @@ def modulation_in_planes(
 @takes_constants("frequencies")
 @torch.no_grad()
 def field_modulation(
-    system: optical_system, frequencies: Any, fields: Any = None, *, aim: str = "paraxial", samples: int | None = None
+    system: optical_system,
+    frequencies: Values,
+    fields: FieldPoints | None = None,
+    *,
+    aim: str = "paraxial",
+    samples: int | None = None,
 ) -> torch.Tensor:
     """Return the modulation transfer at some frequencies over the field, at the reference wavelength.
 
@@ -1580,7 +1568,11 @@ def field_modulation(
 
 
 def relative_illumination(
-    system: optical_system, count: int = 24, *, prescription: Prescription | None = None, **options: Any
+    system: optical_system,
+    count: int = 24,
+    *,
+    prescription: Prescription | None = None,
+    **options: "Unpack[FieldOptions]",
 ) -> torch.Tensor:
     """Return the illuminance of the image of a uniform Lambertian object, relative to the axis.
 

@@ -1,22 +1,20 @@
 """Configurations of a system: zoom and focus positions, as one batch of numbers that gradients follow."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar, overload
 
 import torch
 
 from odak import _show, _validate
-from odak.learn.raytracing.system.environment import (
-    Environment,
-    expanded_system,
-    replaced,
-    shared_copy,
-    tell_unknown,
-)
+from odak.learn.raytracing.system.environment import Environment, expanded_system, replaced, shared_copy, tell_unknown
 from odak.learn.raytracing.system.prescriptions import Prescription
 from odak.learn.raytracing.system.specification import SETTINGS, checked_settings
 from odak.learn.raytracing.system.surfaces import Row, checked_system, optical_system
 from odak.learn.raytracing.system.system_files import fields_of_image_heights
+
+# Results of a function for each configuration that are stacked, and others.
+Stacked = TypeVar("Stacked", bound=torch.Tensor | tuple[Any, ...])
+Result = TypeVar("Result")
 
 
 class configurations(torch.nn.Module):
@@ -229,7 +227,11 @@ class configurations(torch.nn.Module):
         ]
         return Prescription(*stacked)._replace(wavelengths=parts[0].wavelengths)
 
-    def each(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+    @overload
+    def each(self, function: Callable[..., Stacked], *arguments: Any, **options: Any) -> Stacked: ...
+    @overload
+    def each(self, function: Callable[..., Result], *arguments: Any, **options: Any) -> list[Result]: ...
+    def each(self, function, *arguments, **options):
         """Return the results of a function of a system for all configurations.
 
         Parameters

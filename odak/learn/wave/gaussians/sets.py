@@ -47,6 +47,7 @@ _PLACES = {
 }
 
 
+@_show.shown
 class Splats(NamedTuple):
     """Gaussians in the form of files of 3-D Gaussian splatting (Kerbl et al. 2023).
 
@@ -78,10 +79,8 @@ class Splats(NamedTuple):
     opacities: torch.Tensor
     harmonics: torch.Tensor
 
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
-
+@_show.shown
 class ColmapView(NamedTuple):
     """One image of a reconstruction by COLMAP.
 
@@ -112,9 +111,6 @@ class ColmapView(NamedTuple):
     name: str
     camera: PerspectiveCamera
     size: tuple[int, int]
-
-    def __repr__(self) -> str:
-        return _show.one_line(self)
 
 
 def load_splats(path: str | os.PathLike[str]) -> Splats:
