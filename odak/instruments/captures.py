@@ -9,7 +9,7 @@ import numpy as np
 
 from odak import _show, _validate
 from odak.instruments.array_files import checked_array, checked_number, read_hdf5, write_hdf5
-from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera, checked_dark
+from odak.instruments.protocols import Camera, Modulator, Stage, check_square_pixels, checked_camera, checked_dark
 
 CAPTURES, CAPTURES_VERSION = "odak captures", 1
 CAPTURE_UNITS = {
@@ -120,7 +120,7 @@ def record_captures(
     *,
     captures: int = 2,
     positions: np.ndarray | None = None,
-    stage: Any = None,
+    stage: Stage | None = None,
     dark: np.ndarray | float = 0.0,
 ) -> Captures:
     """Show patterns and capture each.

@@ -78,8 +78,8 @@ class ScreenModulator(_show.Shown):
                 "its resolution to the modulator's and its scale to 100 %, or pixels are interpolated",
                 ArgumentWarning,
             )
-        self.pitch = float(_validate.number("pitch", pitch, positive=True))
-        self.settling_time = float(_validate.number("settling_time", settling_time, least=0))
+        self.pitch: float = float(_validate.number("pitch", pitch, positive=True))
+        self.settling_time: float = float(_validate.number("settling_time", settling_time, least=0))
         if display in _open:
             raise ValueError(
                 f"display must be one that no other ScreenModulator covers, got {display}: close that first"
@@ -205,14 +205,14 @@ class VideoCamera(_show.Shown):
         if isinstance(source, bool) or not isinstance(source, (int, str)):
             raise TypeError(f"source must be an integer or a string, got {type(source).__name__}")
         self._unit = _validate.one_of("exposure_unit", exposure_unit, ("100 us", "log2"))
-        self.pitch = float(_validate.number("pitch", pitch, positive=True))
+        self.pitch: float = float(_validate.number("pitch", pitch, positive=True))
         self._skip, self.bits = _validate.integer("skip", skip), _validate.integer("bits", bits, minimum=1)
         self._stream = self._cv2.VideoCapture(source)
         if not self._stream.isOpened():
             raise OSError(f"OpenCV cannot open the camera {source!r}")
         self.region: tuple[int, int, int, int] | None = None
         columns, rows = (int(self._stream.get(code)) for code in (3, 4))
-        self.shape = (rows, columns)
+        self.shape: tuple[int, int] = (rows, columns)
         self._exposure = 1.0
         if exposure is not None:
             self.exposure = exposure
@@ -287,11 +287,11 @@ class GenICamCamera(_show.Shown):
         pixel_format: str = "Mono12",
         timeout: float = 5.0,
     ):
-        self.pitch = float(_validate.number("pitch", pitch, positive=True))
+        self.pitch: float = float(_validate.number("pitch", pitch, positive=True))
         self._timeout = float(_validate.number("timeout", timeout, positive=True))
         if not (isinstance(pixel_format, str) and pixel_format[:4] == "Mono" and pixel_format[4:].isdigit()):
             raise ValueError(f"pixel_format must be Mono and a number of bits, got {pixel_format!r}")
-        self.bits = int(pixel_format[4:])
+        self.bits: int = int(pixel_format[4:])
         self._harvester = _imported("harvesters.core", "harvesters").Harvester()
         for path in _producers(producer):
             self._harvester.add_file(path)
@@ -321,10 +321,10 @@ class GenICamCamera(_show.Shown):
                 getattr(self._nodes, name).value = value
         if self._nodes.PixelFormat.value != pixel_format:
             raise ValueError(f"the camera does not take the format {pixel_format!r}")
-        self.shape = (int(self._nodes.Height.value), int(self._nodes.Width.value))
+        self.shape: tuple[int, int] = (int(self._nodes.Height.value), int(self._nodes.Width.value))
         self.region: tuple[int, int, int, int] | None = None
         node = self._nodes.ExposureTime
-        self.exposure_limits = (1e-6 * float(node.min), 1e-6 * float(node.max))
+        self.exposure_limits: tuple[float, float] = (1e-6 * float(node.min), 1e-6 * float(node.max))
         self._camera.start()
 
     @property
@@ -390,7 +390,7 @@ class MicroManagerCamera(_show.Shown):
 
     @_validate.takes_units("pitch")
     def __init__(self, configuration: Any, pitch: float, device: str | None = None):
-        self.pitch = float(_validate.number("pitch", pitch, positive=True))
+        self.pitch: float = float(_validate.number("pitch", pitch, positive=True))
         self._core = _core_of(configuration)
         if device is not None:
             self._core.setCameraDevice(device)
@@ -398,7 +398,7 @@ class MicroManagerCamera(_show.Shown):
         if not self._device:
             raise ValueError("the configuration names no camera; give device")
         self._core.clearROI()
-        self.shape = (int(self._core.getImageHeight()), int(self._core.getImageWidth()))
+        self.shape: tuple[int, int] = (int(self._core.getImageHeight()), int(self._core.getImageWidth()))
         self.region: tuple[int, int, int, int] | None = None
 
     @property
@@ -459,8 +459,8 @@ class MicroManagerModulator(_show.Shown):
 
     @_validate.takes_units("pitch")
     def __init__(self, configuration: Any, pitch: float, device: str | None = None, settling_time: float = 0.05):
-        self.pitch = float(_validate.number("pitch", pitch, positive=True))
-        self.settling_time = float(_validate.number("settling_time", settling_time, least=0))
+        self.pitch: float = float(_validate.number("pitch", pitch, positive=True))
+        self.settling_time: float = float(_validate.number("settling_time", settling_time, least=0))
         self._core = _core_of(configuration)
         self._device = self._core.getSLMDevice() if device is None else device
         if not self._device:
@@ -524,10 +524,10 @@ class FileModulator(_show.Shown):
         timeout: float = 30.0,
     ):
         self._folder = _folder(folder)
-        self.shape = _validate.size("shape", shape)
-        self.pitch = float(_validate.number("pitch", pitch, positive=True))
-        self.bits = _validate.integer("bits", bits, minimum=1)
-        self.settling_time = float(_validate.number("settling_time", settling_time, least=0))
+        self.shape: tuple[int, int] = _validate.size("shape", shape)
+        self.pitch: float = float(_validate.number("pitch", pitch, positive=True))
+        self.bits: int = _validate.integer("bits", bits, minimum=1)
+        self.settling_time: float = float(_validate.number("settling_time", settling_time, least=0))
         self._answer = _validate.flag("answer", answer)
         self._timeout = float(_validate.number("timeout", timeout, positive=True))
         self._number = _number_in(os.path.join(self._folder, "pattern.txt")) or 0
@@ -594,10 +594,10 @@ class FileCamera(_show.Shown):
         timeout: float = 30.0,
     ):
         self._folder = _folder(folder)
-        self.shape = _validate.size("shape", shape)
-        self.pitch = float(_validate.number("pitch", pitch, positive=True))
-        self.bits = _validate.integer("bits", bits, minimum=1)
-        self.exposure = float(_validate.number("exposure", exposure, positive=True))
+        self.shape: tuple[int, int] = _validate.size("shape", shape)
+        self.pitch: float = float(_validate.number("pitch", pitch, positive=True))
+        self.bits: int = _validate.integer("bits", bits, minimum=1)
+        self.exposure: float = float(_validate.number("exposure", exposure, positive=True))
         self.region: tuple[int, int, int, int] | None = None
         self._timeout = float(_validate.number("timeout", timeout, positive=True))
         self._number = (_text_in(os.path.join(self._folder, "request.txt")) or "0").split()[0]

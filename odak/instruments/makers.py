@@ -152,13 +152,13 @@ class HoloeyeModulator(_show.Shown):
 
     def __init__(self, preselect: str = "", settling_time: float = 0.1):
         _validate.instance("preselect", preselect, str, "a string")
-        self.settling_time = float(_validate.number("settling_time", settling_time, least=0))
+        self.settling_time: float = float(_validate.number("settling_time", settling_time, least=0))
         self._sdk = _imported("HEDS", "Holoeye's SLM Display SDK (with its folder of Python modules on the path)", "")
         self._check(self._sdk.SDK.Init(4, 0))
         self._device = self._sdk.SLM.Init(preselect, False)
         self._check(self._device.errorCode())
-        self.shape = (int(self._device.height_px()), int(self._device.width_px()))
-        self.pitch = 1e-6 * float(self._device.pixelsize_um())
+        self.shape: tuple[int, int] = (int(self._device.height_px()), int(self._device.width_px()))
+        self.pitch: float = 1e-6 * float(self._device.pixelsize_um())
 
     def _check(self, code: int) -> None:
         if code:
@@ -245,11 +245,11 @@ class MeadowlarkModulator(_show.Shown):
         timeout: float = 5.0,
     ):
         self._path = _existing("library", library)
-        self.pitch = float(_validate.number("pitch", pitch, positive=True))
+        self.pitch: float = float(_validate.number("pitch", pitch, positive=True))
         voltages = None if lut is None else os.fsencode(_existing("lut", lut))
         self._sdk = _validate.one_of("sdk", sdk, ("overdrive-plus", "plus", "hdmi"))
         self._board = _validate.integer("board", board, minimum=1)
-        self.settling_time = float(_validate.number("settling_time", settling_time, least=0))
+        self.settling_time: float = float(_validate.number("settling_time", settling_time, least=0))
         self._timeout = ctypes.c_uint(round(1e3 * float(_validate.number("timeout", timeout, positive=True))))
         self._library = ctypes.CDLL(self._path)
         self._declared = _declarations(os.path.join(os.path.dirname(self._path), "Blink_C_wrapper.h"))
@@ -257,7 +257,7 @@ class MeadowlarkModulator(_show.Shown):
             rows, columns, depth = self._open()
             if depth != 8:
                 raise ValueError(f"the modulator must take 8 bits for each pixel, got {depth}")
-            self.shape = (rows, columns)
+            self.shape: tuple[int, int] = (rows, columns)
             if voltages is not None and self._sdk == "hdmi":
                 self._check("Load_lut", self._library.Load_lut(voltages))
             elif voltages is not None:
@@ -370,9 +370,9 @@ class ThorlabsCamera(_show.Shown):
                 camera.gain = camera.gain_range.min
             # Software triggers are operation mode 0, of one frame each.
             camera.operation_mode, camera.frames_per_trigger_zero_for_unlimited = 0, 1
-            self.bits = int(camera.bit_depth)
-            self.shape = (int(camera.image_height_pixels), int(camera.image_width_pixels))
-            self.pitch = 1e-6 * float(camera.sensor_pixel_width_um) if pitch is None else pitch
+            self.bits: int = int(camera.bit_depth)
+            self.shape: tuple[int, int] = (int(camera.image_height_pixels), int(camera.image_width_pixels))
+            self.pitch: float = 1e-6 * float(camera.sensor_pixel_width_um) if pitch is None else pitch
             self.region: tuple[int, int, int, int] | None = None
             limits = camera.exposure_time_range_us
             self.exposure_limits = (1e-6 * limits.min, 1e-6 * limits.max)

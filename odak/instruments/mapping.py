@@ -46,7 +46,7 @@ class Lens:
     after: float | None = None
     block: float = 0.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         focal = float(_validate.number("focal_length", self.focal_length, positive=True))
         object.__setattr__(self, "focal_length", focal)
         for name in ("before", "after", "block"):

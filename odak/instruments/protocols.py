@@ -201,12 +201,12 @@ class CheckedCamera:
     def __init__(self, camera: Any):
         self.camera, self.pitch = camera, camera.pitch
         rows, columns = _validate.size("camera.shape", camera.shape)
-        self.shape = (rows, columns)
-        self.bits = _validate.integer("camera.bits", camera.bits, minimum=1)
+        self.shape: tuple[int, int] = (rows, columns)
+        self.bits: int = _validate.integer("camera.bits", camera.bits, minimum=1)
         limits = getattr(camera, "exposure_limits", None)
         if limits is not None:
             limits = _validate.several("camera.exposure_limits", limits, 2, positive=True)
-        self.limits = (0.0, np.inf) if limits is None else (float(limits[0]), float(limits[1]))
+        self.limits: tuple[float, float] = (0.0, np.inf) if limits is None else (float(limits[0]), float(limits[1]))
         self.examined = False
         self.exposures: dict[str, float] = {}
         self._stuck = np.zeros((0, 2), dtype=int)

@@ -205,7 +205,7 @@ class SimulatedTable(_show.Shown):
     ):
         draw = np.random.default_rng(_validate.integer("seed", seed))
         rows, columns = _validate.size("shape", shape)
-        self.wavelength = float(_validate.number("wavelength", wavelength, positive=True))
+        self.wavelength: float = float(_validate.number("wavelength", wavelength, positive=True))
         _, nominal = ray_matrix(distance)
         pitch = float(_validate.number("pitch", pitch, positive=True))
         camera_pitch = float(_validate.number("camera_pitch", camera_pitch, positive=True))
@@ -266,7 +266,7 @@ class SimulatedTable(_show.Shown):
         ):
             away = np.hypot(np.arange(rows)[:, None] - row, np.arange(columns) - column)
             amplitude = amplitude * (1 - depth * np.clip(radius + 0.5 - away, 0, 1))
-        self.truth = Truth(
+        self.truth: Truth = Truth(
             *(phases, amplitude, wavefront, path, homography, distortion, reflected),
             response=1 + float(_validate.number("regional", regional, least=0)) * gain,
             flicker=float(_validate.number("flicker", flicker, least=0)),
@@ -283,11 +283,11 @@ class SimulatedTable(_show.Shown):
         self._iris = None if iris is None else float(_validate.number("iris", iris, positive=True))
         # Transfer function of the last distance and wavelength.
         self._transfer: tuple[Any, np.ndarray] = (None, np.zeros(0))
-        self.clock = 0.0
+        self.clock: float = 0.0
         self._levels = np.zeros((rows, columns), dtype=np.uint8)
         self._before, self._shown = np.zeros((rows, columns)), -np.inf
-        self.modulator = SimulatedModulator(self, (rows, columns), pitch, 10 * float(time_constant))
-        self.camera = SimulatedCamera(self, (camera_rows, camera_columns), camera_pitch, draw)
+        self.modulator: SimulatedModulator = SimulatedModulator(self, (rows, columns), pitch, 10 * float(time_constant))
+        self.camera: SimulatedCamera = SimulatedCamera(self, (camera_rows, camera_columns), camera_pitch, draw)
         self.laser, self.stage, self.polariser = SimulatedLaser(self.wavelength), SimulatedStage(), SimulatedRotator()
         # The brightest spot that the modulator can form stays below saturation at an exposure of 1 ms.
         area = amplitude.sum() * pitch**2 / (self.wavelength * abs(nominal))
@@ -486,7 +486,7 @@ class SimulatedCamera(_show.Shown):
 
     def __init__(self, table: SimulatedTable, shape: tuple[int, int], pitch: float, draw: np.random.Generator):
         self._table, self.shape, self.pitch = table, shape, pitch
-        self.exposure = 1e-3
+        self.exposure: float = 1e-3
         self.region: tuple[int, int, int, int] | None = None
         self._gain = 1 + 0.003 * draw.normal(size=shape)
         self._offset = 20 + 2 * draw.normal(size=shape)

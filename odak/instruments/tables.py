@@ -64,7 +64,7 @@ class OpticalTable(_show.Shown):
     wavefront: np.ndarray | float = 0.0
     amplitude: np.ndarray | float | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check_square_pixels(self.modulator, self.camera)
         wavelength = float(_validate.number("wavelength", self.wavelength, positive=True))
         object.__setattr__(self, "wavelength", wavelength)

@@ -143,9 +143,9 @@ class CVDLoss(nn.Module):
         beta: float = 1.0,
     ):
         super().__init__()
-        self.deficiency = _validate.one_of("deficiency", deficiency, DEFICIENCIES)
-        self.method = _validate.one_of("method", method, METHODS)
-        self.severity = _validate.constant("severity", severity)
+        self.deficiency: str = _validate.one_of("deficiency", deficiency, DEFICIENCIES)
+        self.method: str = _validate.one_of("method", method, METHODS)
+        self.severity: float = _validate.constant("severity", severity)
         self.alpha, self.beta = (_validate.constant(name, v) for name, v in (("alpha", alpha), ("beta", beta)))
 
     def forward(self, image: torch.Tensor, target: torch.Tensor | None = None) -> torch.Tensor:

@@ -232,7 +232,7 @@ class CSFLoss(Seen):
         super().__init__()
         view = real_image_width, real_viewing_distance, peak_luminance, black_luminance
         self.viewing = viewing_of(viewing, *view)
-        self.encoding = _validate.one_of("encoding", encoding, ("sRGB", "linear"))
+        self.encoding: str = _validate.one_of("encoding", encoding, ("sRGB", "linear"))
         self.register_buffer("frequencies", None, persistent=False)
         self._kept = None
 
@@ -301,7 +301,7 @@ class CSFLoss(Seen):
             frequencies = torch.hypot(down[:, None], across)
             lowest = 1 / (max(rows, columns) * pitch)
             with _torch_private.keeping():
-                self.frequencies = frequencies.clamp_min(lowest).to(picture.device, picture.dtype)
+                self.frequencies: torch.Tensor = frequencies.clamp_min(lowest).to(picture.device, picture.dtype)
             self._kept = key
         return self.frequencies
 

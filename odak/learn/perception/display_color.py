@@ -495,7 +495,7 @@ class display_color_hvs(Prepared, nn.Module):
         self.distance_from_screen = distance_from_screen
         self.pixel_pitch = pixel_pitch
         self.read_spectrum = read_spectrum
-        self.cones = _validate.one_of("cones", cones, ("Gaussian", "CIE 170"))
+        self.cones: str = _validate.one_of("cones", cones, ("Gaussian", "CIE 170"))
         self._keep("primaries_spectrum", _checked_spectra(primaries_spectrum).to(checked_device("device", device)))
         self._prepare()
 

@@ -575,7 +575,7 @@ class Sampler:
 
     def __init__(self, device: torch.device, dtype: torch.dtype) -> None:
         self.device, self.dtype = device, dtype
-        self.is_blocked = device.type == "cpu" and dtype in (torch.float32, torch.float64)
+        self.is_blocked: bool = device.type == "cpu" and dtype in (torch.float32, torch.float64)
 
     def __call__(self, image: torch.Tensor) -> torch.Tensor:
         """Return the sampled pictures ``[B, C, H, W]``; differentiable any number of times."""
@@ -623,7 +623,7 @@ class MipSampler(Sampler):
     def __init__(self, lod: torch.Tensor, dtype: torch.dtype) -> None:
         super().__init__(lod.device, dtype)
         weights = level_weights(lod)
-        self.weights = weights.to(dtype)
+        self.weights: torch.Tensor = weights.to(dtype)
         if self.is_blocked:
             size = tuple(lod.shape)
             self.levels = _array.outside_graphs(_mip_levels, size, len(weights) - 1, dtype)
@@ -890,7 +890,7 @@ class RadiallyVaryingBlur(nn.Module):
 
     def __init__(self, nominal_width: bool = False) -> None:
         super().__init__()
-        self.nominal_width = _validate.flag("nominal_width", nominal_width)
+        self.nominal_width: bool = _validate.flag("nominal_width", nominal_width)
         for name in ("lod_map", "lod_fraction"):
             self.register_buffer(name, None, persistent=False)
         self._kept = Kept()
@@ -1166,9 +1166,9 @@ class BlurLoss(Seen):
         self.alpha, self.mode = _growth(alpha, mode)
         self.viewing = viewing_of(viewing, real_image_width, real_viewing_distance)
         self.blur_source, self.equi = _validate.flag("blur_source", blur_source), _validate.flag("equi", equi)
-        self.blur = RadiallyVaryingBlur(nominal_width).to(device)
+        self.blur: RadiallyVaryingBlur = RadiallyVaryingBlur(nominal_width).to(device)
         self.target: torch.Tensor | None = None
-        self.loss_func = nn.MSELoss()
+        self.loss_func: torch.nn.MSELoss = nn.MSELoss()
 
     @property
     def device(self) -> torch.device:

@@ -311,15 +311,15 @@ class MetamericLoss(_StatisticsLoss, Seen):
         viewing: Viewing | None = None,
     ) -> None:
         super().__init__(device, n_pyramid_levels, n_orientations, trust_target, nominal_width, joint)
-        self.use_l2_foveal_loss = _validate.flag("use_l2_foveal_loss", use_l2_foveal_loss)
-        self.use_fullres_l0 = _validate.flag("use_fullres_l0", use_fullres_l0)
+        self.use_l2_foveal_loss: bool = _validate.flag("use_l2_foveal_loss", use_l2_foveal_loss)
+        self.use_fullres_l0: bool = _validate.flag("use_fullres_l0", use_fullres_l0)
         if use_l2_foveal_loss and use_fullres_l0:
             raise ValueError("use_l2_foveal_loss and use_fullres_l0 exclude one another, got both")
         self.alpha, self.mode = _growth(alpha, mode)
         self.viewing = viewing_of(viewing, real_image_width, real_viewing_distance)
         self.fovea_weight = _validate.number("fovea_weight", fovea_weight)
-        self.use_radial_weight = _validate.flag("use_radial_weight", use_radial_weight)
-        self.equi = _validate.flag("equi", equi)
+        self.use_radial_weight: bool = _validate.flag("use_radial_weight", use_radial_weight)
+        self.equi: bool = _validate.flag("equi", equi)
         self.blurs: nn.ModuleList | None = None
         self.fovea_mask = self.periphery_mask = None
         self._pooling = Kept()
@@ -884,8 +884,8 @@ class MetamerMSELoss(Seen):
         viewing: Viewing | None = None,
     ) -> None:
         super().__init__()
-        self.iterations = _validate.integer("iterations", iterations)
-        self.metameric_loss = MetamericLoss(
+        self.iterations: int = _validate.integer("iterations", iterations)
+        self.metameric_loss: MetamericLoss = MetamericLoss(
             device=device,
             alpha=alpha,
             real_image_width=real_image_width,
@@ -899,7 +899,7 @@ class MetamerMSELoss(Seen):
             joint=joint,
             viewing=viewing,
         )
-        self.loss_func = nn.MSELoss()
+        self.loss_func: torch.nn.MSELoss = nn.MSELoss()
         self.target: Any = None
         self.target_metamer: Any = None
         self.noise: Any = None
@@ -1084,7 +1084,7 @@ class TargetCache:
     """
 
     def __init__(self, trusting: bool = False) -> None:
-        self.trusting = _validate.flag("trust_target", trusting)
+        self.trusting: bool = _validate.flag("trust_target", trusting)
         self.clear()
 
     def clear(self) -> None:

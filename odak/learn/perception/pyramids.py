@@ -288,9 +288,9 @@ class SpatialSteerablePyramid(nn.Module):
         device: torch.device | str = "cpu",
     ) -> None:
         super().__init__()
-        self.use_bilinear_downup = _validate.flag("use_bilinear_downup", use_bilinear_downup)
-        self.n_channels = _validate.side("n_channels", n_channels)
-        self.filter_size = _validate.integer("filter_size", filter_size, minimum=1)
+        self.use_bilinear_downup: bool = _validate.flag("use_bilinear_downup", use_bilinear_downup)
+        self.n_channels: int = _validate.side("n_channels", n_channels)
+        self.filter_size: int = _validate.integer("filter_size", filter_size, minimum=1)
         self.n_orientations, self.filter_type = n_orientations, filter_type
         self._build(torch.float32, checked_device("device", device) or torch.device("cpu"))
 
@@ -671,8 +671,8 @@ class FrequencySteerablePyramid(nn.Module):
 
     def __init__(self, n_levels: int = 5, n_orientations: int = 6) -> None:
         super().__init__()
-        self.n_levels = _validate.integer("n_levels", n_levels, minimum=2)
-        self.n_orientations = _validate.integer("n_orientations", n_orientations, minimum=1)
+        self.n_levels: int = _validate.integer("n_levels", n_levels, minimum=2)
+        self.n_orientations: int = _validate.integer("n_orientations", n_orientations, minimum=1)
         self._masks: tuple | None = None
 
     def forward(self, image: torch.Tensor) -> Pyramid:

@@ -331,8 +331,8 @@ class FLIP(nn.Module):
 
     def __init__(self, pixels_per_degree: float = 67.02, *, viewing: Viewing | None = None) -> None:
         super().__init__()
-        self.pixels_per_degree = _density(pixels_per_degree)
-        self.viewing = None if viewing is None else checked_viewing(viewing)
+        self.pixels_per_degree: float = _density(pixels_per_degree)
+        self.viewing: Viewing | None = None if viewing is None else checked_viewing(viewing)
 
     def forward(self, predictions: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
         """Return the mean of :func:`flip` over all pixels.
@@ -371,7 +371,7 @@ class PU21PSNR(nn.Module):
 
     def __init__(self, variant: str = "banding_glare") -> None:
         super().__init__()
-        self.variant = _validate.one_of("variant", variant, PU21_PARAMETERS)
+        self.variant: str = _validate.one_of("variant", variant, PU21_PARAMETERS)
 
     def forward(self, predictions: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
         """Return the peak signal-to-noise ratio of PU21-encoded images in decibels, a scalar tensor.
@@ -410,7 +410,7 @@ class PU21SSIM(nn.Module):
 
     def __init__(self, variant: str = "banding_glare") -> None:
         super().__init__()
-        self.variant = _validate.one_of("variant", variant, PU21_PARAMETERS)
+        self.variant: str = _validate.one_of("variant", variant, PU21_PARAMETERS)
 
     def forward(self, predictions: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
         """Return the structural similarity of PU21-encoded images, a scalar tensor.

@@ -343,7 +343,7 @@ def intersect_w_triangle_batch(ray: torch.Tensor, triangle: torch.Tensor) -> tup
     return normal, distances, [ray[check[i]] for i in struck], [normal[i][check[i]] for i in struck], check
 
 
-def intersect_w_surface_batch(ray: Any, triangle: Any) -> tuple[torch.Tensor, torch.Tensor]:
+def intersect_w_surface_batch(ray: torch.Tensor, triangle: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Intersect n rays with the planes of m triangles.
 
     Parameters
@@ -457,7 +457,9 @@ class detector(_show.Shown, Prepared):
         self.pixel_locations: Any = apply_matrix(rotation_matrix(self.surface_tilt), flat) + self.surface_center
         self.image = torch.zeros(self.colors, *shape, dtype=self.size.dtype, device=self.device)
 
-    def intersect(self, rays: torch.Tensor, color: int = 0, distances: bool = True) -> Any:
+    def intersect(
+        self, rays: torch.Tensor, color: int = 0, distances: bool = True
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
         """Count rays on the pixels and return their intersections with the plane of the detector.
 
         Parameters

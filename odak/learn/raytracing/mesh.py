@@ -560,7 +560,7 @@ class triangle_mesh(_show.Shown):
         self._tables: dict[Any, Any] = {}
         self._scene: Any = None
 
-    def moved(self, vertices: Any) -> "triangle_mesh":
+    def moved(self, vertices: torch.Tensor) -> "triangle_mesh":
         """Return the same mesh with its vertices elsewhere; the hierarchy is refitted, not built again.
 
         Meant for the steps of an optimization. Normals given at vertices are kept.
@@ -856,7 +856,7 @@ class planar_mesh(_show.Shown, Prepared):
         self._mesh: triangle_mesh | None = None
         self.init_heights(heights)
 
-    def init_heights(self, heights: Any = None) -> None:
+    def init_heights(self, heights: torch.Tensor | None = None) -> None:
         """Set the heights, ``[n0, n1, 1]``, and the places of the vertices.
 
         A tensor is taken as it is and made to require a gradient; None gives zeros.

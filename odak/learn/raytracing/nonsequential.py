@@ -24,6 +24,7 @@ from odak.learn._tensors import reals_of, tensor
 from odak.learn.raytracing.mesh import triangle_mesh
 from odak.learn.raytracing.system.films import PolarizingFilm
 from odak.learn.raytracing.system.pupils import launch
+from odak.learn.raytracing.system.specification import Values
 from odak.learn.raytracing.system.surfaces import (
     Coating,
     checked_system,
@@ -71,7 +72,7 @@ class Scatter:
     (1977)). What is drawn beyond the disc would not leave the surface: it keeps its direction.
     """
 
-    share: Any = 1.0
+    share: float | torch.Tensor = 1.0
 
     def __post_init__(self) -> None:
         _checked_share("share", self.share)
@@ -170,8 +171,8 @@ class MeasuredScatter(Scatter):
     """
 
     share: Any = field(init=False, default=None)
-    offsets: Any = (0.0, 1.0)
-    values: Any = (0.0, 0.0)
+    offsets: Values = (0.0, 1.0)
+    values: Values = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         offsets, values = _doubles(offsets=self.offsets, values=self.values)
@@ -196,7 +197,7 @@ class MeasuredScatter(Scatter):
         object.__setattr__(self, "_table", (sums / sums[-1].clamp_min(1e-300), radius * radius))
 
     @classmethod
-    def abg(cls, a: Any, b: Any, g: Any) -> "MeasuredScatter":
+    def abg(cls, a: float | torch.Tensor, b: float | torch.Tensor, g: float | torch.Tensor) -> "MeasuredScatter":
         """Return the ABg model, A/(B + |β − β₀|^g).
 
         Parameters
@@ -213,7 +214,9 @@ class MeasuredScatter(Scatter):
         return cls(offsets, a / (b + offsets**g))
 
     @classmethod
-    def harvey(cls, peak: Any, shoulder: Any, slope: Any) -> "MeasuredScatter":
+    def harvey(
+        cls, peak: float | torch.Tensor, shoulder: float | torch.Tensor, slope: float | torch.Tensor
+    ) -> "MeasuredScatter":
         """Return Harvey's model, b₀·(1 + (|β − β₀|/l)²)^(s/2).
 
         Parameters
@@ -375,8 +378,8 @@ class Element:
         shape: Shape | triangle_mesh,
         media: Sequence[Any] = (1.0, 1.0),
         interface: Interface | None = None,
-        center: Any = None,
-        angles: Any = None,
+        center: Values | None = None,
+        angles: Values | None = None,
         aperture: float | Aperture | None = None,
         detects: bool = False,
         name: str | None = None,
@@ -582,7 +585,7 @@ class Light(NamedTuple):
     power: torch.Tensor
     field: torch.Tensor | None = None
 
-    def polarized(self, jones: Any = None) -> "Light":
+    def polarized(self, jones: Sequence[complex] | torch.Tensor | None = None) -> "Light":
         """Return the light with its polarisation, which interfaces then change and make use of.
 
         Parameters
@@ -627,11 +630,11 @@ def axes_across(vector: tuple[Any, ...]) -> tuple[tuple[Any, ...], tuple[Any, ..
 def light_source(
     kind: str,
     count: int,
-    size: Any = 0.0,
+    size: float | Values = 0.0,
     half_angle: float | None = None,
-    center: Any = (0.0, 0.0, 0.0),
-    angles: Any = (0.0, 0.0, 0.0),
-    power: Any = 1.0,
+    center: Values = (0.0, 0.0, 0.0),
+    angles: Values = (0.0, 0.0, 0.0),
+    power: float | torch.Tensor = 1.0,
     seed: int = 0,
 ) -> Light:
     """Return rays of a source that shines along z, or along z rotated.
@@ -680,7 +683,8 @@ def light_source(
     most = 90.0 if kind == "lambertian" else 180.0
     half = most if half_angle is None else _validate.constant("half_angle", half_angle, least=0, most=most)
     listed = isinstance(size, Sequence) or math.prod(getattr(size, "shape", ())) > 1
-    sides = [_validate.constant("size", value, least=0) for value in (size if listed else [size])]
+    given: Any = size if listed else [size]
+    sides = [_validate.constant("size", value, least=0) for value in given]
     if len(sides) not in (1, 2) or (kind == "point" and any(sides)):
         raise ValueError(f"size must be a radius or two sides, and 0 of a point, got {size!r} of a {kind} source")
     engine = torch.quasirandom.SobolEngine(4, scramble=True, seed=_validate.integer("seed", seed))
@@ -737,7 +741,7 @@ class Received(NamedTuple):
     ray: torch.Tensor
     field: torch.Tensor | None = None
 
-    def irradiance(self, size: Any, pixels: Any = (64, 64)) -> torch.Tensor:
+    def irradiance(self, size: float | Sequence[float], pixels: Sequence[int] = (64, 64)) -> torch.Tensor:
         """Return the power on each unit of area, ``[rows, columns]``: rows along y, columns along x, both ascending.
 
         Parameters
@@ -758,7 +762,7 @@ class Received(NamedTuple):
             width * height / (rows * columns)
         )
 
-    def intensity(self, pixels: Any = (64, 64), reach: float = 1.0) -> torch.Tensor:
+    def intensity(self, pixels: Sequence[int] = (64, 64), reach: float = 1.0) -> torch.Tensor:
         """Return the power in each unit of solid angle over direction cosines along x and y, ``[rows, columns]``.
 
         Parameters
@@ -923,7 +927,7 @@ class RayScene:
     def trace(
         self,
         light: Light,
-        wavelength: Any,
+        wavelength: float,
         split: bool = False,
         threshold: float = 1e-6,
         bounces: int = 1000,

@@ -247,7 +247,7 @@ def is_it_on_triangle(point_to_check: torch.Tensor, triangle: torch.Tensor) -> t
     return within(point, point.isfinite().all(dim=-1), triangle[:, None])
 
 
-def is_it_on_triangle_batch(point_to_check: Any, triangle: Any) -> torch.Tensor:
+def is_it_on_triangle_batch(point_to_check: torch.Tensor, triangle: torch.Tensor) -> torch.Tensor:
     """Return which points lie on the triangle of their row, judged along its normal.
 
     Parameters

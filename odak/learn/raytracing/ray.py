@@ -1,7 +1,7 @@
 """Rays as tensors ``[m, 2, 3]``: start and direction cosines."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 
@@ -251,8 +251,8 @@ def create_ray_from_grid_w_luminous_angle(
 def create_ray_from_point_w_luminous_angle(
     origin: torch.Tensor,
     num_ray: int,
-    tilt: Any,
-    angle_limit: Any,
+    tilt: Sequence[float] | torch.Tensor,
+    angle_limit: float | torch.Tensor,
     seed: int | None = None,
     generator: torch.Generator | None = None,
 ) -> torch.Tensor:

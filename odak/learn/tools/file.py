@@ -179,7 +179,7 @@ def save_image(
     return file.save_image(fn, image, cmin, white, color_depth)
 
 
-def save_torch_tensor(fn: str | os.PathLike[str], tensor: Any) -> None:
+def save_torch_tensor(fn: str | os.PathLike[str], tensor: object) -> None:
     """Write a tensor, or whatever :func:`torch.save` takes, to a file.
 
     Parameters

@@ -76,7 +76,7 @@ def across_ranks(
     function: Callable[..., Tensors],
     batch: Tensors,
     *arguments: Any,
-    group: Any = None,
+    group: "torch.distributed.ProcessGroup | None" = None,
     device: torch.device | str | int | None = None,
     **options: Any,
 ) -> Tensors:

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 
@@ -184,7 +184,7 @@ def produce_phase_only_slm_pattern(
     slm_range: float,
     bits: int = 8,
     default_range: float | None = None,
-    illumination: Any = None,
+    illumination: torch.Tensor | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the field of a hologram quantised for a phase-only modulator, and its integer levels.
 

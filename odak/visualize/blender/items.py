@@ -415,7 +415,7 @@ def glass(
     unit: str = "m",
     color: str | Sequence[float] = "white",
     roughness: float = 0.0,
-) -> Any:
+) -> Material:
     """Return a transparent material.
 
     Parameters

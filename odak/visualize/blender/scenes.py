@@ -750,7 +750,7 @@ class scene(Lines, Shapes, Lenses, Views):
         names = ", ".join(repr(item.name) for item in self.objects) or "none"
         raise ValueError(f"name must be one of the objects of the scene ({names}), got {name!r}")
 
-    def remove(self, item: Any) -> None:
+    def remove(self, item: Item | str) -> None:
         """Take an object out of the scene.
 
         Parameters

@@ -964,7 +964,7 @@ class plotshow(_Images):
         self.fig.add_trace(graph.Scatter(x=x, y=y, mode=mode, name=label), **place)
 
     def add_2d_plot(
-        self, image: Array, label: str = "", row: int = 1, col: int = 1, showscale: bool = False, origin: Any = "upper"
+        self, image: Array, label: str = "", row: int = 1, col: int = 1, showscale: bool = False, origin: str = "upper"
     ) -> None:
         """Add an image of values.
 

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from odak.visualize.plotly import figures
 from odak.visualize.plotly.field_figures import surface_trace
 from odak.visualize.plotly.figures import Figure, graph, make_subplots
 
+# In signatures: a colour, or colours or values of each.
+Color: TypeAlias = str | Sequence[Any] | Array
 SCENE_SIZE = (800, 700)
 AXES = ("x", "y", "z")
 # Samples of a surface of a lens along its radius and around its axis.
@@ -233,7 +235,7 @@ class rayshow(SceneFigure):
         point: Array,
         row: int = 1,
         column: int = 1,
-        color: Any = "red",
+        color: Color = "red",
         opacity: float = 1.0,
         show_legend: bool = False,
         label: str | None = None,
@@ -281,7 +283,7 @@ class rayshow(SceneFigure):
         row: int = 1,
         column: int = 1,
         dash: str | None = None,
-        color: Any = "red",
+        color: Color = "red",
         show_legend: bool = False,
         label: str | None = None,
     ) -> None:
@@ -320,9 +322,9 @@ class rayshow(SceneFigure):
         row: int = 1,
         column: int = 1,
         dash: str | None = None,
-        color: Any = "red",
+        color: Color = "red",
         show_legend: bool = False,
-        label: Any = None,
+        label: str | None = None,
     ) -> None:
         """Add lines through several points each, all in one trace.
 
@@ -369,9 +371,9 @@ class rayshow(SceneFigure):
         row: int = 1,
         column: int = 1,
         dash: str | None = None,
-        color: Any = "red",
+        color: Color = "red",
         show_legend: bool = False,
-        label: Any = None,
+        label: str | None = None,
     ) -> None:
         """Add rays, drawn from their starts over a distance, all in one trace; rays that are NaN are left out.
 
@@ -403,7 +405,7 @@ class rayshow(SceneFigure):
         row: int = 1,
         column: int = 1,
         dash: str | None = None,
-        color: Any = "red",
+        color: Color = "red",
         show_legend: bool = False,
     ) -> None:
         """Add triangles, all in one mesh.
@@ -433,7 +435,7 @@ class rayshow(SceneFigure):
         faces: Array,
         row: int = 1,
         column: int = 1,
-        color: Any = "red",
+        color: Color = "red",
         opacity: float | None = None,
         show_legend: bool = False,
         label: str | None = None,
@@ -480,7 +482,7 @@ class rayshow(SceneFigure):
         row: int = 1,
         column: int = 1,
         dash: str | None = None,
-        color: Any = "red",
+        color: str = "red",
         show_legend: bool = False,
     ) -> None:
         """Add a sphere.
@@ -515,7 +517,7 @@ class rayshow(SceneFigure):
         data_x: Array,
         data_y: Array,
         data_z: Array,
-        surface_color: Any,
+        surface_color: Array | str,
         row: int = 1,
         column: int = 1,
         label: str = "",
@@ -637,7 +639,7 @@ def colors(color, count: int, settings: dict[Any, Any], repeat: int = 1) -> dict
     return {"color": found if scale else found.tolist(), **scale}
 
 
-def face_colors(color: str, count: int, settings: dict[Any, Any]) -> dict[Any, Any]:
+def face_colors(color: Color, count: int, settings: dict[Any, Any]) -> dict[Any, Any]:
     """Return the colours or values of the `count` triangles of a mesh as arguments of Plotly."""
     style = colors(color, count, settings)
     if isinstance(color, str):

@@ -352,7 +352,7 @@ class lens_design(_show.Shown):
         """
         given = [item.semi_diameter for item in self.system.surfaces]
         known = all(value is not None for value in given)
-        self.heights = torch.tensor(given, dtype=torch.float64) if known else None
+        self.heights: torch.Tensor | None = torch.tensor(given, dtype=torch.float64) if known else None
 
     def clear_heights(self, values: torch.Tensor) -> torch.Tensor:
         """Return the largest distance from the axis of rays on each surface, ``[..., S]``, for values ``[..., V]``."""

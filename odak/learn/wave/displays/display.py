@@ -113,12 +113,12 @@ class Display(Prepared, torch.nn.Module):
         self.path = path = path_to(modulator, wavelengths, distances, iris, medium)
         self.wavelengths, self.distances, self.samples = path.wavelengths, path.distances, path.samples
         self.iris, self.medium = path.iris, path.medium
-        self.lens = distances if isinstance(distances, Lens) else None
-        self.eyes = distances if isinstance(distances, Eyes) else None
+        self.lens: Lens | None = distances if isinstance(distances, Lens) else None
+        self.eyes: Eyes | None = distances if isinstance(distances, Eyes) else None
         colours = len(self.wavelengths)
         if modulator.phase_scale is not None and len(modulator.phase_scale) != colours:
             raise ValueError(f"phase_scale must have {colours} factors, one a wavelength, got {modulator.phase_scale}")
-        self.frames = colours if frames is None else _validate.integer("frames", frames, minimum=1)
+        self.frames: int = colours if frames is None else _validate.integer("frames", frames, minimum=1)
         if (responses := len(modulator.responses())) not in (0, self.frames):
             raise ValueError(
                 f"modulator must have a response, or one for each of {self.frames} frames, got {responses}"

@@ -71,7 +71,7 @@ class Observer:
     registered: bool = False
     turned: float = 0.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.pitch is not None:
             object.__setattr__(self, "pitch", _validate.constant("pitch", self.pitch, positive=True))
         _validate.number("fill", self.fill, least=0, most=1)

@@ -41,7 +41,7 @@ class Iris:
     radius: float
     focal_length: float
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _validate.real("radius", self.radius, positive=True)
         _validate.real("focal_length", self.focal_length, positive=True)
 
@@ -86,7 +86,7 @@ class AmplitudePanel:
     fill: float = 0.9
     iris: Iris | str | None = "order"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _validate.constant("distance", self.distance)
         checked_bits(self.bits)
         checked_pixel_fill(self.fill)
@@ -148,7 +148,7 @@ class Modulator:
     lit_through: AmplitudePanel | None = None
     phase_scale: Sequence[float] | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "resolution", _validate.size("resolution", self.resolution))
         checked_pitch("pitch", self.pitch)
         checked_bits(self.bits)

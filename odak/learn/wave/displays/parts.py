@@ -42,7 +42,7 @@ class Shares:
     """
 
     def __init__(self, display: Any, devices: Sequence[torch.device] | Ranks):
-        self.ranks = devices if isinstance(devices, Ranks) else None
+        self.ranks: Ranks | None = devices if isinstance(devices, Ranks) else None
         self.shape = display.shape
         where = [display.powers.device] if isinstance(devices, Ranks) else devices
         units = [

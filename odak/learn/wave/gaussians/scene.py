@@ -63,7 +63,7 @@ class Scene:
     (torch.Size([3, 32, 32]), torch.Size([2, 3, 32, 32]))
     """
 
-    def __init__(self, gaussians: complex_3d_gaussians, args_prop: Any, *, rotate_as_points: bool = True):
+    def __init__(self, gaussians: complex_3d_gaussians, args_prop: object, *, rotate_as_points: bool = True):
         _validate.instance("gaussians", gaussians, complex_3d_gaussians, "complex_3d_gaussians")
         wavelengths, pitch, distances, pad_size, aperture = shared.settings(args_prop, _SETTINGS)
         self.gaussians, self.args_prop = gaussians, args_prop

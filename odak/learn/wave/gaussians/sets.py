@@ -504,7 +504,7 @@ def lengths(values: Any) -> torch.Tensor:
     return torch.as_tensor(values, dtype=torch.float64).reshape(-1)
 
 
-def settings(args_prop: Any, names: Iterable[str]) -> list[Any]:
+def settings(args_prop: object, names: Iterable[str]) -> list[Any]:
     """Return attributes of the settings in their order.
 
     Raises
@@ -770,7 +770,7 @@ class Scene2D:
     torch.Size([3, 48, 64])
     """
 
-    def __init__(self, gaussians: complex_2d_gaussians, args_prop: Any):
+    def __init__(self, gaussians: complex_2d_gaussians, args_prop: object):
         _validate.instance("gaussians", gaussians, complex_2d_gaussians, "complex_2d_gaussians")
         wavelengths, pad_size = settings(args_prop, ("wavelengths", "pad_size"))
         self.gaussians, self.args_prop = gaussians, args_prop

@@ -221,26 +221,26 @@ class multi_color_hologram_optimizer(Prepared):
         _validate.instance("propagator", propagator, propagator_type, "an odak.learn.wave.propagator")
         device = checked_device("device", device)
         self.propagator = propagator if device is None else propagator.to(device)
-        self.device = propagator.device
+        self.device: torch.device = propagator.device
         self.number_of_frames, self.number_of_depth_layers = number_of_frames, number_of_depth_layers
         self.wavelengths = list(_validate.several("wavelengths", wavelengths, positive=True))
         self.resolution, self.scale_factor = list(_validate.size("resolution", resolution)), scale_factor
-        self.method = power_method(method).replace(" ", "_")
+        self.method: str = power_method(method).replace(" ", "_")
         self._check_display()
         shape = (self.number_of_depth_layers, len(self.wavelengths), *propagator.field_shape)
         if isinstance(targets, torch.Tensor) and targets.ndim == 4 and targets.shape[1] == 1:
             targets = targets.expand(-1, shape[1], -1, -1)
-        self.targets = checked_targets(targets, shape).to(self.device)
-        self.double_phase = _validate.flag("double_phase", double_phase)
+        self.targets: torch.Tensor = checked_targets(targets, shape).to(self.device)
+        self.double_phase: bool = _validate.flag("double_phase", double_phase)
         self.learning_rate = _validate.real("learning_rate", learning_rate, positive=True)
         if min_learning_rate is None:
             min_learning_rate = learning_rate / 100 if self._lowest_rate is None else self._lowest_rate
         self.min_learning_rate = _validate.real("min_learning_rate", min_learning_rate)
         self.channel_power_filename = channel_power_filename
         self._peak = peak_amplitude
-        self.optimize_peak_amplitude = _validate.flag("optimize_peak_amplitude", optimize_peak_amplitude)
+        self.optimize_peak_amplitude: bool = _validate.flag("optimize_peak_amplitude", optimize_peak_amplitude)
         self.img_loss_thres, self.camera = img_loss_thres, _validate.function_or_none("camera", camera)
-        self.options = Run(
+        self.options: Run = Run(
             progress=progress, callback=callback, checkpoint=checkpoint, checkpoint_every=checkpoint_every
         )
         self._generator = generator_from(seed)
@@ -282,7 +282,7 @@ class multi_color_hologram_optimizer(Prepared):
     def init_amplitude(self) -> None:
         """Set the amplitude of the light on the modulator to one, ``[C, ms, ns]``, learned if the method says so."""
         shape = (len(self.wavelengths), *self.propagator.field_shape)
-        self.amplitude = torch.zeros(shape, dtype=self.targets.dtype, device=self.device)
+        self.amplitude: torch.Tensor = torch.zeros(shape, dtype=self.targets.dtype, device=self.device)
         # Light is modulated by the pixels, not by the gaps between them.
         self.amplitude[:, :: self.scale_factor, :: self.scale_factor] = 1
         self.amplitude.requires_grad_(self.method.startswith("full_complex"))
@@ -310,7 +310,7 @@ class multi_color_hologram_optimizer(Prepared):
         if self.channel_power_filename:
             powers = powers_from(self.channel_power_filename, shape)
         self.propagator.method = self.method.replace("_", " ")
-        self.channel_power = powers.to(self.device, self.targets.dtype).requires_grad_(learned)
+        self.channel_power: torch.Tensor = powers.to(self.device, self.targets.dtype).requires_grad_(learned)
         self.propagator.set_laser_powers(self.channel_power)
 
     def init_optimizer(self, number_of_iterations: int = 100) -> None:
@@ -361,7 +361,7 @@ class multi_color_hologram_optimizer(Prepared):
         """
         weights, noise_ratio = _validate.constants(weights=weights, noise_ratio=noise_ratio)
         iterations = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
-        self.weights = loss_weights(weights, WEIGHTS | {"eyebox": 0.0})
+        self.weights: dict[str, float] = loss_weights(weights, WEIGHTS | {"eyebox": 0.0})
         self._eyebox = checked_eyebox(eyebox)
         inject_noise, noise_ratio = (
             _validate.flag("inject_noise", inject_noise),
@@ -463,7 +463,7 @@ class multi_color_hologram_optimizer(Prepared):
             Reduction over planes and pixels, default "sum".
         """
         self.loss_function = _validate.function_or_none("loss_function", loss_function)
-        self.reduction = _validate.one_of("reduction", reduction, ("sum", "mean"))
+        self.reduction: str = _validate.one_of("reduction", reduction, ("sum", "mean"))
         if loss_function is not None:
             self._loss_keywords = keywords_of(loss_function)
 

@@ -145,8 +145,8 @@ class multiplane_hologram_optimizer(Prepared):
         aperture: torch.Tensor | str | None = None,
         aperture_size: float | None = None,
     ):
-        self.number_of_planes = _validate.integer("number_of_planes", number_of_planes, minimum=1)
-        self.number_of_iterations = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
+        self.number_of_planes: int = _validate.integer("number_of_planes", number_of_planes, minimum=1)
+        self.number_of_iterations: int = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
         self.learning_rate = _validate.real("learning_rate", learning_rate, positive=True)
         _validate.real("wavelength", wavelength, positive=True)
         checked_pitch("slm_pixel_pitch", slm_pixel_pitch)
@@ -156,8 +156,8 @@ class multiplane_hologram_optimizer(Prepared):
         ):
             _validate.real(name, length)
         slm_resolution = _validate.size("slm_resolution", slm_resolution)
-        self.number_of_frames = _validate.integer("frames", frames, minimum=1)
-        self.propagator = propagator(
+        self.number_of_frames: int = _validate.integer("frames", frames, minimum=1)
+        self.propagator: propagator = propagator(
             slm_resolution,
             [wavelength],
             slm_pixel_pitch,
@@ -189,7 +189,7 @@ class multiplane_hologram_optimizer(Prepared):
         self.targets = checked_targets(targets, (self.number_of_planes, *self.slm_resolution)).to(self.device)
         self.mask_limits = mask_limits
         steps = self.number_of_iterations * self.number_of_planes
-        self.options = Run(steps, progress, callback, checkpoint, checkpoint_every)
+        self.options: Run = Run(steps, progress, callback, checkpoint, checkpoint_every)
         self._generator = generator_from(seed)
         self.init_amplitude(amplitude_initial)
         self.init_phase(phase_initial)
@@ -243,7 +243,7 @@ class multiplane_hologram_optimizer(Prepared):
         self.loss_function = _validate.function_or_none("loss_function", loss_function)
         self._seeded, self._drawn_from = seeded_loss(loss_function, self._generator.initial_seed(), self.device)
         reduction = _validate.one_of("reduction", reduction, ("mean", "sum", "none"))
-        self.l2_loss = torch.nn.MSELoss(reduction=reduction)
+        self.l2_loss: torch.nn.MSELoss = torch.nn.MSELoss(reduction=reduction)
 
     def init_mask(self) -> None:
         """Set the part of the images that counts, ``[m, n]``."""
@@ -251,7 +251,7 @@ class multiplane_hologram_optimizer(Prepared):
         if len(limits) != 4 or not (0 <= limits[0] < limits[1] <= 1 and 0 <= limits[2] < limits[3] <= 1):
             raise ValueError(f"mask_limits must be two rising pairs of shares of 0 … 1, got {self.mask_limits!r}")
         rows, columns = self.slm_resolution
-        self.mask = torch.zeros(rows, columns, dtype=self.targets.dtype, device=self.device)
+        self.mask: torch.Tensor = torch.zeros(rows, columns, dtype=self.targets.dtype, device=self.device)
         top, bottom, left, right = (
             int(n * share) for n, share in zip((rows, rows, columns, columns), limits, strict=True)
         )

@@ -308,7 +308,7 @@ class propagator(display_volume):
         )
         self.propagator_type, self.zero_mode_distance = kind, back_and_forth_distance
         self.volume_depth = volume_depth
-        self.number_of_frames = _validate.integer("number_of_frames", number_of_frames, minimum=1)
+        self.number_of_frames: int = _validate.integer("number_of_frames", number_of_frames, minimum=1)
         self.method, self.slm = power_method(method), slm
         if aperture is None and aperture_size is None and iris_radius is None and self._has_kernels:
             warn(_RELEASED_STOP, ArgumentWarning, once=True)
@@ -413,7 +413,7 @@ class propagator(display_volume):
         return self._on_grid(amplitude.to(self.device), "amplitude") * self._on_grid(field)
 
     def fields(
-        self, holograms: torch.Tensor, frames: slice, kernels: torch.Tensor, workspace: Any = None
+        self, holograms: torch.Tensor, frames: slice, kernels: torch.Tensor, workspace: Workspace | None = None
     ) -> torch.Tensor:
         """Return the fields of some frames on some planes, of unit source power.
 
@@ -480,7 +480,12 @@ class propagator(display_volume):
             raise ValueError(f"holograms must be {expected}, or of one colour; got {list(holograms.shape)}")
 
     def exposures(
-        self, holograms: torch.Tensor, planes: slice, powers: torch.Tensor | None = None, *, workspace: Any = None
+        self,
+        holograms: torch.Tensor,
+        planes: slice,
+        powers: torch.Tensor | None = None,
+        *,
+        workspace: Workspace | None = None,
     ) -> torch.Tensor:
         """Return the intensities that all frames together leave on some planes.
 

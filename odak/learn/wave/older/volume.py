@@ -219,21 +219,21 @@ class display_volume(Prepared, torch.nn.Module):
         memory_budget: int | None = None,
     ):
         super().__init__()
-        self.resolution = list(_validate.size("resolution", resolution))
+        self.resolution: list[int] = list(_validate.size("resolution", resolution))
         self.wavelengths = _checked_wavelengths(wavelengths)
-        self.number_of_channels = len(self.wavelengths)
-        self.pixel_pitch = checked_pitch("pixel_pitch", pixel_pitch)
-        self.number_of_depth_layers = len(distances)
+        self.number_of_channels: int = len(self.wavelengths)
+        self.pixel_pitch: float = checked_pitch("pixel_pitch", pixel_pitch)
+        self.number_of_depth_layers: int = len(distances)
         self.image_location_offset = offset
         self.memory_budget = None if memory_budget is None else _validate.integer("memory_budget", memory_budget)
-        self.vaccination = _validate.flag("vaccination", vaccination)
+        self.vaccination: bool = _validate.flag("vaccination", vaccination)
         self.vaccination_scale = _validate.real("vaccination_scale", vaccination_scale)
         self._generator = None if seed is None else generator_from(seed)
         # No buffer: `.to(dtype)` would round distances that phases of 10⁶ rad depend on.
         self._distances, self._relay = distances, relay
         shape = tuple(n * samples_per_pixel for n in self.resolution)
         pitch = divided_pitch(self.pixel_pitch, samples_per_pixel)
-        self.propagation_type = linear_method(
+        self.propagation_type: str = linear_method(
             propagation_type,
             shape,
             pitch,
@@ -241,8 +241,8 @@ class display_volume(Prepared, torch.nn.Module):
             _validate.numbers(self._net_distances()),
         )
         factor = _validate.integer("resolution_factor", resolution_factor, minimum=1)
-        self.resolution_factor = factor if method_named(self.propagation_type).scalable else 1
-        self.aperture_samples = sample_counts(aperture_samples, "aperture_samples")
+        self.resolution_factor: int = factor if method_named(self.propagation_type).scalable else 1
+        self.aperture_samples: tuple[int, int, int, int] = sample_counts(aperture_samples, "aperture_samples")
         if method_named(self.propagation_type).scalable:
             _warn_of_averaged_fields(self.propagation_type, self.aperture_samples, self.resolution_factor)
         self._path = LightPath(
@@ -254,8 +254,8 @@ class display_volume(Prepared, torch.nn.Module):
             linear and padding == 2,
             pixel_fill,
         )
-        self.field_shape = tuple(n * self.resolution_factor for n in shape)
-        self.padded_shape = tuple(padding * n for n in self.field_shape)
+        self.field_shape: tuple[int, ...] = tuple(n * self.resolution_factor for n in shape)
+        self.padded_shape: tuple[int, ...] = tuple(padding * n for n in self.field_shape)
         self._has_kernels = self.propagation_type in WITH_TRANSFER_FUNCTION
         self.init_kernels()
 

@@ -41,7 +41,7 @@ class Kept:
                 self.tensors[key] = make(path, self.device, *given)
         return self.tensors[key]
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Any, ...]:
         # Copies and files of a display are without them.
         return Kept, (self.device,)
 
@@ -238,7 +238,7 @@ def listed(lengths: Sequence[float], scale: float) -> str:
     return ", ".join(f"{length * scale:.4g}" for length in lengths)
 
 
-def keep(path: Path, **values: Any) -> None:
+def keep(path: object, **values: Any) -> None:
     """Set what follows from the numbers of a path, while it is made."""
     for name, value in values.items():
         object.__setattr__(path, name, value)

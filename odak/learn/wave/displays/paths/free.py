@@ -4,6 +4,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from scipy.fft import next_fast_len
@@ -12,14 +13,14 @@ from odak import _array, _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import tensor
 from odak.learn.wave.displays.observers import REACH
-from odak.learn.wave.displays.panels import Iris
-from odak.learn.wave.displays.paths.base import Path, checked_numbers, keep, listed
+from odak.learn.wave.displays.panels import Iris, Modulator
+from odak.learn.wave.displays.paths.base import Kept, Lights, Path, checked_numbers, keep, listed
 from odak.learn.wave.training import generator_from
 from odak.tools.matrix import zero_pad
 from odak.wave.linear_kernels import linear_kernel
 from odak.wave.methods import check_has_kernel, linear_kernel_of, linear_method
 from odak.wave.torch_convolution import convolve
-from odak.wave.transfer_functions import Request, divided_pitch, plane_wave_transfer
+from odak.wave.transfer_functions import Grid, Request, divided_pitch, plane_wave_transfer
 
 # Where an iris passes fewer periods across the panel, its spot is wider than all that is computed.
 _FEWEST_PERIODS = 0.5
@@ -80,15 +81,16 @@ class Free:
     mask: torch.Tensor | None = None
     jitter: float = 0.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         keep(self, jitter=float(_validate.number("jitter", self.jitter, least=0)))
         keep(self, relay=_validate.constant("relay", self.relay))
         check_has_kernel(self.method)
-        if not _array.is_traced(self.distances):
+        given: Any = self.distances
+        if not _array.is_traced(given):
             (distances,) = _validate.constants(distances=self.distances)
             keep(self, distances=checked_numbers("distances", distances))
-        elif self.distances.ndim != 1:
-            raise ValueError(f"distances must be [planes] where it is a tensor, got {list(self.distances.shape)}")
+        elif given.ndim != 1:
+            raise ValueError(f"distances must be [planes] where it is a tensor, got {list(given.shape)}")
         if self.mask is not None:
             keep(self, mask=_validate.image("mask", tensor("mask", self.mask)).detach())
 
@@ -114,7 +116,7 @@ class FreePath(Path):
 
     starts = ("quadratic", "flat", "random", "double phase", "gs", "network")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         space = self.ends if isinstance(self.ends, Free) else Free(self.ends)
         net = tuple(float(z) - space.relay for z in _validate.numbers(space.distances))
         keep(self, distances=net, window=self.sizes, samples=2 * self.passing(self.iris))
@@ -148,28 +150,28 @@ class FreePath(Path):
             keep(self, mask=zero_pad(space.mask, whole).reshape(whole))
 
     @classmethod
-    def leads(cls, modulator, ends):
+    def leads(cls, modulator: Modulator, ends: Any) -> bool:
         """Say whether the light of a modulator takes this kind of path to the images."""
         return isinstance(ends, (tuple, Free))
 
-    def points(self, kept, lights, colour, planes):
+    def points(self, kept: Kept, lights: Lights, colour: int, planes: Sequence[int]) -> torch.Tensor:
         """Return the fields of some images at the points of pixels."""
         (light,) = lights
         # One kernel for each plane and point of a pixel takes one transform back, but a single forward one.
         light = torch.nn.functional.pad(light.unsqueeze(-3), (REACH,) * 4)
         return convolve(light, self.kernels(kept, colour, light.dtype, planes))
 
-    def middles(self, kept, lights, colour):
+    def middles(self, kept: Kept, lights: Lights, colour: int) -> torch.Tensor:
         """Return the fields of all images at the middles of pixels."""
         (light,) = lights
         planes = range(len(self.distances))
         return convolve(light.unsqueeze(-3), self.kernels(kept, colour, light.dtype, planes)[:: self.samples**2])
 
-    def in_words(self):
+    def in_words(self) -> str:
         """Return where the images are, in words."""
         return f"plane{'s' * (len(self.distances) > 1)} at {listed(self.distances, 1e3)} mm"
 
-    def band(self, colour, image):
+    def band(self, colour: int, image: int) -> tuple[float, float] | None:
         """Return the half axes of the ellipse that holds the frequencies of an image, in cycles per pixel of it."""
         cutoff = self.cutoff(colour)
         return None if cutoff is None else (2 * cutoff * self.pitches[0], 2 * cutoff * self.pitches[1])
@@ -194,7 +196,7 @@ class FreePath(Path):
             place.copy_(kernel)
         return kept
 
-    def renew(self, kept):
+    def renew(self, kept: Kept) -> None:
         """Draw the errors of the distances anew, for a call of a display."""
         if self.jitter:
             kept.generator = generator_from(None) if kept.generator is None else kept.generator
@@ -243,7 +245,7 @@ class PixelTransfer:
         width = math.sqrt(fill)
         return cls((width * pitches[0], width * pitches[1]), (orders / (2 * pitches[0]), orders / (2 * pitches[1])))
 
-    def __call__(self, grid):
+    def __call__(self, grid: Grid) -> torch.Tensor:
         """Return the transfer function on a grid of frequencies."""
 
         def kernel(fy, fx):

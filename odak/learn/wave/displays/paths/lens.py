@@ -10,8 +10,8 @@ import torch
 
 from odak.instruments import Lens
 from odak.learn.wave.displays.observers import REACH
-from odak.learn.wave.displays.panels import Iris
-from odak.learn.wave.displays.paths.base import Path, keep
+from odak.learn.wave.displays.panels import Iris, Modulator
+from odak.learn.wave.displays.paths.base import Kept, Lights, Path, keep
 from odak.learn.wave.displays.paths.two_panels import not_behind
 from odak.learn.wave.fields import unit_phasor
 
@@ -25,33 +25,33 @@ class LensPath(Path):
     where = "behind a lens"
     free_space = "a display without a lens or eyes"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.first is not None:
             raise ValueError(not_behind("a display behind a lens"))
         keep(self, distances=(float(self.ends.after),), samples=2)
 
     @classmethod
-    def leads(cls, modulator, ends):
+    def leads(cls, modulator: Modulator, ends: Any) -> bool:
         """Say whether the light of a modulator takes this kind of path to the images."""
         return isinstance(ends, Lens)
 
-    def points(self, kept, lights, colour, planes):
+    def points(self, kept: Kept, lights: Lights, colour: int, planes: Sequence[int]) -> torch.Tensor:
         """Return the fields of some images at the points of pixels."""
         light, quarters = lights[0].unsqueeze(-3), itertools.product((0.0, 0.5), repeat=2)
         return torch.cat([self._focused(kept, light, colour, half, REACH) for half in quarters], -3)
 
-    def middles(self, kept, lights, colour):
+    def middles(self, kept: Kept, lights: Lights, colour: int) -> torch.Tensor:
         """Return the fields of all images at the middles of pixels."""
         return self._focused(kept, lights[0].unsqueeze(-3), colour)
 
-    def replaced(self, kept, amplitudes, light, colour):
+    def replaced(self, kept: Kept, amplitudes: torch.Tensor, light: torch.Tensor, colour: int) -> torch.Tensor:
         """Return the light on the panel of images whose amplitudes are replaced."""
         field = amplitudes[0] * unit_phasor(self._focused(kept, light, colour).angle())
         # As if all frequencies passed.
         lit = torch.fft.ifft2(torch.fft.ifftshift(field, dim=(-2, -1)), norm="ortho")
         return torch.fft.fftshift(lit, dim=(-2, -1)) * self._before(kept, colour, field.dtype).conj()
 
-    def image_pitches(self, colour):
+    def image_pitches(self, colour: int) -> tuple[float, float]:
         """Return how far apart points of the image of a colour are along rows and columns, in metres."""
         length = self.wavelengths[colour] / self.medium * abs(self.ends.ray_matrix[1])
         down, across = (length / (n * p) for n, p in zip(self.sizes, self.pitches, strict=True))
@@ -61,7 +61,7 @@ class LensPath(Path):
         """Refuse pictures with depth, of which a single plane in the far field shows nothing."""
         raise ValueError("target must be images [rows, columns] for a display behind a lens, got one with depth")
 
-    def in_words(self):
+    def in_words(self) -> str:
         """Return where the images are, in words."""
         return f"lens of {1e3 * self.ends.focal_length:.4g} mm"
 

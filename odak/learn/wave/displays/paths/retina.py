@@ -1,15 +1,17 @@
 """Light from a panel through the pupils of eyes to their retinas. Touches the light it is given."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 
 from odak._warnings import SamplingWarning, warn
 from odak.instruments import Lens
 from odak.learn.wave.displays.observers import REACH
-from odak.learn.wave.displays.panels import AmplitudePanel, Iris
-from odak.learn.wave.displays.paths.base import Path, keep, listed
+from odak.learn.wave.displays.panels import AmplitudePanel, Iris, Modulator
+from odak.learn.wave.displays.paths.base import Kept, Lights, Path, keep, listed
 from odak.learn.wave.eyes import Eyes, Sight, seen_by_eye
 from odak.learn.wave.fields import unit_phasor
 from odak.wave.viewing import check_blur
@@ -25,7 +27,7 @@ class RetinaPath(Path):
     free_space = "a display without a lens or eyes"
     on_retinas = True
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, given, other in (
             ("iris", self.iris, "'order' or None"),
             ("medium", self.medium, "1"),
@@ -34,42 +36,43 @@ class RetinaPath(Path):
             if isinstance(given, (Iris, AmplitudePanel)) or (name == "medium" and given != 1):
                 raise ValueError(f"{name} must be {other} for a display that eyes look at, got {given!r:.80}")
         lens = self.ends.distance
-        keep(self, distances=(float(lens.after if isinstance(lens, Lens) else lens),) * len(self.ends))
+        distance: Any = lens.after if isinstance(lens, Lens) else lens
+        keep(self, distances=(float(distance),) * len(self.ends))
         keep(self, samples=self._checked())
 
     @classmethod
-    def leads(cls, modulator, ends):
+    def leads(cls, modulator: Modulator, ends: Any) -> bool:
         """Say whether the light of a modulator takes this kind of path to the images."""
         return isinstance(ends, Eyes)
 
-    def points(self, kept, lights, colour, planes):
+    def points(self, kept: Kept, lights: Lights, colour: int, planes: Sequence[int]) -> torch.Tensor:
         """Return the fields of some images at the points of pixels."""
         light = lights[0].unsqueeze(-3)
         return torch.cat([self._seen(kept, light, colour, eye).flatten(-4, -3) for eye in planes], -3)
 
-    def middles(self, kept, lights, colour):
+    def middles(self, kept: Kept, lights: Lights, colour: int) -> torch.Tensor:
         """Return the fields of all images at the middles of pixels."""
         light = lights[0].unsqueeze(-3)
         eyes = range(len(self.ends))
         parts = (self._to_middles(kept, light, colour, eye) for eye in eyes)
         return torch.cat([seen_by_eye(light, *part) for part in parts], -3)
 
-    def replaced(self, kept, amplitudes, light, colour):
+    def replaced(self, kept: Kept, amplitudes: torch.Tensor, light: torch.Tensor, colour: int) -> torch.Tensor:
         """Return the light on the panel of images whose amplitudes are replaced."""
         return sum(self._back(kept, a, light, colour, eye) for eye, a in enumerate(amplitudes))
 
-    def in_words(self):
+    def in_words(self) -> str:
         """Return where the images are, in words."""
         lens, count = self.ends.distance, len(self.ends)
         length, place = (lens.focal_length, "behind a lens of") if isinstance(lens, Lens) else (lens, "at")
         pupils = listed(sorted(set(self.ends.diameter)), 1e3)
         return f"{count} eye{'s' * (count > 1)} {place} {1e3 * length:.4g} mm, pupils of {pupils} mm"
 
-    def place(self, image):
+    def place(self, image: int) -> dict[str, Any]:
         """Return where an image is, lengths in metres."""
         return super().place(image) | {"pupil": self.ends.positions[image]}
 
-    def place_in_words(self, image):
+    def place_in_words(self, image: int) -> tuple[str, str]:
         """Return of which kind the place of an image is, and the place in words."""
         return "pupil", ", ".join(f"{1e3 * p:.4g}" for p in self.ends.positions[image]) + " mm"
 
@@ -78,7 +81,7 @@ class RetinaPath(Path):
         width = math.sqrt(self.fill)
         return Sight(self.ends, eye, self.sizes, self.pitches, self.wavelengths[colour], width, self.iris == "order")
 
-    def band(self, colour, image):
+    def band(self, colour: int, image: int) -> tuple[float, float] | None:
         """Return the half axes of the ellipse that holds the frequencies of an image, in cycles per pixel of it."""
         sight = self.sight(colour, image)
         down, across = (2 * half / sight.box(axis) for axis, half in enumerate(sight.pupil()[1]))

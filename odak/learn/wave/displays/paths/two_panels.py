@@ -10,8 +10,8 @@ from scipy.fft import next_fast_len
 
 from odak import _array
 from odak.learn.wave.displays.observers import REACH
-from odak.learn.wave.displays.panels import Iris
-from odak.learn.wave.displays.paths.base import keep
+from odak.learn.wave.displays.panels import Iris, Modulator
+from odak.learn.wave.displays.paths.base import Kept, Lights, keep
 from odak.learn.wave.displays.paths.free import FreePath, PixelTransfer
 from odak.wave.linear_kernels import linear_kernel
 from odak.wave.torch_convolution import convolve
@@ -28,7 +28,7 @@ class TwoPanelsPath(FreePath):
 
     free_space = "a modulator without lit_through"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         if self.samples > 2:
             raise ValueError(not_behind(f"iris={self.iris!r}"))
@@ -36,15 +36,15 @@ class TwoPanelsPath(FreePath):
         keep(self, window=(rows, columns))
 
     @classmethod
-    def leads(cls, modulator, ends):
+    def leads(cls, modulator: Modulator, ends: Any) -> bool:
         """Say whether the light of a modulator takes this kind of path to the images."""
         return super().leads(modulator, ends) and modulator.lit_through is not None
 
-    def points(self, kept, lights, colour, planes):
+    def points(self, kept: Kept, lights: Lights, colour: int, planes: Sequence[int]) -> torch.Tensor:
         """Return the fields of some images at the points of pixels."""
         return self._through_both(kept, lights, colour, self.kernels(kept, colour, lights[1].dtype, planes), REACH)
 
-    def middles(self, kept, lights, colour):
+    def middles(self, kept: Kept, lights: Lights, colour: int) -> torch.Tensor:
         """Return the fields of all images at the middles of pixels."""
         kernels = self.kernels(kept, colour, lights[1].dtype, range(len(self.distances)))
         return self._through_both(kept, lights, colour, kernels[:: self.samples**2])

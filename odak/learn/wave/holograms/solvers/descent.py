@@ -118,7 +118,7 @@ class Descent:
             return phases.detach(), powers, attenuation().detach()
         return phases.detach() if powers is None else (phases.detach(), powers)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _validate.one_of("method", self.method, ("lbfgs", "adam"))
         _validate.flag("powers", self.powers)
         _validate.flag("graph", self.graph)

@@ -69,7 +69,7 @@ class LevelSearch:
 
     temperature: float = 0.5
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _validate.real("temperature", self.temperature, positive=True)
 
     def solve(self, problem: Problem) -> torch.Tensor:
