@@ -60,7 +60,7 @@ REASONS = {
         raytracing/system/films: __post_init__ _between reflects
         raytracing/system/polarisation: jones_vector ghosts
         raytracing/system/pupils: _far real_places
-        raytracing/system/specification: checked_fields checked_settings number_or_infinity
+        raytracing/system/specification: checked_fields checked_settings number_or_infinity plain
         raytracing/system/surfaces: _any _image _optional is_off_axis vary
         raytracing/system/waves: _derivatives _exit_pupil _length _sign exit_field
         raytracing/mesh: _checked_faces _checked_vertices components
@@ -108,7 +108,7 @@ REASONS = {
     "numbers of NumPy or constants, which are on the CPU": """
         perception/appearance: _planckian_locus
         perception/color: _column rows tone_map
-        perception/display_color: _checked read_spectra
+        perception/display_color: _checked _fundamentals read_spectra
         perception/pyramids: keep _quadrature_taps
         perception/quality: <module>
         wave/displays/paths/free: renew
@@ -119,6 +119,7 @@ REASONS = {
         raytracing/system/fused: _intersect _is_onward _newton _on_sheet _run blocks work
         raytracing/mesh: embree_scene nearest_faces_by_embree
         raytracing/system/pupils: _key
+        raytracing/system/tracing: _by_numpy
         tools/matrix: _gaussian_lines
         wave/older/propagators: holograms
     """,
