@@ -24,6 +24,7 @@ from odak.cli.settings import (
     CertificateSettings,
     DesignSettings,
     EyeboxSettings,
+    InstrumentsSettings,
     MetamerSettings,
     ShowSettings,
     SimulateSettings,
@@ -464,6 +465,32 @@ def capture(settings: CaptureSettings) -> None:
             f"{result['relative_error']:.1%}{noise}",
         )
     _say(settings, f"{report['captures']}, report.json in {settings.output}")
+
+
+@command(InstrumentsSettings)
+def instruments(settings: InstrumentsSettings) -> None:
+    """Test whether the driver of a camera or a modulator does what its protocol says.
+
+    Drivers are named as in `odak calibrate`. A camera must see steady light that it can saturate; with --beside, the
+    light of that modulator. Prints what is wrong with the remedy, and writes report.json. The exit code is 1 if
+    anything is wrong.
+
+    Examples::
+
+        odak instruments test simulated --captures 50
+        odak instruments test video --option driver.source=0 --option driver.pitch=3e-6
+    """
+    from odak.cli.calibrate import check_driver
+
+    report = check_driver(settings, _notices(settings))
+    for check in report["checks"]:
+        state = {True: "passed", False: "FAILED", None: "-"}[check["passed"]]
+        _say(settings, f"{state:<8}{check['check']:<14}{check['found']}")
+        if check["remedy"]:
+            _say(settings, f"{'':<22}remedy: {check['remedy']}")
+    _say(settings, f"report.json in {settings.output}")
+    if not report["passed"]:
+        raise typer.Exit(FAILURE)
 
 
 @command(ShowSettings)

@@ -4,7 +4,7 @@ import dataclasses
 import importlib.util
 import inspect
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ from odak.cli.files import REPORT, SILENT, Notices, announce, claim, claiming, w
 from odak.cli.job import is_length
 from odak.cli.options import InputError
 from odak.cli.report import collected_warnings, versions
-from odak.cli.settings import CalibrateSettings, TableSettings
+from odak.cli.settings import CalibrateSettings, InstrumentsSettings, TableSettings
 from odak.instruments import Calibration, Lens
 from odak.instruments.calibration import UNITS
 from odak.instruments.exposures import set_exposure
@@ -43,6 +43,11 @@ DEFINITIONS = {
     "exposure": "Exposure at which the brightest pixel of a spot reaches 60 % of the range.",
     "settling_time": "After it, a phase misses a new one by less than 0.02 rad.",
     "angle": "Of the polariser, at which most light is modulated; contrast: over that at 90 degrees to it.",
+}
+
+CHECKED = {
+    "passed": "True where the instrument is as its protocol says, False where not, null where it was not tested.",
+    "remedy": "What to do about what was found.",
 }
 
 
@@ -101,6 +106,27 @@ def reach_of(job: TableSettings) -> float | Lens:
     return job.distance if job.lens is None else parse_lens(job.lens)
 
 
+def options_of(texts: Sequence[str], places: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return the options of instruments by the instruments' names, from ``INSTRUMENT.NAME=VALUE``.
+
+    Raises
+    ------
+    InputError
+        If a text is none, or its instrument not among the places.
+    """
+    given: dict[str, dict[str, Any]] = {name: {} for name in places}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        place, dot, option = key.partition(".")
+        if not equals or not dot or place not in given:
+            raise InputError(f"--option must be {'|'.join(given)}.NAME=VALUE, got {text!r}")
+        try:
+            given[place][option] = json.loads(value)
+        except json.JSONDecodeError:
+            given[place][option] = value
+    return given
+
+
 def open_table(job: TableSettings, step: str) -> Table:
     """Return the instruments of a table; of a simulated one with the fault that a step measures.
 
@@ -124,16 +150,7 @@ def open_table(job: TableSettings, step: str) -> Table:
     """
     names: dict[str, str | None] = {"modulator": job.modulator, "camera": job.camera}
     names |= {"polariser": job.polariser} if isinstance(job, CalibrateSettings) else {}
-    given: dict[str, dict[str, Any]] = {name: {} for name in (*names, SIMULATED)}
-    for text in job.option:
-        key, equals, value = text.partition("=")
-        place, dot, option = key.partition(".")
-        if not equals or not dot or place not in given:
-            raise InputError(f"--option must be {'|'.join(given)}.NAME=VALUE, got {text!r}")
-        try:
-            given[place][option] = json.loads(value)
-        except json.JSONDecodeError:
-            given[place][option] = value
+    given = options_of(job.option, (*names, SIMULATED))
     simulated = [name for name, entry in names.items() if entry == SIMULATED]
     try:
         if simulated:
@@ -491,3 +508,64 @@ def _spot(table: Table, before: Calibration, after: Calibration) -> Callable[[Fi
             axis.set(xlabel="camera column", ylabel="camera row", title=f"Three spots {name}")
 
     return draw
+
+
+@claiming
+def check_driver(job: InstrumentsSettings, notices: Notices = SILENT) -> dict[str, Any]:
+    """Test a driver, and write a report.
+
+    Parameters
+    ----------
+    job : InstrumentsSettings
+        Settings of the run.
+    notices : Notices
+        What to do about the report of an earlier run.
+
+    Returns
+    -------
+    dict
+        The report.
+
+    Raises
+    ------
+    InputError
+        If an instrument cannot be opened, or is neither a camera nor a modulator.
+    """
+    folder = writable_folder(job.output)
+    claim(folder)
+    announce(folder, [REPORT], notices)
+    given = options_of(job.option, ("driver", "beside"))
+    opened: list[Any] = []
+    try:
+        try:
+            if job.driver == SIMULATED:
+                table = instruments.SimulatedTable(**{"seed": 0, **given["driver"]})
+                opened = [table.camera, table.modulator]
+            else:
+                opened.append(instruments.open_instrument(job.driver, **given["driver"]))
+                if job.beside is not None:
+                    opened.append(instruments.open_instrument(job.beside, **given["beside"]))
+        except (ImportError, OSError, TypeError, ValueError) as error:
+            raise InputError(f"an instrument cannot be opened: {error}") from None
+        cameras = [one for one in opened if isinstance(one, instruments.Camera)]
+        modulators = [one for one in opened if isinstance(one, instruments.Modulator)]
+        if len(cameras) > 1 or len(modulators) > 1 or not cameras + modulators:
+            raise InputError("DRIVER and --beside must be a camera, a modulator, or one of each")
+        with collected_warnings() as texts:
+            camera, modulator = next(iter(cameras), None), next(iter(modulators), None)
+            found = instruments.check_instruments(camera, modulator, captures=job.captures)
+    finally:
+        for one in opened:
+            getattr(one, "close", lambda: None)()
+    report = {
+        "driver": job.driver,
+        "beside": job.beside,
+        "options": list(job.option),
+        "passed": all(finding.passed is not False for finding in found),
+        "checks": [dataclasses.asdict(finding) for finding in found],
+        "warnings": texts,
+        "versions": versions(),
+        "definitions": CHECKED,
+    }
+    write_json(folder / REPORT, report)
+    return report

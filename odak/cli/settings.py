@@ -459,6 +459,32 @@ class CaptureSettings(TableSettings):
     captures: int = option(4, metavar="COUNT", check=at_least(1))
 
 
+@dataclass(frozen=True, kw_only=True)
+class InstrumentsSettings(RunSettings):
+    """Settings of `odak instruments`.
+
+    Attributes
+    ----------
+    action : str
+        What to do: test.
+    driver : str
+        Driver of the camera or the modulator to test; "simulated" for both of a simulated table.
+    beside : str, optional
+        Driver of the modulator whose light a camera sees, or of the camera that sees the light of a modulator.
+    option : tuple of str
+        Option of a driver, such as driver.pitch=3.45e-6 or beside.display=1; may be repeated.
+    captures : int
+        Number of captures in a row.
+    """
+
+    action: str = argument(..., "ACTION", of=("test",))
+    driver: str = argument(..., "DRIVER")
+    output: Path = option(Path("instruments"), "-o")
+    beside: str | None = option(None, metavar="NAME")
+    captures: int = option(1000, metavar="COUNT", check=at_least(2))
+    option: tuple[str, ...] = option((), metavar="DRIVER.NAME=VALUE")
+
+
 # --- Clusters
 
 

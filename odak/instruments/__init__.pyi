@@ -6,6 +6,8 @@ from .captures import Captures as Captures
 from .captures import load_captures as load_captures
 from .captures import record_captures as record_captures
 from .captures import save_captures as save_captures
+from .conformance import Finding as Finding
+from .conformance import check_instruments as check_instruments
 from .drivers import FileCamera as FileCamera
 from .drivers import FileModulator as FileModulator
 from .drivers import GenICamCamera as GenICamCamera

@@ -28,6 +28,7 @@ from odak.instruments.phase_response import (
 from odak.instruments.protocols import Camera, Modulator, check_square_pixels
 from odak.instruments.registration import SMALLEST_SHARE, beyond_view, check_view, registered
 from odak.instruments.spots import DEFOCUS, Part, aberration_modes, deflected, ideal_capture, pixel_axes, without
+from odak.instruments.steadiness import watched
 from odak.instruments.steered import is_wide, linear_part, steered
 from odak.instruments.tables import OpticalTable, parts_of
 from odak.instruments.wavefronts import UNSETTLED, wavefront_with_uncertainty
@@ -347,9 +348,18 @@ def calibrate_table(
     True
     """
     rounds, partial = _validate.integer("rounds", rounds, minimum=1), _validate.flag("partial", partial)
-    behind_lens = isinstance(table.distance, Lens)
-    if behind_lens and (partial or regions not in (None, (1, 1))):
+    if isinstance(table.distance, Lens) and (partial or regions not in (None, (1, 1))):
         raise ValueError("distance must be without a lens for regions and partial: behind one, pixels reach all places")
+    found = _calibrated(table, rounds, regions, partial)
+    for text in _doubts(found.uncertainty):
+        warn(text, AccuracyWarning)
+    return found
+
+
+@watched("calibration")
+def _calibrated(table: OpticalTable, rounds: int, regions: Sequence[int] | None, partial: bool) -> Calibration:
+    """Return the calibration of a table; the parameters are as in :func:`calibrate_table`."""
+    behind_lens = isinstance(table.distance, Lens)
     modulator, camera, wavelength, _ = parts_of(table)
     wavefront = np.zeros(modulator.shape)
     table = replace(table, camera=camera, wavefront=wavefront, amplitude=None)
@@ -372,7 +382,7 @@ def calibrate_table(
             _check_orders(table)
         elif turn == 0 and (part := _seen_part(table, partial)):
             within = replace(table, modulator=part)
-            return part.embedded(calibrate_table(within, rounds=rounds, regions=regions, partial=True))
+            return part.embedded(_calibrated(within, rounds, regions, True))
         # An aberration falsifies the first registration, and so where the regions are thought to be.
         if turn == min(1, rounds - 1) and regions != (1, 1):
             regional, doubts = regions_with_uncertainty(table, regions, whole=phases)
@@ -411,13 +421,11 @@ def calibrate_table(
     registration = _validate.instance("registration", registration, Registration, "a Registration")
     uncertainty["registration"] = math.hypot(registration.uncertainty, by_distance)
     registration = replace(registration, uncertainty=uncertainty["registration"])
-    for text in _doubts(uncertainty):
-        warn(text, AccuracyWarning)
     table = replace(table, registration=registration)
     patterns = BEHIND_LENS if behind_lens else PATTERNS
     amplitude, uncertainty["amplitude"] = illumination_with_uncertainty(table, patterns=patterns)
     found = (wavelength, modulator.pitch, table.distance, phases, amplitude, np.asarray(table.wavefront))
-    return Calibration(*found, registration, regional, uncertainty, measure_unmodulated_light(table))
+    return Calibration(*found, registration, regional, uncertainty, measure_unmodulated_light(table, samples=5))
 
 
 def _regions_to_measure(regions, modulator: Modulator, spread: float, behind_lens: bool) -> tuple[int, int]:

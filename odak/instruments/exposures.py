@@ -21,6 +21,8 @@ SATURATED = 0.98
 LARGEST_STUCK, FEWEST_CUTS, LONGEST_DARK = 200, 5, 30.0
 # Rows or columns that are stuck, at most.
 STUCK_LINES = 4
+# Captures that tell for sure whether a camera has a gamma curve.
+SURE = 16
 # Share of the wanted counts above which the offset is negligible.
 PROPORTIONAL = 0.25
 # Share of the wanted counts above which a first capture is used.
@@ -84,8 +86,9 @@ def set_exposure(camera: Camera, show: Callable[[], None] | None = None, level: 
             if camera.examined or not _examine(camera):
                 break
             continue
-        # A saturated pixel gives a lower bound only; a dark one may be its offset alone.
-        factor = 0.25 if brightest >= SATURATED * camera.top else float(np.clip(wanted / max(brightest, 1), 0.1, 10))
+        # A saturated pixel gives a lower bound only; a dark one may be its offset alone, which is no less.
+        most = 100 if 100 * now < LONGEST_DARK / 10 else 10
+        factor = 0.25 if brightest >= SATURATED * camera.top else float(np.clip(wanted / max(brightest, 1), 0.1, most))
         # Pixels that stay the brightest however much the exposure is reduced.
         loud = frame >= min(SATURATED * camera.top, 0.95 * brightest)
         same = same + 1 if factor < 1 and np.array_equal(loud, loudest) and _few(loud) else 0
@@ -145,7 +148,8 @@ def exposed(camera: CheckedCamera, pattern: str, level: float = EXPOSED, brighte
         if not camera.examined or (attempt > 1 and share < PROPORTIONAL * level):
             set_exposure(camera, level=level)
             continue
-        camera.exposure *= min(level / share, 10) if 0 < share < SATURATED else 0.15 if share else 10
+        most = 100 if attempt < 2 else 10
+        camera.exposure *= min(level / share, most) if 0 < share < SATURATED else 0.15 if share else 10
         if USABLE * level < share < SATURATED:
             break
     camera.exposures[pattern] = camera.exposure
@@ -155,15 +159,31 @@ def exposed(camera: CheckedCamera, pattern: str, level: float = EXPOSED, brighte
 def _examine(camera: CheckedCamera) -> bool:
     """Check that the counts of a camera follow its exposure; return whether stuck pixels were found and replaced."""
     before = camera.exposure
-    frames, times = [], []
-    for part in (1, 2, 4):
-        times.append(camera.expose(before / part))
-        frames.append(camera.capture(1)[0].astype(float))
-    camera.exposure = before
-    # Steps that are too coarse, or a limit, leave no two exposures to compare.
-    if not (times[2] < 0.9 * times[1] and times[1] < 0.9 * times[0]):
-        return False
-    whole, half, quarter = frames
+    # Light that varies from frame to frame looks like a gamma curve, but not on average.
+    for count in (1, SURE):
+        frames, times = [], []
+        for part in (1, 2, 4):
+            times.append(camera.expose(before / part))
+            frames.append(camera.capture(count).mean(0))
+        camera.exposure = before
+        # Steps that are too coarse, or a limit, leave no two exposures to compare.
+        if not (times[2] < 0.9 * times[1] and times[1] < 0.9 * times[0]):
+            return False
+        try:
+            return _follows(camera, frames, times)
+        except _Curved:
+            if count == SURE:
+                raise
+    return False
+
+
+class _Curved(RuntimeError):
+    """The counts of a camera grow as another power of its exposure than 1."""
+
+
+def _follows(camera: CheckedCamera, frames: list[np.ndarray], times: list[float]) -> bool:
+    """Check frames of an exposure, its half and its quarter; return whether stuck pixels were found and replaced."""
+    before, (whole, half, quarter) = camera.exposure, frames
     floor = float(np.median(whole))
     bright = whole >= floor + 0.3 * (whole.max() - floor)
     stuck = bright & (quarter - floor > 0.8 * (whole - floor)) & (half - floor > 0.8 * (whole - floor))
@@ -185,7 +205,7 @@ def _examine(camera: CheckedCamera) -> bool:
         )
     exponent = _power(first / max(second, 1e-3 * first), *times)
     if not 0.75 < exponent < 1.3:
-        raise RuntimeError(
+        raise _Curved(
             f"the counts of the camera grow as the power {exponent:.2f} of its exposure: switch off its gamma curve "
             "and its automatic gain, or use raw frames"
         )

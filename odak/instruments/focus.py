@@ -24,6 +24,7 @@ from odak.instruments.spots import (
     unsaturated,
     without,
 )
+from odak.instruments.steadiness import watched
 from odak.instruments.tables import OpticalTable, parts_of
 
 # Range of the astigmatism that is tried on either side, in radians (root mean square).
@@ -242,6 +243,7 @@ def _check_focus(camera: Camera, powers: np.ndarray) -> None:
         )
 
 
+@watched("distance")
 def distance_with_uncertainty(
     table: OpticalTable, span: float = 0.15, samples: int = 15, captures: int = 4
 ) -> tuple[float, float]:

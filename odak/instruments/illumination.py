@@ -14,6 +14,7 @@ from odak.instruments.exposures import combined, exposed
 from odak.instruments.mapping import Lens, ray_matrix
 from odak.instruments.phase_response import nearest_levels
 from odak.instruments.spots import averaged, lens_phase, pixel_axes, read_around
+from odak.instruments.steadiness import watched
 from odak.instruments.tables import OpticalTable, parts_of
 
 # Points at which the illumination is measured, as a share of the farthest that a pixel reaches, and phases of parts.
@@ -94,6 +95,7 @@ def measure_illumination(
     return illumination_with_uncertainty(table, cells, order, patterns, captures)[0]
 
 
+@watched("amplitude")
 def illumination_with_uncertainty(
     table: OpticalTable, cells: int = 8, order: int = 4, patterns: int = 40, captures: int = 1
 ) -> tuple[np.ndarray, float]:

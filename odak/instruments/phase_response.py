@@ -1,6 +1,5 @@
 """Phase of each level of a modulator, for the whole of it and by regions."""
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,7 +7,7 @@ from functools import partial
 
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import binary_dilation, uniform_filter
 
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
@@ -16,6 +15,7 @@ from odak.instruments.exposures import SATURATED, STALE, set_exposure
 from odak.instruments.mapping import Lens
 from odak.instruments.protocols import Camera, Modulator
 from odak.instruments.spots import averaged, brightest, deflected, lens_phase, pixel_axes, read_around
+from odak.instruments.steadiness import CLEAR, SLOPES, moved_back, slopes_of, watched
 from odak.instruments.tables import OpticalTable, parts_of
 
 # Part of the circle in radians that the phases of levels may leave out.
@@ -24,11 +24,15 @@ LARGEST_GAP = 0.15 * np.pi
 GUARD, LARGEST_WINDOW = 3, 201
 # Rows and columns of pixels of a region at least.
 SMALLEST_REGION = 12
-# Captures of level 0, whose error is in all phases, for each of another level; and noise of a phase of one half in
-# radians above which more captures are averaged.
-OF_ZERO, NOISE = 3, 4e-4
+# Noise of a phase of one half in radians above which more captures are averaged.
+NOISE = 4e-4
 # Deviation of captures from one phase at all pixels, as a share of the interference, that is a warning.
 DEVIATING = 0.1
+# Rounds in which displacements of captures are found, of which each leaves about a third; times that captures are
+# moved by them, which are small beside the speckles then; and displacements in pixels that are none.
+ALIGNMENTS, MOVES, STILL = 8, 4, 0.01
+# Share of the deviations from three images that displacements must leave at most, to be some.
+EXPLAINED = 0.5
 # Exposures in units of that at which no pixel is saturated: without the brightest pixels, the others have more light.
 BRIGHT, BRIGHTER = 2.0, 4.0
 # Share of the brightest pixel that the darkest ones have by ambient light, above which it is named.
@@ -175,6 +179,7 @@ def measure_phase_response(table: OpticalTable, *, samples: int = 25, captures: 
     return phases
 
 
+@watched("phases")
 def phases_with_uncertainty(
     table: OpticalTable, samples: int = 25, captures: int = 4
 ) -> tuple[np.ndarray, float, float]:
@@ -217,22 +222,30 @@ def phases_with_uncertainty(
         reach = int(min(0.5 * columns * modulator.pitch / camera.pitch + 1, (min(camera.shape) - 1) // 2))
         step = 1 + 2 * reach // LARGEST_WINDOW
         read_around(camera, np.array(camera.shape[::-1]) // 2, reach)
-        set_exposure(camera)
-    ambient = _ambient(camera)
-    check_frames_are_new(modulator, camera, nearest_levels(deflected(modulator), np.array([0, np.pi])) * (top + 1) // 2)
-    repeats = np.where(levels == 0, OF_ZERO, 1)
+        camera.exposures["even"] = set_exposure(camera) / 2
+    before = np.stack([camera.capture(1)[0].astype(float) for _ in range(2)])
+    ambient = _ambient(camera, before.mean(0))
+    other = nearest_levels(deflected(modulator), np.array([0, np.pi])) * (top + 1) // 2
+    check_frames_are_new(modulator, camera, before, other)
+    # Upward and back, so that a drift is no response; level 0, whose error is in all phases, tells that of the light.
+    turns = np.array([0, *range(2, len(levels), 2), 0, *range(len(levels) - 1 - len(levels) % 2, 0, -2), 0])
 
     def seen(count: int, pattern: np.ndarray, sides: list[np.ndarray]) -> list[np.ndarray]:
-        """Return sums of as many captures of each level on each side ``[levels, rows, columns]``, over the repeats."""
+        """Return sums of as many captures of each level on each side ``[levels, rows, columns]``."""
         found = []
-        for fixed, (level, repeat) in itertools.product(sides, zip(levels, repeats, strict=True)):
-            modulator.show(np.where(fixed, pattern, level))
-            frames = camera.capture(int(repeat * count))[:, ::step, ::step]
-            found.append(count * np.where(frames < SATURATED * camera.top, frames, np.nan).mean(0))
-        return np.split(np.stack(found), len(sides))
+        for fixed in sides:
+            frames = []
+            for level in levels[turns]:
+                modulator.show(np.where(fixed, pattern, level))
+                taken = camera.capture(count)
+                frames.append(count * np.where(taken < SATURATED * camera.top, taken, np.nan).mean(0))
+            even = np.stack(frames) / _drift(np.stack(frames), turns)[:, None, None]
+            found.append(np.stack([even[turns == number].mean(0) for number in range(len(levels))]))
+        return found
 
     def halves(frames: list[np.ndarray]) -> list[np.ndarray]:
-        return [frame.reshape(len(levels), -1) for frame in frames] if len(frames) > 1 else _halved(frames[0])
+        still = [_still(frame)[:, ::step, ::step] for frame in frames]
+        return [frame.reshape(len(levels), -1) for frame in still] if len(still) > 1 else _halved(still[0])
 
     captures = _validate.integer("captures", captures, minimum=1)
     exposure = camera.exposure
@@ -308,6 +321,7 @@ def measure_unmodulated_light(table: OpticalTable, *, samples: int = 6, captures
         shown.append(np.exp(1j * phases_of_levels(levels, phases)).mean())
         if number == 0:
             # Interference may be half as bright again.
+            camera.exposure = camera.exposures.get("even", camera.exposure)
             set_exposure(camera, level=0.4)
             if isinstance(distance, Lens):
                 read_around(camera, brightest(averaged(camera, 1)), min(20, (min(camera.shape) - 1) // 2))
@@ -322,12 +336,12 @@ def measure_unmodulated_light(table: OpticalTable, *, samples: int = 6, captures
     return complex(depth / (1 + math.sqrt(max(1 - abs(depth) ** 2, 0))))
 
 
-def _ambient(camera: Camera) -> float:
+def _ambient(camera: Camera, frame: np.ndarray) -> float:
     """Return the light that does not interfere as a share of the camera's range, and warn where it is most of it.
 
     Interference makes some pixels dark.
     """
-    frame, top = averaged(camera, 2), (1 << camera.bits) - 1
+    top = (1 << camera.bits) - 1
     darkest, brightest = float(np.quantile(frame, 0.02)), float(frame.max())
     if darkest > AMBIENT * brightest:
         warn(
@@ -381,9 +395,11 @@ def _sign(
     return 1 if peaks[0] > peaks[1] else -1
 
 
-def check_frames_are_new(modulator: Modulator, camera: Camera, other: np.ndarray, count: int = 5) -> None:
-    """Raise an error if a camera returns frames of the pattern before, after another one `other` was shown."""
-    first, second = (camera.capture(1)[0].astype(float) for _ in range(2))
+def check_frames_are_new(
+    modulator: Modulator, camera: Camera, pair: np.ndarray, other: np.ndarray, count: int = 5
+) -> None:
+    """Raise an error if a camera returns frames as a pair of the pattern before, after another one was shown."""
+    first, second = pair
     modulator.show(other)
     before, noise = (first + second) / 2, ((first - second) ** 2).mean()
     frames = [camera.capture(1)[0].astype(float) for _ in range(2)]
@@ -425,6 +441,59 @@ def _of_all_levels(levels: np.ndarray, phases: np.ndarray, top: int) -> np.ndarr
     """
     angles = np.arccos(1 - 2 * np.arange(top + 1) / top)
     return CubicSpline(angles[levels], phases, bc_type="clamped")(angles)
+
+
+def _drift(frames: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """Return the light at the times of frames ``[n, rows, columns]`` by that of the first level, 1 on average."""
+    times = np.flatnonzero(turns == 0)
+    first = frames[times]
+    light = first[:, np.isfinite(first).all(0)].sum(-1)
+    line = np.polynomial.Polynomial.fit(times, light / light.mean(), 1)
+    missed = np.abs(light / light.mean() - line(times)).max()
+    clear = np.ptp(line(times)) > CLEAR * missed
+    return line(np.arange(len(turns))) if clear else np.ones(len(turns))
+
+
+def _still(frames: np.ndarray) -> np.ndarray:
+    """Return captures ``[n, rows, columns]``, moved to where the image of most of them is if it moves.
+
+    Saturated pixels are NaN.
+    """
+    crop = tuple(slice(max(n - LARGEST_WINDOW, 0) // 2, (n + LARGEST_WINDOW) // 2) for n in frames.shape[1:])
+    part = frames[:, crop[0], crop[1]]
+    usable = ~binary_dilation(np.isnan(part).any(0), iterations=SLOPES.size // 2)
+    filled, moved = np.nan_to_num(part, nan=np.nanmax(part)), np.zeros((len(part), 2))
+    for _ in range(MOVES):
+        now = moved_back(filled, moved) if moved.any() else filled
+        down, across = slopes_of(now)
+        change = _displacements(now[:, usable], down[:, usable], across[:, usable])
+        moved += change - change.mean(0)
+        if math.sqrt((change**2).mean()) < STILL:
+            break
+    if math.sqrt((moved**2).mean()) < STILL:
+        return frames
+    lost = binary_dilation(np.isnan(frames).any(0), iterations=SLOPES.size // 2)
+    return np.where(lost, np.nan, moved_back(np.nan_to_num(frames, nan=np.nanmax(frames)), moved))
+
+
+def _displacements(seen: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """Return the displacements down and across ``[n, 2]`` of captures ``[n, pixels]`` from their slopes.
+
+    Without displacements, captures are sums of three images, and what deviates from such sums is the slope of each
+    times its displacement.
+    """
+    moved, still, left_over = np.zeros((len(seen), 2)), seen, []
+    for _ in range(ALIGNMENTS):
+        values, vectors = np.linalg.eigh(still @ still.T)
+        left_over.append(values[:-3].sum())
+        three = vectors[:, -3:] @ vectors[:, -3:].T
+        slopes = np.stack([three @ down, three @ across], axis=1)
+        left = still - three @ still
+        normal = np.einsum("nip,njp->nij", slopes, slopes)
+        moved += np.linalg.solve(normal, np.einsum("nip,np->ni", slopes, left)[..., None])[..., 0]
+        still = seen - np.einsum("ni,nip->np", moved, slopes)
+    # A response that varies over the panel deviates from such sums too, and is no displacement.
+    return moved if left_over[-1] < EXPLAINED * left_over[0] else 0 * moved
 
 
 def _halved(frames: np.ndarray) -> list[np.ndarray]:
@@ -551,6 +620,7 @@ def measure_regional_response(
     return regions_with_uncertainty(table, regions, samples, captures)[0]
 
 
+@watched("regional_phases")
 def regions_with_uncertainty(
     table: OpticalTable,
     regions: Sequence[int] = (3, 3),
@@ -637,10 +707,12 @@ def regions_with_uncertainty(
         frames = []
         for level in levels:
             show(int(level))
-            frame = averaged(camera, captures)
-            frames.append([(weight * frame)[place] for weight, place in zip(weights, places, strict=True)])
-        for row, seen in enumerate(zip(*frames, strict=True)):
-            found, others[row, column] = _phases_of_interference(np.stack(seen))
+            frames.append(averaged(camera, captures))
+        for row, (weight, place) in enumerate(zip(weights, places, strict=True)):
+            lines = [np.flatnonzero(place.any(axis)) for axis in (1, 0)]
+            window = tuple(slice(line[0], line[-1] + 1) for line in lines)
+            still = weight[window] * _still(np.stack([frame[window] for frame in frames]))
+            found, others[row, column] = _phases_of_interference(still[:, place[window]])
             found = found * (1 if whole[-1] >= whole[0] else -1)
             like = whole * (found @ whole[levels]) / (whole[levels] @ whole[levels])
             phases[row, column] = like + _of_all_levels(levels, found - like[levels], top)

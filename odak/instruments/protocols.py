@@ -207,7 +207,9 @@ class CheckedCamera:
         if limits is not None:
             limits = _validate.several("camera.exposure_limits", limits, 2, positive=True)
         self.limits: tuple[float, float] = (0.0, np.inf) if limits is None else (float(limits[0]), float(limits[1]))
-        self.examined = False
+        self.examined, self.watched, self.taken = False, False, 0
+        # The last capture, its exposure and its region.
+        self.last: tuple[np.ndarray, float, tuple[int, int, int, int] | None] | None = None
         self.exposures: dict[str, float] = {}
         self._stuck = np.zeros((0, 2), dtype=int)
 
@@ -261,6 +263,7 @@ class CheckedCamera:
                 down, across = slice(max(row - 1, 0), row + 2), slice(max(column - 1, 0), column + 2)
                 fine = frames[:, down, across][:, ~bad[down, across]]
                 frames[:, row, column] = np.median(fine, axis=-1) if fine.size else 0
+        self.taken, self.last = self.taken + count, (frames[-1], self.exposure, self.region)
         return frames
 
 

@@ -15,16 +15,19 @@ from odak.instruments.mapping import Lens, Registration, ray_matrix
 from odak.instruments.phase_response import nearest_levels
 from odak.instruments.protocols import Camera
 from odak.instruments.spots import Part, averaged, brightest, centroid, lenslets, pixel_axes, spots_phase
+from odak.instruments.steadiness import watched
 from odak.instruments.tables import OpticalTable, parts_of
 
 # Half of the extent of the spots of a registration at most, as a share of the farthest point that a pixel reaches.
 SPREAD = 0.6
 # Largest error of a mapping among the spots in units of the standard deviation at one of them.
-LARGEST = 2.5
+LARGEST = 2.8
 # Width of the stripes beside them into which light falls that forms no spots, as a share of what is free.
 STRIPE = 0.8
 # Displacement of the rays at the edge of an aperture, as a share of its radius, to measure its curvature.
 BLUR = 0.4
+# Factor by which a spot that is blurred so is darker, about.
+BLURRED = 20.0
 # Share of the distance from the axis at which a first estimate of the registration has its spots.
 NEAR = 0.4
 # Steps toward the curvature of the wavefront at most, and the change in radians from peak to valley that ends them:
@@ -98,6 +101,7 @@ def register_camera(
     return registered(table, grid, extent, middle, captures)
 
 
+@watched("registration")
 def registered(
     table: OpticalTable,
     grid: Sequence[int] = (6, 6),
@@ -195,7 +199,7 @@ class _Spots:
     def near_axis(self) -> np.ndarray:
         """Return the matrix of spots near the axis, which tells which of the farther ones the camera sees."""
         self.show(self.origin[None])
-        set_exposure(self.camera)
+        self.bright = set_exposure(self.camera)
         three = self.origin + np.vstack([np.zeros(2), NEAR * np.diag(self.half)])
         pixels = self.places_of(three)
         _check_places(pixels[0], (pixels[1:] - pixels[0]) / (NEAR * self.half[:, None]), self.camera, False)
@@ -215,6 +219,7 @@ class _Spots:
         wanted, three = three @ roughly, self.origin + three
         # The last exposure was for blurred spots: where it saturates, a spot and its orders of diffraction are alike.
         self.show(three[0][None])
+        self.camera.exposure = self.bright / 2
         set_exposure(self.camera)
         pixels = self.places_of(three)
         missed = np.linalg.norm(pixels - first - wanted, axis=-1)
@@ -248,7 +253,7 @@ class _Spots:
         near = np.abs(away).max(-1) < reach
         for sign in (1, -1):
             self.show(self.origin[None], extra=sign * added / 2 * (x**2 + y**2))
-            frame = exposed(self.camera, "spot", 0.7)
+            frame = exposed(self.camera, "spot", 0.7, 1 / BLURRED)
             difference += sign * back.T @ _second_moments(frame, near) @ back
         scale = (self.wavelength * self.b / (2 * np.pi)) ** 2 * np.add.outer(self.moments, self.moments)
         hessian = -difference / (2 * scale * added)
@@ -266,7 +271,7 @@ class _Spots:
             np.linalg.norm(matrix[:2], axis=-1) * 2 * self.half / np.maximum([across - 1, down - 1], 1)
         ).min()
         self.show(points)
-        frame = exposed(self.camera, "grid")
+        frame = exposed(self.camera, "grid", brighter=1 / len(points))
         for seed in range(1, captures):
             self.show(points, seed)
             frame += averaged(self.camera, 1)

@@ -283,6 +283,8 @@ class SimulatedTable(_show.Shown):
         self._iris = None if iris is None else float(_validate.number("iris", iris, positive=True))
         # Transfer function of the last distance and wavelength.
         self._transfer: tuple[Any, np.ndarray] = (None, np.zeros(0))
+        # Light of the pattern that is shown, by what else it depends on.
+        self._seen: dict[tuple[float, ...], tuple[np.ndarray, float]] = {}
         self.clock: float = 0.0
         self._levels = np.zeros((rows, columns), dtype=np.uint8)
         self._before, self._shown = np.zeros((rows, columns)), -np.inf
@@ -337,6 +339,15 @@ class SimulatedTable(_show.Shown):
         tuple of numpy.ndarray and float
             Intensity ``[rows, columns]``, the sample at index n // 2 on the axis, and pitch in metres.
         """
+        if not self.settled():
+            return self._light(flicker, after)
+        laser = self.laser
+        key = (laser.wavelength, laser.power, self.stage.position, self.polariser.angle, flicker, id(self.truth))
+        if key not in self._seen:
+            self._seen[key] = self._light(flicker, after)
+        return self._seen[key]
+
+    def _light(self, flicker: float, after: float) -> tuple[np.ndarray, float]:
         truth = self.truth
         s = self._samples or (FINER if truth.fringing else 1)
         scale = self.wavelength / self.laser.wavelength
@@ -476,6 +487,7 @@ class SimulatedModulator(_show.Shown):
         found, table = checked_levels(levels, self.shape, self.bits), self._table
         table._before, table._shown = table.phase(), table.clock
         table._levels = found
+        table._seen.clear()
         table.clock += self.settling_time
 
 

@@ -24,6 +24,7 @@ from odak.instruments.spots import (
     pixel_axes,
     without,
 )
+from odak.instruments.steadiness import watched
 from odak.instruments.tables import OpticalTable, parts_of
 
 # Width and height of the field of the spots of lenslets behind a lens, as a share of the image of the camera.
@@ -112,6 +113,7 @@ def measure_wavefront(
     return wavefront_with_uncertainty(table, cells, order, iterations, captures, start)[0]
 
 
+@watched("wavefront")
 def wavefront_with_uncertainty(
     table: OpticalTable,
     cells: int | None = None,

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 import torch
-from laboratory import Laboratory
+from laboratory import Altered, Laboratory
 from PIL import Image
 from scipy.ndimage import map_coordinates
 
@@ -439,3 +439,20 @@ def test_all_steps_find_the_true_parameters(tmp_path):
     assert found.regional_phases.shape == (3, 3, 256)
     truth = instruments.SimulatedTable(5).truth
     assert np.abs(found.phases - truth.phases).max() < 0.03
+
+
+def test_a_driver_is_tested_and_the_report_tells(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    small = [f"--option=driver.{text}" for text in ("shape=[32,32]", "distance=4e-3", "camera_shape=[48,60]")]
+    assert main(["instruments", "test", "simulated", "--captures", "10", *small]) == 0
+    assert "passed  gamma" in capsys.readouterr().out
+    report = json.loads((tmp_path / "instruments" / "report.json").read_text())
+    assert report["passed"] and {check["passed"] for check in report["checks"]} == {True}
+    table = instruments.SimulatedTable(1, shape=(32, 32), distance=4e-3, camera_shape=(48, 60))
+    curved = Altered(table.camera, lambda frames, _: np.rint(4095 * (frames / 4095) ** 0.6).astype(np.uint16))
+    monkeypatch.setattr(instruments, "open_instrument", lambda *_, **__: curved)
+    assert main(["instruments", "test", "curved", "--captures", "10", "--again"]) == 1
+    assert "remedy: " in capsys.readouterr().out
+    assert not json.loads((tmp_path / "instruments" / "report.json").read_text())["passed"]
+    monkeypatch.undo()
+    assert main(["instruments", "test", "no-such-driver", "-o", str(tmp_path / "other")]) == 2

@@ -113,10 +113,14 @@ def test_every_option_of_every_command_has_help_and_a_default_that_holds(kind):
     words = ["1" for _ in required] + (["--schema"] if kind is settings.SimulateSettings else [])
     if kind is settings.DesignSettings:
         words = ["singlet"]
+    if kind is settings.InstrumentsSettings:
+        words = ["test", "1"]
     made = asked(*words, kind=kind)
     direct = {name: made[name] for name in (*required, *(["schema"] if "--schema" in words else []))}
     if kind is settings.DesignSettings:
         direct["system"] = "singlet"
+    if kind is settings.InstrumentsSettings:
+        direct["action"] = "test"
     assert kind(**made) == kind(**direct)
 
 

@@ -40,6 +40,10 @@ class Laboratory:
         self.offset, self.signs, self.noise = np.asarray(offset), signs, np.random.default_rng(seed)
         self.modulator, self.camera = Panel(self, shape, pitch), Camera(self, camera_shape, camera_pitch, bits)
         self.field, self.waves, self.power = self.illumination.astype(np.complex64), {}, 1.0
+        # Standard deviations from frame to frame of phases and light as shares, and of the image in pixels; and drifts
+        # in 100 captures of the light as a share, and of the image in pixels.
+        self.flicker, self.wander, self.vibration, self.unsteady = 0.0, 0.0, 0.0, np.random.default_rng([seed, 1])
+        self.dimming = self.sliding = 0.0
 
     def errors(self, found):
         """Return the errors of a calibration of a table whose wavefront has no tilt and no defocus.
@@ -180,9 +184,13 @@ class Panel:
         self.table, self.shape, self.pitch, self.settling_time, self.shown = table, shape, pitch, 0.0, 0
 
     def show(self, levels):
-        table, self.shown = self.table, self.shown + 1
-        phases = np.asarray(table.phases)[levels] * table.factors
-        table.field = (table.illumination * np.exp(1j * phases)).astype(np.complex64)
+        self.shown += 1
+        self.now = np.asarray(self.table.phases)[levels] * self.table.factors
+        self.send(1.0)
+
+    def send(self, factor):
+        """Let the pixels show their phases times a factor."""
+        self.table.field = (self.table.illumination * np.exp(1j * factor * self.now)).astype(np.complex64)
 
 
 class Camera:
@@ -192,8 +200,21 @@ class Camera:
 
     def capture(self, count=1):
         row, column, rows, columns = self.region or (0, 0, *self.shape)
+        table = self.table
+        unsteady = (table.flicker, table.wander, table.vibration, table.dimming, table.sliding)
+        if count > 1 and any(unsteady):
+            return np.concatenate([self.capture(1) for _ in range(count)])
         self.taken += count
+        if table.flicker:
+            table.modulator.send(1 + table.flicker * table.unsteady.normal())
+        offset, power, passed = table.offset, table.power, self.taken / 100
+        if any(unsteady):
+            moved = table.vibration * table.unsteady.normal(size=2) + table.sliding * passed
+            table.power = power * (1 + table.wander * table.unsteady.normal() - table.dimming * passed)
+            table.offset = offset + self.pitch * moved
+            table.waves.clear()
         electrons = self.table.light(row, column, rows, columns) * self.exposure * 1e4
+        table.offset, table.power = offset, power
         electrons = np.minimum(electrons, 10 * WELL)
         noise = self.table.noise.standard_normal((count, *electrons.shape), dtype=np.float32)
         # Shot noise, and read noise of 3 electrons on an offset of 30.

@@ -54,11 +54,11 @@ def test_camera_that_does_not_see_panel_is_told_where_to_move(shape, offset, mes
 
 
 @pytest.mark.parametrize("share", [1.12, pytest.param(0.88, marks=pytest.mark.slow)])
-def test_an_eighth_beside_the_distance_within_128_captures(share):
+def test_an_eighth_beside_the_distance_within_120_captures(share):
     """The defocus of the wavefront tells the distance, twice, before the sharpest focus does."""
     table, _ = random_table(1)
     found = instruments.calibrate_table(*instruments_of(table), table.wavelength, share * table.distance)
-    assert table.camera.bits == 12 and table.camera.taken < 128
+    assert table.camera.bits == 12 and table.camera.taken <= 120
     errors = table.errors(found)
     bounds = {"phases": 2e-3, "registration": 0.1, "wavefront": 0.04, "distance": 1e-3, "amplitude": 0.02}
     assert all(abs(errors[name]) < bound for name, bound in bounds.items())
@@ -151,8 +151,8 @@ def test_two_of_three_errors_lie_within_one_sigma():
             found = instruments.calibrate_table(*instruments_of(table), table.wavelength, nominal)
         errors = table.errors(found)
         errors["distance"] *= table.distance
-        # 120 and, for the light that is not modulated, seven patterns in as many exposures as a camera needs.
-        assert table.camera.taken < 160
+        # One in 20 is of the reference; cameras of 8 bits capture patterns of the illumination twice.
+        assert table.camera.taken < 150
         for name in UNCERTAIN:
             within[name] += abs(errors[name]) < found.uncertainty[name]
     assert all(7 <= count <= 15 for count in within.values()), within

@@ -1,0 +1,123 @@
+"""Tables that are not steady, of the independent laboratory: sizes that are named, errors, and what stays right."""
+
+import re
+import warnings
+
+import numpy as np
+import pytest
+from laboratory import Altered, random_table
+from tables import instruments_of
+
+from odak import AccuracyWarning, instruments
+from odak.instruments import OpticalTable
+
+UNSTEADY = {
+    "flicker": r"phases of the modulator flicker by ([\d.]+)%",
+    "wander": r"the light varies by ([\d.]+)%",
+    "vibration": r"the image moves by ([\d.]+) pixels",
+}
+
+
+def calibrated(seed, **unsteady):
+    """Return a table, its calibration, and what was warned of."""
+    table, nominal = random_table(seed)
+    for name, value in unsteady.items():
+        setattr(table, name, value)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = instruments.calibrate_table(*instruments_of(table), table.wavelength, nominal)
+    return table, found, [str(warning.message) for warning in caught]
+
+
+def phases_of(seed, **unsteady):
+    """Return the largest error of a phase response in radians, and what was warned of."""
+    table, nominal = random_table(seed)
+    for name, value in unsteady.items():
+        setattr(table, name, value)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        phases = instruments.measure_phase_response(
+            OpticalTable(*instruments_of(table), table.wavelength, nominal), captures=2
+        )
+    return np.abs(phases - table.phases).max(), " ".join(str(warning.message) for warning in caught)
+
+
+def test_a_steady_table_is_silent_within_116_captures():
+    table, _, texts = calibrated(201)
+    assert not [text for text in texts if "steady" in text or "drifts" in text]
+    assert table.camera.taken <= 116
+
+
+def test_phases_are_right_while_the_camera_vibrates():
+    """By a tenth of a pixel; without alignment the error is 0.1 rad."""
+    error, text = phases_of(201, vibration=0.1)
+    assert error < 0.03
+    assert 0.05 < float(re.search(UNSTEADY["vibration"], text)[1]) < 0.2
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "bounds"),
+    [
+        ("wander", 0.02, (1.0, 4.0)),
+        pytest.param("flicker", 0.05, (2.0, 9.0), marks=pytest.mark.slow),
+        pytest.param("vibration", 0.3, (0.15, 0.6), marks=pytest.mark.slow),
+    ],
+)
+def test_what_is_not_steady_is_named_by_its_size_and_nothing_else(name, value, bounds):
+    _, found, texts = calibrated(201, **{name: value})
+    (text,) = (text for text in texts if "not steady" in text)
+    assert [other for other, pattern in UNSTEADY.items() if re.search(pattern, text)] == [name]
+    assert bounds[0] < float(re.search(UNSTEADY[name], text)[1]) < bounds[1]
+    assert found.uncertainty["phases"] > 0.005
+
+
+def test_a_drift_of_the_light_is_named_and_corrected():
+    """Of 10 % in 100 captures, from which the phases are 0.02 rad off without correction."""
+    table, found, texts = calibrated(201, dimming=0.1)
+    (text,) = (text for text in texts if "drifts" in text)
+    assert 8 < float(re.search(r"the light changed by -([\d.]+)%", text)[1]) < 16
+    assert table.errors(found)["phases"] < 4e-3
+
+
+@pytest.mark.slow
+def test_a_drift_of_the_image_is_named():
+    _, _, texts = calibrated(201, sliding=1.0)
+    (text,) = (text for text in texts if "drifts" in text)
+    # Along both axes.
+    assert 1.2 < float(re.search(r"the image moved by ([\d.]+) pixels", text)[1]) < 2.5
+
+
+def test_light_that_goes_out_is_an_error_by_name():
+    table, nominal = random_table(201)
+    modulator, camera = instruments_of(table)
+    dark = Altered(camera, lambda frames, _: frames if table.camera.taken < 45 else np.zeros_like(frames) + 6)
+    with pytest.raises(RuntimeError, match=r"no longer sees what it saw|sees no light|no spot was found on the axis"):
+        instruments.calibrate_table(modulator, dark, table.wavelength, nominal)
+
+
+def test_light_that_varies_is_not_called_a_gamma_curve():
+    """Of 16 cameras whose light varies by 4 % from frame to frame, several look so from three captures."""
+    for seed in range(16):
+        draw = np.random.default_rng(seed)
+        table = instruments.SimulatedTable(1, shape=(24, 24), distance=3e-3, camera_shape=(32, 32))
+        varying = Altered(table.camera, lambda f, _, draw=draw: (f * (1 + 0.04 * draw.normal())).astype(np.uint16))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AccuracyWarning)
+            instruments.set_exposure(varying, level=0.4)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_two_of_three_errors_lie_within_one_sigma_of_tables_that_are_not_steady():
+    """Of 24 errors 11 to 22 do so in 97 of 100 cases where it is 68 % of all."""
+    names = ("phases", "registration", "wavefront", "distance", "amplitude")
+    within = dict.fromkeys(names, 0)
+    for number, (name, value) in enumerate(
+        8 * [("flicker", 0.01), ("wander", 0.02), ("vibration", 0.1)],
+    ):
+        table, found, _ = calibrated(200 + number, **{name: value})
+        errors = table.errors(found)
+        errors["distance"] *= table.distance
+        for key in names:
+            within[key] += abs(errors[key]) < found.uncertainty[key]
+    assert all(11 <= count <= 22 for count in within.values()), within
