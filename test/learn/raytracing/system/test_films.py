@@ -286,6 +286,11 @@ def test_a_pancake_and_its_ghosts_by_jones_matrices(retardance, angle):
     for order in (2, 4, 6):
         assert by_order.get(order, 0.0) == pytest.approx(powers[order], abs=2e-9)
     assert {(ghost.first, ghost.second) for ghost in found.paths} == {(0, 2)}
+    # Of what the first polariser blocks nothing arrives; of the rest twice as much as of unpolarised light.
+    for state, factor in (((0.0, 1.0), 0.0), ((1.0, 0.0), 2.0)):
+        of_state = ghosts(system, 3, polarization=state)
+        assert float(of_state.direct) == pytest.approx(factor * powers[0], abs=1e-12)
+        assert sum(float(g.power) for g in of_state.paths) == pytest.approx(factor * powers[2], abs=2e-9)
 
 
 def test_ghosts_of_four_reflections_of_bare_faces():
