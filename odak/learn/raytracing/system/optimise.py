@@ -769,7 +769,7 @@ def iso_10110_tolerances(system: optical_system) -> list[Perturbation]:
     surfaces: list[Any] = list(system.surfaces)[: len(system.surfaces) - system.afocal]
     for i in [k for k in range(len(surfaces)) if is_glass(surfaces, k) and not is_break(surfaces[k])]:
         ends = [j for j in (i, i + 1) if j < len(surfaces) and not is_break(surfaces[j])]
-        radii = [surfaces[j].semi_diameter or float(reaches[j]) for j in ends]
+        radii = [surfaces[j].semi_diameter or float(reaches[j].detach()) for j in ends]
         diameter = 2 * max(radii) / scale
         largest = max(largest, diameter)
         _, depth, centring, power, ripple, within = next(row for row in classes if diameter <= row[0])
@@ -999,7 +999,7 @@ def _irregular_shapes(system, nominal: Prescription, values: dict, irregular: di
     shapes = list(nominal.shapes or [None] * len(system.surfaces))
     reaches = clear_heights(system, nominal)
     for place, heights in irregular.items():
-        reach = system.surfaces[place].semi_diameter or float(reaches[place])
+        reach = system.surfaces[place].semi_diameter or float(reaches[place].detach())
         base = torch.tensor(_zernike_terms([0.0], None, nominal.coefficients[place].tolist(), reach)).to(heights)
         terms = heights.new_zeros(len(heights), max(IRREGULAR[-1], len(base)))
         terms[:, IRREGULAR[0] - 1 : IRREGULAR[-1]] = heights
