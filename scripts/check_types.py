@@ -19,9 +19,18 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 # Bare Any among the parameters and results of the packages whose doors are to have none; the numbers only shrink.
-MOST_ANY = {"odak.learn.perception": 0, "odak.learn.raytracing.system": 0, "odak.learn.wave": 10, "odak.wave": 0}
+MOST_ANY = {
+    "odak.catalog": 0,
+    "odak.jones": 0,
+    "odak.learn.perception": 0,
+    "odak.learn.raytracing": 4,
+    "odak.learn.raytracing.system": 0,
+    "odak.learn.wave": 4,
+    "odak.raytracing": 0,
+    "odak.wave": 0,
+}
 # Least share of the symbols of all modules that have a known type; the number only grows.
-LEAST_KNOWN = 0.84
+LEAST_KNOWN = 0.9
 _BARE = re.compile(r"\w: Any(?= = |,|\)|$)|-> Any$")
 
 

@@ -403,7 +403,7 @@ class plano_convex_lens(_show.Shown):
         self.item = item
         self.location: list[float] = three("location", location)
         self.rotation: list[float] = three("rotation", rotation)
-        self.wavelength = _validate.real("wavelength", wavelength, positive=True)
+        self.wavelength: float = _validate.real("wavelength", wavelength, positive=True)
         meduium = _medium("meduium", meduium)
         self.medium = self.meduium = meduium if medium is None else _medium("medium", medium)
         self.path_to_catalog: str = str(_DATA)
@@ -417,17 +417,19 @@ class plano_convex_lens(_show.Shown):
 
     def set_variables(self) -> None:
         """Set type, units, diameter, thickness, radius and coating from the settings."""
-        self.type = self.settings["type"]
-        self.units = self.settings["units"]
-        self.diameter = self.settings["diameter"]
-        self.thickness = self.settings["center thickness"]
-        self.radius = self.settings["radius of curvature"]
-        self.coating = self.settings["coating"]
+        self.type: str = self.settings["type"]
+        self.units: str = self.settings["units"]
+        self.diameter: float = self.settings["diameter"]
+        self.thickness: float = self.settings["center thickness"]
+        self.radius: float = self.settings["radius of curvature"]
+        self.coating: str = self.settings["coating"]
 
     def define_geometry(self) -> None:
         """Set the faces from diameter, thickness, radius, location and rotation."""
-        self.center = place(np.asarray([0.0, 0.0, self.radius - self.thickness]), self.location, self.rotation)
-        self.plane_center = np.asarray(self.location)
+        self.center: np.ndarray = place(
+            np.asarray([0.0, 0.0, self.radius - self.thickness]), self.location, self.rotation
+        )
+        self.plane_center: np.ndarray = np.asarray(self.location)
         self.convex_point: np.ndarray = place(np.asarray([0.0, 0.0, -self.thickness]), self.location, self.rotation)
         self.convex_surface: Array = define_sphere(self.center, self.radius)
         self.plane_surface: list[Any] = define_circle(self.plane_center, self.diameter / 2, self.rotation)

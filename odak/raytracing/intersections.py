@@ -272,7 +272,7 @@ class Hit(NamedTuple):
     status: Any
 
     @property
-    def hit(self):
+    def hit(self) -> Any:
         """Rays that intersect the surface, bool ``[...]``."""
         return self.status == int(RayStatus.HIT)
 

@@ -972,7 +972,7 @@ class optical_bench(_show.Shown):
             if not callable(getattr(element, "apply", None)):
                 raise TypeError(f"elements must have a method apply(field, pitch, wavelength), got {element!r:.80}")
         wavelength = _validate.real("wavelength", wavelength, positive=True)
-        self.wavelength = np.asarray(wavelength) if isinstance(wavelength, (list, tuple)) else wavelength
+        self.wavelength: float | Array = np.asarray(wavelength) if isinstance(wavelength, (list, tuple)) else wavelength
 
     def _repr_html_(self) -> str:
         return _show.page(self, optical_bench._view)

@@ -75,7 +75,7 @@ class Grid:
     evanescent: bool = True
 
     @property
-    def pixel_area(self):
+    def pixel_area(self) -> float:
         """Return the area of a pixel."""
         return self.pitch[0] * self.pitch[1]
 

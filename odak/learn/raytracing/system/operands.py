@@ -517,7 +517,9 @@ def merit_deviations(operands: list[Operand], view: View) -> tuple[torch.Tensor,
     return torch.cat([part.expand(*lead, part.shape[-1]) for part in parts], -1), bounds
 
 
-def clear_heights(system, prescription: Prescription, count: int = 12, aim: str = "paraxial") -> torch.Tensor:
+def clear_heights(
+    system: optical_system, prescription: Prescription, count: int = 12, aim: str = "paraxial"
+) -> torch.Tensor:
     """Return the largest distance from the axis of each surface at which rays intersect it, ``[..., S]``.
 
     Parameters

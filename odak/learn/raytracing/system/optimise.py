@@ -858,7 +858,9 @@ def _entries(system, compensators) -> list[tuple[str, int, int | None]]:
     return entries
 
 
-def compensated(system, numbers: Prescription, compensators, merit: Callable, iterations: int) -> Prescription:
+def compensated(
+    system: optical_system, numbers: Prescription, compensators, merit: Callable, iterations: int
+) -> Prescription:
     """Return a batch of prescriptions ``[N]`` with the compensators where the sum of the squared merits is least."""
     entries = _entries(system, compensators)
     moved, held = _mover(numbers, entries)
@@ -908,7 +910,7 @@ def _with_trials(shape):
     return type(shape)(*(v.unsqueeze(v.ndim - own) if v.ndim > own else v for v, own in pairs))
 
 
-def perturbed(system, nominal: Prescription, perturbations, samples: int, seed: int) -> Prescription:
+def perturbed(system: optical_system, nominal: Prescription, perturbations, samples: int, seed: int) -> Prescription:
     """Return a batch of prescriptions with random numbers added."""
     generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
     items = _checked_perturbations(perturbations, len(system.surfaces))

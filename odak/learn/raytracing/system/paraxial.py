@@ -310,7 +310,7 @@ class EntrancePupil(NamedTuple):
 
 
 def entrance_pupil(
-    system, wavelength: float | None = None, prescription: Prescription | None = None, axis: int = 1
+    system: optical_system, wavelength: float | None = None, prescription: Prescription | None = None, axis: int = 1
 ) -> EntrancePupil:
     """Return the entrance pupil of a system.
 

@@ -476,7 +476,7 @@ def field_points(system: Any, fields: FieldPoints | None = None) -> torch.Tensor
     return stacked(pairs)
 
 
-def through_pupil(system, points: torch.Tensor, fields: torch.Tensor, prescription, aim: str) -> Rays:
+def through_pupil(system: optical_system, points: torch.Tensor, fields: torch.Tensor, prescription, aim: str) -> Rays:
     """Return rays through points of the pupil, ``[P, 2]`` or ``[..., F, P, 2]``, from field points ``[F, 1, 2]``."""
     numbers = (system.prescription() if prescription is None else prescription).at(system.reference)
     pupil = entrance_pupil(system, prescription=numbers)
@@ -485,7 +485,9 @@ def through_pupil(system, points: torch.Tensor, fields: torch.Tensor, prescripti
     return through_places(system, fields, pupil, *places_of(pupil, points))
 
 
-def real_places(system, numbers: Prescription, pupil, points: torch.Tensor, fields: torch.Tensor) -> tuple[Any, ...]:
+def real_places(
+    system: optical_system, numbers: Prescription, pupil, points: torch.Tensor, fields: torch.Tensor
+) -> tuple[Any, ...]:
     """Return coordinates (x, y) of rays that pass the stop at given points, and whether they are across the fields."""
     # Of a device that is not read, the system's own fields decide.
     given = fields.flatten().tolist() if is_readable(fields) else [v for point in plain(system.fields) for v in point]
@@ -500,7 +502,7 @@ def places_of(pupil: Any, points: torch.Tensor) -> tuple[torch.Tensor, torch.Ten
     return tuple(reach * points[..., i] + center for i, center in enumerate(middle))  # type: ignore[return-value]
 
 
-def through_places(system, fields: torch.Tensor, pupil, px, py, wide: bool = False) -> Rays:
+def through_places(system: optical_system, fields: torch.Tensor, pupil, px, py, wide: bool = False) -> Rays:
     """Return rays from field points ``[F, 1, 2]`` through coordinates of the entrance pupil.
 
     With `wide`, the coordinates are across the direction of the field instead, so that it may come from behind.
@@ -579,7 +581,9 @@ def _near(system, fields, bend, sx, sy) -> Rays:
     return Rays(x, y, -system.object_distance + 0 * sx, sx * w, sy * w, w)
 
 
-def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: torch.Tensor, wide: bool = False):
+def aimed(
+    system: optical_system, numbers: Prescription, pupil, points: torch.Tensor, fields: torch.Tensor, wide: bool = False
+):
     """Return coordinates in the entrance pupil of rays that pass the stop at given points.
 
     Parameters

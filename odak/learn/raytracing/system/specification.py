@@ -323,7 +323,7 @@ def largest_of(points):
     return max(sizes)
 
 
-def is_number(value) -> bool:
+def is_number(value: object) -> bool:
     """Return whether a field point is a number y, an array without axes too, rather than a pair."""
     return not isinstance(value, Iterable) or getattr(value, "ndim", 1) == 0
 

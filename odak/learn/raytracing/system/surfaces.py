@@ -246,7 +246,8 @@ class _Films(torch.nn.Module):
     def __init__(self, given: Coating):
         super().__init__()
         self.media: Sequence[Any] = given.media
-        self.substrate, self.unit = given.substrate, given.unit
+        self.substrate: str | Material | complex | None = given.substrate
+        self.unit: str | None = given.unit
         values = given.thicknesses
         values = values if isinstance(values, torch.Tensor) else list(values)
         _hold(self, "thicknesses", _validate.real("coating.thicknesses", values) if len(values) else values)

@@ -196,7 +196,7 @@ def _setting(name: str, place: int | None, values: tuple) -> list:
     return [name, place, kept]
 
 
-def own_surfaces(system) -> list[Any]:
+def own_surfaces(system: optical_system) -> list[Any]:
     """Return the surfaces without the lens that an afocal system appends."""
     return list(system.surfaces)[: -1 if system.afocal else None]
 
@@ -592,7 +592,7 @@ def within(number: int, found: Any, context: Context) -> Any:
     return dataclasses.replace(found, range=(min(low, own[0]), max(high, own[1])))
 
 
-def aperture_of_working(system, number: float) -> float:
+def aperture_of_working(system: optical_system, number: float) -> float:
     """Return the numerical aperture of a near object at which the working F-number is that stated.
 
     `system` builds the system from a size and a kind of the aperture. The slope of the marginal ray at the image is
@@ -603,7 +603,7 @@ def aperture_of_working(system, number: float) -> float:
 
 
 def fields_of_image_heights(
-    system, points, real: bool, aim: str = "paraxial", notes: list[Any] | None = None
+    system: optical_system, points, real: bool, aim: str = "paraxial", notes: list[Any] | None = None
 ) -> tuple[tuple[float, float], ...]:
     """Return the field points whose chief rays land at given heights at the primary wavelength.
 

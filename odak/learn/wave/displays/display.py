@@ -19,7 +19,12 @@ from odak.learn.wave.displays.judge import judged
 from odak.learn.wave.displays.observers import REACH, REGISTERED, Observer
 from odak.learn.wave.displays.panels import Iris, Modulator
 from odak.learn.wave.displays.parts import Part, Shares, Streamed, frames_lit
-from odak.learn.wave.displays.paths.base import Kept, Lights, listed
+from odak.learn.wave.displays.paths.base import (
+    Kept,
+    Lights,
+    Path,
+    listed,
+)
 from odak.learn.wave.displays.paths.choice import path_to
 from odak.learn.wave.displays.paths.free import Free
 from odak.learn.wave.displays.sections import view_of
@@ -109,10 +114,14 @@ class Display(Prepared, torch.nn.Module):
     ):
         super().__init__()
         _validate.instance("modulator", modulator, Modulator, "an odak.learn.wave.Modulator")
-        self.modulator = modulator
-        self.path = path = path_to(modulator, wavelengths, distances, iris, medium)
-        self.wavelengths, self.distances, self.samples = path.wavelengths, path.distances, path.samples
-        self.iris, self.medium = path.iris, path.medium
+        self.modulator: Modulator = modulator
+        self.path: Path = path_to(modulator, wavelengths, distances, iris, medium)
+        path = self.path
+        self.wavelengths: tuple[float, ...] = path.wavelengths
+        self.distances: tuple[float, ...] = path.distances
+        self.samples: int = path.samples
+        self.iris: Iris | str | None = path.iris
+        self.medium: float = path.medium
         self.lens: Lens | None = distances if isinstance(distances, Lens) else None
         self.eyes: Eyes | None = distances if isinstance(distances, Eyes) else None
         colours = len(self.wavelengths)

@@ -4,7 +4,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from scipy.fft import next_fast_len
@@ -114,7 +114,7 @@ class FreePath(Path):
     mask: torch.Tensor | None = field(init=False, default=None)
     jitter: float = field(init=False, default=0.0)  # type: ignore[misc]
 
-    starts = ("quadratic", "flat", "random", "double phase", "gs", "network")
+    starts: ClassVar[tuple[str, ...]] = ("quadratic", "flat", "random", "double phase", "gs", "network")
 
     def __post_init__(self) -> None:
         space = self.ends if isinstance(self.ends, Free) else Free(self.ends)

@@ -4,7 +4,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 
@@ -20,8 +20,8 @@ from odak.learn.wave.fields import unit_phasor
 class LensPath(Path):
     """Light that a lens takes to a plane at its focus or beside it, of one diffraction order: others lie elsewhere."""
 
-    starts = ("gs", "quadratic", "random", "flat")
-    begins = "quadratic"
+    starts: ClassVar[tuple[str, ...]] = ("gs", "quadratic", "random", "flat")
+    begins: ClassVar[str | None] = "quadratic"
     where = "behind a lens"
     free_space = "a display without a lens or eyes"
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 
@@ -21,8 +21,8 @@ from odak.wave.viewing import check_blur
 class RetinaPath(Path):
     """Light that eyes see, one image for each: by direct sums over the pixels and the points of a pupil."""
 
-    starts = ("gs", "random", "flat")
-    begins = "random"
+    starts: ClassVar[tuple[str, ...]] = ("gs", "random", "flat")
+    begins: ClassVar[str | None] = "random"
     where = "where eyes look on"
     free_space = "a display without a lens or eyes"
     on_retinas = True
