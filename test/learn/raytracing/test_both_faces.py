@@ -199,7 +199,7 @@ def test_shapes_that_do_not_match_are_named():
         learn.intersect_w_cylinder(torch.ones(3, 2, 3), torch.ones(2, 7))
     with pytest.raises(ValueError, match=r"center \[3\], radius \[2\], rotation \[1\]"):
         learn.define_cylinder(torch.ones(3, 3), torch.ones(2))
-    with pytest.raises(ValueError, match=r"center must be \[3\] or \[m, 3\], got \(2,\)"):
+    with pytest.raises(ValueError, match=r"center must be \[3\] or \[m, 3\], got \[2\]"):
         learn.bring_plane_to_origin(torch.ones(3), center=torch.ones(2))
 
 

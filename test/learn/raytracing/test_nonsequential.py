@@ -581,7 +581,7 @@ def test_a_seed_repeats_a_trace():
         (lambda: light_source("point", 5).polarized((0, 0)), "jones must be"),
         (lambda: RayScene([Element(Plane(), name="a"), Element(Plane(), name="a")]), "different names"),
         (lambda: light_source("point", 5, size=1.0), "size must be"),
-        (lambda: light_source("lambertian", 5, half_angle=120), "at most 90"),
+        (lambda: light_source("lambertian", 5, half_angle=120), "from 0 to 90"),
         (lambda: MeasuredScatter([0.0, 1.0], [1.0, 1.0]), "at most 1"),
         (lambda: MeasuredScatter([0.1, 1.0], [0.1, 0.1]), "ascend from 0"),
         (lambda: GaussianScatter(1.5), "at most 1"),
