@@ -7,6 +7,7 @@ two points of the window, by the rules of :mod:`odak.wave.quadrature`, and trans
 propagation itself costs what it did.
 """
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -36,6 +37,8 @@ _DOUBTFUL = 0.05
 _SLAB = 1 << 17
 # Widths of diffraction beside the geometric shadow at which a taper ends.
 _TAPER = 2.0
+# Samples on either side of the rim of a round stop over which it falls from 1 to 0, and the odd part of this fall.
+_RIM, _FALL = 2.5, (4725, -14700, 23814, -17820, 5005)
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,8 @@ class LinearGrid(Grid):
         Axes along which light spreads; along another one, of one sample, it is the same everywhere.
     judged : bool, optional
         True if the caller predicts the error for its own field: no warning is issued here.
+    named : tuple of int, optional
+        Rows and columns of the field that a warning names, where the window is wider.
     """
 
     cutoff: Any = None
@@ -70,6 +75,7 @@ class LinearGrid(Grid):
     halves: tuple[bool, bool] = (False, False)
     axes: tuple[Any, ...] = (-2, -1)
     judged: bool = False
+    named: tuple[int, int] | None = None
 
     def evaluate(self, kernel: Any) -> Any:
         """Return the transfer function whose circular convolution on this grid is the linear one on the window."""
@@ -90,8 +96,7 @@ class LinearGrid(Grid):
                 held = tuple(rule.count if rule.tapered else 1 << 40 for rule in rules)
                 values = values * xp.astype(alias_free_weight(self, held, *pair), values.dtype)
             if self.cutoff is not None:
-                kept = pair[0] ** 2 + pair[1] ** 2 <= self.cutoff**2
-                values = xp.where(kept, values, xp.zeros_like(values))
+                values = values * xp.astype(self._within_the_stop(pair, rules), values.dtype)
             if self.pixel_fill is not None:
                 for frequency, pitch in zip(pair, self.pitch, strict=True):
                     values = values * xp.astype(_pixel_spectrum(frequency * pitch, self.pixel_fill), values.dtype)
@@ -102,6 +107,21 @@ class LinearGrid(Grid):
 
         steps = [max(1, _SLAB // rule.count) for rule in rules]
         return self._in_two_passes(spectrum, lines.shape[-2], transfer, steps, first)
+
+    def _within_the_stop(self, pair, rules):
+        """Return what a round stop passes of frequencies, by a smooth rim.
+
+        The sum over the frequencies is that of the disc: the fall is the integral of (1 − t²)² times a polynomial, with
+        second and fourth moments of zero. A rim of zeros and ones is as wrong as a larger or smaller stop, and its
+        light comes back from beyond the grid: 1 % of an image, where this is 1e-4.
+        """
+        xp, tiny = self.xp, 1e-9 / self.pitch[0]
+        radius = xp.sqrt(pair[0] ** 2 + pair[1] ** 2 + tiny**2)
+        # The distance of the samples in the direction of the radius, and a rim that leaves the middle as it is.
+        steps = [f / (rule.count * p) for f, rule, p in zip(pair, rules, self.pitch, strict=True)]
+        width = _RIM * xp.sqrt(steps[0] ** 2 + steps[1] ** 2) / radius + tiny
+        t = xp.clip((self.cutoff - radius) / xp.clip(width, 0.0, self.cutoff), -1.0, 1.0)
+        return 0.5 + t / 2048 * functools.reduce(lambda total, part: total * t**2 + part, _FALL[::-1])
 
     def _in_two_passes(self, spectra, count: int, transform, steps, first: int):
         """Return the transfer function: ``spectra(slice)`` along one axis, and their ``transform(columns)``."""
@@ -215,8 +235,9 @@ class LinearGrid(Grid):
         found = rule_for(axes[0], self.tolerance), rule_for(axes[1], self.tolerance)
         error = SAFETY * math.hypot(*(rule.error for rule in found))
         if error > _DOUBTFUL and not self.judged:
+            rows, columns = self.named or sizes
             warn(
-                f"the light of {sizes[0]} × {sizes[1]} samples, {max(pitches):.3g} m apart, at a distance of "
+                f"the light of {rows} × {columns} samples, {max(pitches):.3g} m apart, at a distance of "
                 f"{abs(distance):.3g} m is known to about {100 * min(error, 1):.0f} % only: give a shorter distance, "
                 "the focal plane of a lens, or the propagation type 'auto' or 'Rayleigh-Sommerfeld' where there is one",
                 SamplingWarning,
@@ -443,6 +464,8 @@ class linear_kernel:
         Axes along which light spreads: both, or one of fields of a single row or column.
     judged : bool, optional
         True if the caller predicts the error for its own field, so that none is predicted here.
+    named : tuple of int, optional
+        Rows and columns of the field that a warning names, where the window is wider.
     """
 
     transfer: Callable[..., Any]
@@ -452,6 +475,7 @@ class linear_kernel:
     halves: tuple[bool, bool] = (False, False)
     axes: tuple[Any, ...] = (-2, -1)
     judged: bool = field(default=False, compare=False)
+    named: tuple[int, int] | None = field(default=None, compare=False)
 
     def __call__(self, grid: Grid) -> Any:
         """Return the transfer function on a padded grid; each geometry of a batch has a rule of its own."""
@@ -477,7 +501,7 @@ class linear_kernel:
     def _build(self, grid: Grid, stored):
         own: dict[str, Any] = {field.name: getattr(grid, field.name) for field in fields(Grid)}
         own |= {"cutoff": self.cutoff, "pixel_fill": self.pixel_fill, "tolerance": self.tolerance, "stored": stored}
-        own |= {"halves": self.halves, "axes": self.axes, "judged": self.judged}
+        own |= {"halves": self.halves, "axes": self.axes, "judged": self.judged, "named": self.named}
         linear = LinearGrid(**own)
         if self.transfer is angular_spectrum and linear.is_far():
             return linear.evaluate_far()

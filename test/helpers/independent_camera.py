@@ -22,7 +22,7 @@ class SquareStop:
     """
 
     def __init__(self, shape, reach=0.0, orders=1):
-        self.nodes = [_gauss(orders / 2, orders * (n + reach) + 8) for n in shape]
+        self.nodes = [_gauss(orders / 2, (orders * (n + reach) + 16) / 2) for n in shape]
 
     def spectrum(self, light, transfer, places=None):
         """Return the amplitudes of the plane waves of light at the pixels, or some places, times their weights."""
@@ -44,40 +44,32 @@ class SquareStop:
 
 
 class RoundStop:
-    """Frequencies within a circle of some radius, in cycles per pixel: nodes along radius and angle.
+    """Frequencies within a circle of some radius, in cycles per pixel: lines of nodes of Gauss's rule along its chords.
 
-    The radius is one number, or a pair along rows and columns where pixels are no squares.
+    The lines are at sines of equally spaced angles, for which the sum over them is exact as that of a periodic function
+    is. The radius is one number, or a pair along rows and columns where pixels are no squares.
     """
 
     def __init__(self, shape, radius, reach=0.0):
         radius = np.broadcast_to(radius, 2)
-        cycles = 2 * radius.max() * (max(shape) + reach) * 2**0.5 + 8
-        r, weight = _gauss(0.5, cycles / 2)
-        count = int(np.ceil(np.pi * cycles)) + 16
-        angle = 2 * np.pi * np.arange(count) / count
-        self.fy, self.fx = (
-            (length * np.outer(r + 0.5, turned)).ravel()
-            for length, turned in zip(radius, (np.sin(angle), np.cos(angle)), strict=True)
-        )
-        area = 2 * np.pi / count * radius.prod()
-        self.weights = (area * np.outer((r + 0.5) * weight, np.ones(count))).ravel()
+        down, across = (2 * r * (n + reach) + 8 for r, n in zip(radius, shape, strict=True))
+        count = int(np.ceil(np.pi * np.hypot(down, across) / 2)) + 24
+        angle = (np.arange(count) + 0.5) / count * np.pi - np.pi / 2
+        nodes, weights = _gauss(1.0, across / 2)
+        self.fy, self.fx = radius[0] * np.sin(angle), radius[1] * np.outer(np.cos(angle), nodes)
+        self.weights = np.pi / count * radius.prod() * np.outer(np.cos(angle) ** 2, weights)
 
     def spectrum(self, light, transfer, places=None):
         """Return the amplitudes of the plane waves of light at the pixels, or some places, times their weights."""
-        down, across = (
-            np.exp(-2j * np.pi * np.outer(f, p))
-            for f, p in zip((self.fy, self.fx), _or_pixels(places, light), strict=True)
-        )
-        return ((down @ light) * across).sum(1) * transfer(self.fy, self.fx) * self.weights
+        y, x = _or_pixels(places, light)
+        lines = np.exp(-2j * np.pi * np.outer(self.fy, y)) @ light
+        waves = [_sums(f, x, line) for f, line in zip(self.fx, lines, strict=True)]
+        return np.stack(waves) * transfer(self.fy[:, None], self.fx) * self.weights
 
     def on_a_grid(self, waves, y, x):
         """Return the field at all places of rows y and columns x."""
-        down, across = (np.exp(2j * np.pi * np.outer(p, f)) for p, f in zip((y, x), (self.fy, self.fx), strict=True))
-        return (down * waves) @ across.T
-
-    def at(self, waves, y, x):
-        """Return the field at places one by one."""
-        return np.exp(2j * np.pi * (np.outer(y, self.fy) + np.outer(x, self.fx))) @ waves
+        lines = [wave @ np.exp(2j * np.pi * np.outer(f, x)) for f, wave in zip(self.fx, waves, strict=True)]
+        return np.exp(2j * np.pi * np.outer(y, self.fy)) @ np.stack(lines)
 
 
 class Focus:
@@ -147,8 +139,8 @@ class Retina:
             # The edges of a stop send light as far aside as their plane waves go on the way to the pupil.
             turns += (0.5 + radius + max(np.abs(middle)) * abs(self.step)) / abs(a * pitch * self.step)
         disc = RoundStop(shape, radius, turns)
-        v, u = disc.fy / self.step, disc.fx / self.step
-        self.waves = disc.weights * np.exp(1j * np.pi * blur / wavelength * (u**2 + v**2))
+        v, u = np.repeat(disc.fy, disc.fx.shape[1]) / self.step, disc.fx.ravel() / self.step
+        self.waves = disc.weights.ravel() * np.exp(1j * np.pi * blur / wavelength * (u**2 + v**2))
         self.places = v + middle[0], u + middle[1]
         pixels = [(np.arange(n) - n // 2) * pitch for n in shape]
         spread = self._of_one_order if one_order else self._of_squares
@@ -317,6 +309,16 @@ def camera(seen, target, step=1.0, fill=1.0, shifts=4):
 
 def _or_pixels(places, light):
     return [np.arange(n) for n in light.shape] if places is None else places
+
+
+def _sums(frequencies, places, values, block=32):
+    """Return the sums of values·exp(−2πi·f·place) for each frequency; of pixels, products of fewer exponentials."""
+    first = places[0]
+    if len(places) < 4 * block or not np.array_equal(places, first + np.arange(len(places))):
+        return np.exp(-2j * np.pi * np.outer(frequencies, places)) @ values
+    parts = np.pad(values, (0, -len(values) % block)).reshape(-1, block)
+    far = np.exp(-2j * np.pi * np.outer(frequencies, first + block * np.arange(len(parts))))
+    return ((far @ parts) * np.exp(-2j * np.pi * np.outer(frequencies, np.arange(block)))).sum(1)
 
 
 def _gauss(half, cycles):

@@ -364,7 +364,7 @@ def test_planes_too_far_for_the_panel_are_named(phases):
         else:
             with pytest.warns(ArgumentWarning, match="distances are in metres: over 3 m .* did you mean 3mm"):
                 display = Display(panel, WAVELENGTH, distance)
-            with pytest.warns(SamplingWarning, match=r"samples, 8e-06 m apart, at a distance of 3 m is known"):
+            with pytest.warns(SamplingWarning, match=r"24 × 20 samples, 8e-06 m apart, at a distance of 3 m is known"):
                 found = display.fields(phases)[0, 0, 0].numpy()
         chirp = np.sinc(cycles) * np.exp(-1j * np.pi * WAVELENGTH * distance * (cycles / PITCH) ** 2)
         response = chirp @ waves / len(cycles)

@@ -342,23 +342,36 @@ def test_images_and_their_judge_are_right_to_the_rim(random, sight):
         assert np.linalg.norm(error[rim]) < 2 * bound * np.linalg.norm(expected[rim])
 
 
-@pytest.mark.slow
-def test_the_judge_on_a_large_panel(random):
-    """At pixels drawn by a seed, edges and corners among them, behind a stop of one order and a round one.
+LARGE = {
+    "one order": ((270, 480), through_space, 3e-2),
+    "at the panel": ((270, 480), through_space, 0.0),
+    "in glass": ((270, 480), through_space, 2e-2, "order", 1.5),
+    "a wide iris": ((270, 480), through_space, 3e-2, 0.6),
+    "an iris": ((270, 480), through_space, 0.0, 0.3),
+    "a narrow iris": ((270, 480), through_space, 3e-2, 0.1),
+    "lens": ((270, 480), behind_a_lens, Lens(0.2)),
+    "eye": ((270, 480), in_an_eye, 1e-3),
+    "panels and irises": ((270, 480), through_two_panels, 1e-3, 0.3, 5e-3, 0.3),
+    "full size": ((1080, 1920), through_space, 5e-2),
+    "full size, an iris": ((1080, 1920), through_space, 5e-2, 0.3),
+    "full size, lens": ((1080, 1920), behind_a_lens, Lens(0.2)),
+}
 
-    Measured: 2.4e-3 and 7.3e-3 of the image, more than on the small panels above.
-    """
-    shape, distance = (270, 480), 30e-3
-    phases = random.uniform(0, 6, shape)
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sight", LARGE)
+def test_large_images_and_their_judge(random, sight):
+    """At pixels drawn by a seed, edges and corners among them, against sums over all pixels."""
+    shape, way, *numbers = LARGE[sight]
+    phases, amplitudes = random.uniform(0, 6, shape).astype(np.float32), random.uniform(0, 1, shape).astype(np.float32)
+    display, seen = way(np.exp(1j * phases.astype(float)), amplitudes, *numbers)
     rows, columns = (np.unique(np.r_[0, n - 1, random.integers(0, n, 14)]) for n in shape)
-    transfer, reach = freely(PITCH, WAVELENGTH, distance)
-    round_iris = of_iris(0.3, shape, distance)
-    for iris, stop, bound in (("order", SquareStop(shape, reach), 4e-3), (*round_iris, 1.1e-2)):
-        display = Display(Modulator(shape, PITCH, bits=None), WAVELENGTH, distance, iris=iris)
-        found = display.judge(torch.from_numpy(phases))[0][0, 0].numpy()[np.ix_(rows, columns)]
-        expected = Seen([np.exp(1j * phases)], [1], stop, transfer).means(rows, columns)
-        assert found.size >= 200
-        assert np.linalg.norm(found - expected) < bound * np.linalg.norm(expected)
+    expected = seen.means(rows, columns)
+    assert expected.size >= 200
+    given = (torch.from_numpy(phases), torch.from_numpy(amplitudes))[: 1 + (way is through_two_panels)]
+    for found in (display.judge(*given)[0], display(given[0], None, *given[1:])):
+        error = found[0, 0].numpy()[np.ix_(rows, columns)] - expected
+        assert np.linalg.norm(error) < 2e-3 * np.linalg.norm(expected)
 
 
 @pytest.mark.parametrize(("samples", "size"), [(2, 16), (3, 24), (6, 24)])

@@ -359,13 +359,13 @@ class Display(Prepared, torch.nn.Module):
     def judge(self, phases: torch.Tensor, amplitudes: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the images of patterns by another computation than :meth:`forward`, and those at points.
 
-        Each pixel is a comb of samples, propagated by the method that :func:`odak.wave.sampling_report` recommends on a
-        grid of twice the size that :meth:`forward` takes, wider for small panels and narrow irises, and multiplied by
-        the spectrum of a square; the mean over the area of a pixel is a product of spectra. It shares neither transfer
-        functions nor weights with :meth:`forward`. Of panels of up to 64 pixels along each axis its images are within
-        1e-3 of direct sums over stops and pupils, and those of :meth:`forward` within 2e-3, in free space, in a medium,
-        behind a lens, in eyes and behind two panels, edges and corners among them; without a stop both hold nine
-        orders. Images of 270 × 480 pixels are within 4e-3 behind a stop of one order and 1.1e-2 behind a round one.
+        Each pixel is a comb of samples on a grid of four times the panel's extent, wider for small panels, multiplied
+        by the spectrum of a square and the phases of plane waves, or propagated by the method that
+        :func:`odak.wave.sampling_report` recommends where light goes far aside; the mean over the area of a pixel is a
+        product of spectra. It shares neither transfer functions nor weights with :meth:`forward`. Images of both
+        are within 2e-3 of direct sums over stops and pupils, edges and corners among them: of panels of 24 to 1920
+        pixels along each axis in free space, behind a round iris and behind a lens, of up to 480 in a medium, in eyes
+        and behind two panels. Without a stop both hold nine orders.
 
         Parameters
         ----------

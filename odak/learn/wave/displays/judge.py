@@ -21,9 +21,10 @@ from odak.wave.sampling import sampling_report
 from odak.wave.transfer_functions import divided_pitch
 from odak.wave.viewing import covered
 
-# Pixels that a grid has along each axis at least, the periods of the highest frequency that a round iris passes, and
-# pixels that it has at most for their sake.
-_LEAST, _PERIODS, _MOST = 512, 24, 2048
+# Pixels that a grid has along each axis at least.
+_LEAST = 512
+# Standard deviation of the fall at the rim of a round stop, in samples of a grid.
+_RIM = 0.75
 # Widths of the image of a point by a pupil, λ/diameter, over which it is followed at least.
 _AIRY = 64
 
@@ -111,7 +112,7 @@ def judged(
                 # One frame at a time, which takes less memory.
                 own = display._lit_by_source(tuple(one[..., f : f + 1, :, :] for one in lights), c)
                 shown, finer = _field_at(at, [one[0] for one in own], c, d)
-                light = light + power[f] * fine_intensity(shown)
+                light = light + power[f] * fine_intensity(shown, [2 * n * finer for n in at.sizes])
             samples = 2 * finer
             images[0].append(resolved(light, samples, at.sizes, (1.0, 1.0), 1))
             images[1].append(light[pixels_of(light, samples, at.sizes)])
@@ -130,7 +131,7 @@ def judged(
 
 
 def _field_at(at, lights, colour: int, image: int) -> tuple[torch.Tensor, int]:
-    """Return the field on the plane of an image over twice the extent of the panel, and its samples per pixel.
+    """Return the field on the plane of an image over twice the extent of the panel or more, and its samples per pixel.
 
     `at` are the numbers of a display: its panels, stops, and the distances, the lens or the eyes where its images are.
     """
@@ -140,18 +141,20 @@ def _field_at(at, lights, colour: int, image: int) -> tuple[torch.Tensor, int]:
         return _on_retina(lights[0], sight)
     if isinstance(at.ends, Lens):
         return _spread(at, lights[0], colour), 2
+    way = at.wavelengths[colour] / at.medium, at.distances[image]
     if at.first is not None:
         finer = 2 + orders_through(at.first.iris, at.wavelengths, at.pitches)
-        field = _both(at, lights[0], lights[1], colour, finer)
+        wide = _wide(at)
+        field = _both(at, lights[0], lights[1], colour, finer, wide)
     else:
         finer = orders_through(at.iris, at.wavelengths, at.pitches)
-        wide = _wide(at, colour)
+        wide = _wide(at)
         # Without a round stop the grid has no frequencies but those that pass.
         passed = _passed(at, finer, colour, at.iris, lights[0].device, wide) if isinstance(at.iris, Iris) else 1.0
         if at.mask is not None:
             passed = passed * torch.fft.ifftshift(at.mask).to(lights[0].device)
         field = _sampled(at, lights[0], finer, at.fill, passed, wide)
-    return _spread_freely(at, field, at.wavelengths[colour] / at.medium, at.distances[image], finer), finer
+    return _spread_freely(at, field, *way, finer, wide), finer
 
 
 def _spread(at, light, colour):
@@ -228,17 +231,14 @@ def _on_retina(light, sight: Sight):
     return light, finer
 
 
-def _wide(at, colour: int) -> list[int]:
+def _wide(at) -> list[int]:
     """Return how many times twice the panel's extent a grid has along each axis, on which light is followed.
 
-    What a stop cuts off sharply spreads far; what leaves the grid comes back on its other side. That is little on
-    large panels, and the grid of small ones is widened.
+    What a stop cuts off sharply spreads far, and what leaves the grid comes back on its other side.
     """
     if at.mask is not None:
         return [1, 1]
-    cutoff = at.iris.cutoff(at.wavelengths[colour]) if isinstance(at.iris, Iris) else math.inf
-    least = [max(_LEAST, min(_MOST, math.ceil(_PERIODS / (cutoff * pitch)))) for pitch in at.pitches]
-    return [math.ceil(count / (2 * n)) for count, n in zip(least, at.sizes, strict=True)]
+    return [math.ceil(max(_LEAST, 4 * n) / (2 * n)) for n in at.sizes]
 
 
 def _sampled(at, light, samples, fill, passed: torch.Tensor | float = 1.0, wide: Sequence[int] = (1, 1)):
@@ -255,23 +255,30 @@ def _sampled(at, light, samples, fill, passed: torch.Tensor | float = 1.0, wide:
         torch.sinc(math.sqrt(fill) * p * f) * samples
         for p, f in zip(at.pitches, _frequencies(at, samples, light.device, wide), strict=True)
     )
-    return torch.fft.ifft2(torch.fft.fft2(comb) * (down[:, None] * across * passed))
+    return torch.fft.ifft2(torch.fft.fft2(comb) * (down[:, None] * across * passed).to(light.dtype))
 
 
 def _frequencies(at, samples, device, wide: Sequence[int] = (1, 1)) -> list[torch.Tensor]:
     """Return the frequencies along rows and columns of a grid of so many times twice the extent of the panel."""
     return [
-        torch.fft.fftfreq(2 * n * k * samples, p, device=device)
+        torch.fft.fftfreq(2 * n * k * samples, p, dtype=torch.float64, device=device)
         for n, k, p in zip(at.sizes, wide, divided_pitch(at.pitches, samples), strict=True)
     ]
 
 
 def _passed(at, samples, colour, iris, device, wide: Sequence[int] = (1, 1)) -> torch.Tensor:
-    """Return what a stop passes of the frequencies of a grid: at the rim of a round one, the share of their area."""
+    """Return what a stop passes of the frequencies of a grid: a round one by a smooth rim of the same integral.
+
+    The fall is that of a normal distribution whose second and fourth moments are taken away.
+    """
     down, across = _frequencies(at, samples, device, wide)
     if isinstance(iris, Iris):
-        down, across = (f / iris.cutoff(at.wavelengths[colour]) for f in (down, across))
-        return covered(torch, down[:, None], across, [float(f[1]) for f in (down, across)])
+        steps, cutoff = (down[1], across[1]), iris.cutoff(at.wavelengths[colour])
+        angle = torch.atan2(across / cutoff, down[:, None] / cutoff)
+        step = torch.hypot(steps[0] * angle.cos(), steps[1] * angle.sin())
+        x = (cutoff - torch.hypot(down[:, None], across)) / (_RIM * step)
+        normal = torch.exp(-(x**2) / 2) / math.sqrt(2 * math.pi)
+        return torch.special.ndtr(x) + x * (7 - x**2) / 8 * normal
     # Half of the last frequency itself, which is rounded, on either side.
     half = [0.5 * orders_through(iris, at.wavelengths, at.pitches) / p for p in at.pitches]
     down, across = (
@@ -281,22 +288,62 @@ def _passed(at, samples, colour, iris, device, wide: Sequence[int] = (1, 1)) -> 
     return down[:, None] * across
 
 
-def _both(at, amplitudes, light, colour, samples):
+def _both(at, amplitudes, light, colour, samples, wide):
     """Return the field behind the second of two panels, as far as the iris of the display passes it."""
-    first, wavelength, wide = at.first, at.wavelengths[colour], _wide(at, colour)
+    first, wavelength = at.first, at.wavelengths[colour]
     passed = _passed(at, samples, colour, first.iris, light.device, wide)
     there = _sampled(at, amplitudes, samples, first.fill, passed, wide)
-    there = _spread_freely(at, there, wavelength, first.distance, samples)
+    there = _spread_freely(at, there, wavelength, first.distance, samples, wide, cut=False)
     product = torch.fft.fft2(there * _sampled(at, light, samples, at.fill, wide=wide))
-    return torch.fft.ifft2(product * _passed(at, samples, colour, at.iris, light.device, wide))
+    passed = _passed(at, samples, colour, at.iris, light.device, wide)
+    return torch.fft.ifft2(product * passed.to(product.dtype))
 
 
-def _spread_freely(at, field, wavelength, distance, samples):
-    """Return a field with several samples in each pixel after it has travelled a distance."""
+def _spread_freely(at, field, wavelength, distance, samples, wide, cut=True):
+    """Return a field with several samples in each pixel after it has travelled a distance.
+
+    Light that stays on the grid is a sum of plane waves, each with its phase. That which goes far beyond is propagated
+    without wrap-around, of a smaller part of the grid where it may be `cut`.
+    """
     if distance == 0:
         return field
     pitch = divided_pitch(at.pitches, samples)
+    if at.mask is None and all(
+        4 * reach * (1 + reach / n) <= 2 * n * k
+        for reach, n, k in zip(_reach(at, wavelength, distance, samples), at.sizes, wide, strict=True)
+    ):
+        return _turned(field, wavelength, distance, pitch)
+    if cut:
+        field = _middle(field, [2 * n * samples * max(1, math.ceil(_LEAST / (2 * n))) for n in at.sizes])
     with_padding = sampling_report(tuple(field.shape), pitch, wavelength, distance, zero_padding=True)
     return propagate_beam(
         field, None, distance, pitch, wavelength, with_padding.recommended, zero_padding=[True, False, True]
     )
+
+
+def _reach(at, wavelength, distance, samples) -> list[float]:
+    """Return how many pixels along each axis the light of the last frequency of a grid goes aside."""
+    sines = [min(0.99, wavelength * samples / (2 * pitch)) for pitch in at.pitches]
+    ways = (abs(distance) * sine / math.sqrt(1 - sine**2) for sine in sines)
+    return [way / pitch for way, pitch in zip(ways, at.pitches, strict=True)]
+
+
+def _turned(field, wavelength, distance, pitch):
+    """Return a periodic field after each of its plane waves has travelled a distance, or has faded."""
+    spectrum = torch.fft.fft2(field)
+    down, across = (
+        torch.fft.fftfreq(n, p, dtype=torch.float64, device=field.device)
+        for n, p in zip(field.shape, pitch, strict=True)
+    )
+    # Some rows at a time, which takes less memory.
+    for rows, fy in zip(spectrum.split(64), down.split(64), strict=True):
+        axial = (wavelength**-2 - fy[:, None] ** 2 - across**2).to(torch.complex128).sqrt()
+        turned = torch.exp(2j * math.pi * abs(distance) * (axial - 1 / wavelength))
+        rows *= (turned.conj() if distance < 0 else turned).to(spectrum.dtype)
+    return torch.fft.ifft2(spectrum)
+
+
+def _middle(values: torch.Tensor, shape: Sequence[int]) -> torch.Tensor:
+    """Return the rows and columns in the middle of an array."""
+    rows, columns = (slice((m - n) // 2, (m + n) // 2) for m, n in zip(values.shape, shape, strict=True))
+    return values[rows, columns]

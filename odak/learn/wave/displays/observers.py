@@ -446,24 +446,27 @@ def decibels(errors: torch.Tensor) -> torch.Tensor:
     return -10 * torch.log10(errors.clamp_min(1e-30))
 
 
-def fine_intensity(shown: torch.Tensor) -> torch.Tensor:
+def fine_intensity(shown: torch.Tensor, shape: Sequence[int] | None = None) -> torch.Tensor:
     """Return the intensity of a periodic field ``[rows, columns]`` at twice as many points along each axis.
 
-    These describe it, since it has twice the band of the field. They are computed one shift of the field after another.
+    These describe it, since it has twice the band of the field. They are computed one shift of the field after another,
+    of some rows and columns in the middle; of all by default.
     """
-    spectrum = torch.fft.fft2(shown)
-    light = torch.empty([2 * n for n in shown.shape], dtype=shown.real.dtype, device=shown.device)
+    spectrum, shape = torch.fft.fft2(shown), shown.shape if shape is None else shape
+    light = torch.empty([2 * n for n in shape], dtype=shown.real.dtype, device=shown.device)
     down, across = (_half_step(n, shown) for n in shown.shape)
+    middle = tuple(slice((m - n) // 2, (m + n) // 2) for m, n in zip(shown.shape, shape, strict=True))
     for y, x in itertools.product(range(2), repeat=2):
-        light[y::2, x::2] = intensity(torch.fft.ifft2(spectrum * down[y][:, None] * across[x]))
+        light[y::2, x::2] = intensity(torch.fft.ifft2(spectrum * down[y][:, None] * across[x])[middle])
     return light
 
 
 def _half_step(n: int, like: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the factors of a spectrum that shift a field by nothing and by half a sample."""
-    f = torch.fft.fftfreq(n, dtype=torch.float64)
-    # The highest frequency is one with its negative: half of it turns each way.
-    turn = torch.polar(torch.where(f == -0.5, 0.0, 1.0).double(), math.pi * f)
+    turn = torch.polar(torch.ones(n, dtype=torch.float64), math.pi * torch.fft.fftfreq(n, dtype=torch.float64))
+    if n % 2 == 0:
+        # The highest frequency is one with its negative: half of it turns each way.
+        turn[n // 2] = 0
     return torch.ones_like(turn).to(like), turn.to(like)
 
 

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -20,7 +20,7 @@ from odak.tools.matrix import zero_pad
 from odak.wave.linear_kernels import linear_kernel
 from odak.wave.methods import check_has_kernel, linear_kernel_of, linear_method
 from odak.wave.torch_convolution import convolve
-from odak.wave.transfer_functions import Grid, Request, divided_pitch, plane_wave_transfer
+from odak.wave.transfer_functions import Grid, Request, angular_spectrum, divided_pitch
 
 # Where an iris passes fewer periods across the panel, its spot is wider than all that is computed.
 _FEWEST_PERIODS = 0.5
@@ -103,6 +103,8 @@ class FreePath(Path):
     ----------
     window : tuple of int
         Rows and columns in which light is followed.
+    finer : int
+        Samples along each axis of a pixel of what transfer functions filter.
     method : str
         Name of the propagation method.
     mask : torch.Tensor, optional
@@ -110,6 +112,7 @@ class FreePath(Path):
     """
 
     window: tuple[int, int] = field(init=False)
+    finer: int = field(init=False, default=1)
     method: str = field(init=False, default="Angular Spectrum")
     mask: torch.Tensor | None = field(init=False, default=None)
     jitter: float = field(init=False, default=0.0)  # type: ignore[misc]
@@ -121,9 +124,7 @@ class FreePath(Path):
         net = tuple(float(z) - space.relay for z in _validate.numbers(space.distances))
         keep(self, distances=net, window=self.sizes, samples=2 * self.passing(self.iris))
         if space.mask is None:
-            # A round stop is sampled on the grid of the window.
-            least = 2 * _LARGE if isinstance(self.iris, Iris) else 0
-            wider = (4 * next_fast_len(-(-max(n + REACH, least) // 4), True) for n in self.sizes)
+            wider = (4 * next_fast_len(-(-(n + REACH) // 4), True) for n in self.sizes)
             keep(self, window=tuple(n if n >= _LARGE else more for n, more in zip(self.sizes, wider, strict=True)))
         if isinstance(self.iris, Iris):
             across = min(n * p for n, p in zip(self.sizes, self.pitches, strict=True))
@@ -186,9 +187,9 @@ class FreePath(Path):
         return kept(type(self)._of_planes, self, colour, dtype, tuple(planes))
 
     def _of_planes(self, device, colour, dtype, planes):
-        rows, columns = self.window
+        rows, columns = (2 * n * self.finer for n in self.window)
         # Column by column, which is the order that the propagation reads them in on a CPU.
-        shape = len(planes) * self.samples**2, 2 * columns, 2 * rows
+        shape = len(planes) * (1 if self.finer > 1 else self.samples**2), columns, rows
         kept = torch.empty(shape, dtype=dtype, device=device).mT
         kept = kept if kept.is_cpu else kept.contiguous()
         each = (kernel for plane in planes for kernel in self._of_plane(device, colour, plane, dtype))
@@ -204,40 +205,51 @@ class FreePath(Path):
             kept.errors = tuple((self.jitter * drawn).tolist())
 
     def _of_plane(self, device, colour, plane, dtype, error=0.0):
-        wavelength, orders, cutoff = self.wavelengths[colour] / self.medium, self.samples // 2, self.cutoff(colour)
-        # Light that has passed two panels has the spectrum of their pixels already.
-        fill, xp = self.fill if self.first is None else None, _array.namespace(torch.empty(0))
-        distance = self.distances[plane] + error
-        if isinstance(self.ends, Free) and _array.is_traced(self.ends.distances):
-            distance = self.ends.distances[plane].to(device) - self.ends.relay + error
-
-        def grid(samples):
-            shape = tuple(2 * n * samples for n in self.window)
-            pitch = divided_pitch(self.pitches, samples)
-            return Request(pitch, wavelength, distance).grid(shape, xp, device, dtype)
-
+        orders, cutoff = self.samples // 2, self.cutoff(colour)
         if orders == 1:
+            grid = self._grid(device, colour, plane, dtype, error)
             mask = 1.0 if self.mask is None else torch.fft.ifftshift(self.mask).to(device)
             for halves in itertools.product((False, True), repeat=2):
-                kernel = replace(linear_kernel_of(self.method, cutoff, fill), halves=halves)(grid(1))
+                linear = linear_kernel_of(self.method, cutoff, self.fill)
+                kernel = replace(linear, halves=halves, named=self.sizes)(grid)
                 yield kernel if self.mask is None else (kernel * mask).to(dtype)
         else:
             # The response at all points of the pixels of the image. Each point takes its own lags, every so many of
             # them, and with them the repetitions of the spectrum.
             count = self.samples
             transfer = PixelTransfer.of(self.pitches, self.fill, orders)
-            kernel = linear_kernel(transfer, math.inf if cutoff is None else cutoff)(grid(count))
-            response = torch.fft.ifft2(kernel) * count**2
+            linear = linear_kernel(transfer, math.inf if cutoff is None else cutoff)
+            response = torch.fft.ifft2(linear(self._grid(device, colour, plane, dtype, error, count))) * count**2
             points = itertools.product(range(count), repeat=2)
             yield from (torch.fft.fft2(response[down::count, across::count]) for down, across in points)
+
+    def _grid(self, device, colour, plane, dtype, error=0.0, samples=1):
+        """Return the grid of twice the window on the way to a plane, with some samples in each pixel."""
+        distance: Any = self.distances[plane] + error
+        if isinstance(self.ends, Free) and _array.is_traced(self.ends.distances):
+            distance = self.ends.distances[plane].to(device) - self.ends.relay + error
+        request = Request(divided_pitch(self.pitches, samples), self.wavelengths[colour] / self.medium, distance)
+        shape = 2 * self.window[0] * samples, 2 * self.window[1] * samples
+        return request.grid(shape, _array.namespace(torch.empty(0)), device, dtype)
 
 
 @dataclass(frozen=True)
 class PixelTransfer:
-    """Transfer function of free space for square pixels of some width, in a band that a square stop passes."""
+    """Transfer function of free space for square pixels of some width, in a band that a square stop passes.
+
+    Attributes
+    ----------
+    width : tuple of float
+        Of a pixel along rows and columns in metres; 0 for points.
+    band : tuple of float
+        Highest frequencies that pass along rows and columns, in cycles per metre.
+    transfer : callable
+        Transfer function of the way.
+    """
 
     width: tuple[float, float]
     band: tuple[float, float]
+    transfer: Callable[..., Any] = angular_spectrum
 
     @classmethod
     def of(cls, pitches: tuple[float, float], fill: float, orders: int) -> "PixelTransfer":
@@ -247,12 +259,27 @@ class PixelTransfer:
 
     def __call__(self, grid: Grid) -> torch.Tensor:
         """Return the transfer function on a grid of frequencies."""
+        return self.transfer(_Passing(grid, self.width, self.band))
 
-        def kernel(fy, fx):
-            spectrum = plane_wave_transfer(grid, fy, fx)
-            for frequency, width, limit in zip((fy, fx), self.width, self.band, strict=True):
-                passed = torch.sinc(width * frequency) * (0.5 * (frequency < limit) + 0.5 * (frequency <= limit))
-                spectrum = spectrum * passed.to(spectrum.dtype)
+
+class _Passing:
+    """A grid on which a transfer function is multiplied by the spectrum of pixels in a band."""
+
+    def __init__(self, grid: Grid, width: Sequence[float], band: Sequence[float]):
+        self._grid, self._width, self._band = grid, width, band
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._grid, name)
+
+    def evaluate(self, kernel: Callable[..., torch.Tensor]) -> torch.Tensor:
+        """Return the transfer function with frequencies ``kernel(fy, fx)`` in the band."""
+
+        def passing(fy, fx):
+            spectrum = kernel(fy, fx)
+            for frequency, width, limit in zip((fy, fx), self._width, self._band, strict=True):
+                # Half of the last frequency, which is rounded.
+                inside = sum(0.5 * (frequency < (1 + more) * limit) for more in (-1e-9, 1e-9))
+                spectrum = spectrum * (torch.sinc(width * frequency) * inside).to(spectrum.dtype)
             return spectrum
 
-        return grid.evaluate(kernel)
+        return self._grid.evaluate(passing)

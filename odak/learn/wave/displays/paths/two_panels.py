@@ -1,8 +1,9 @@
 """Light through two panels in series to planes. Touches transfer functions and the lights it is given."""
 
+import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -14,12 +15,12 @@ from odak.learn.wave.displays.panels import Iris, Modulator
 from odak.learn.wave.displays.paths.base import Kept, Lights, keep
 from odak.learn.wave.displays.paths.free import FreePath, PixelTransfer
 from odak.wave.linear_kernels import linear_kernel
+from odak.wave.methods import linear_kernel_of
 from odak.wave.torch_convolution import convolve
 from odak.wave.transfer_functions import Request, divided_pitch
 
-# Pixels around a modulator, at least, in which the light of its edges is followed behind another panel, and in which
-# that of a small one is, whose edges are a larger part of it.
-_MARGIN, _SMALLEST = 32, 256
+# Pixels around a modulator in which the light of its edges is followed behind another panel.
+_MARGIN = 8
 
 
 @dataclass(frozen=True)
@@ -32,8 +33,10 @@ class TwoPanelsPath(FreePath):
         super().__post_init__()
         if self.samples > 2:
             raise ValueError(not_behind(f"iris={self.iris!r}"))
-        rows, columns = (next_fast_len(max(n + 2 * _MARGIN, _SMALLEST)) for n in self.sizes)
-        keep(self, window=(rows, columns))
+        first: Any = self.first
+        # Even, so that half a pixel is a whole number of samples.
+        finer = 2 * math.ceil((1 + self.passing(first.iris)) / 2)
+        keep(self, window=tuple(next_fast_len(n + 2 * _MARGIN) for n in self.sizes), finer=finer)
 
     @classmethod
     def leads(cls, modulator: Modulator, ends: Any) -> bool:
@@ -42,27 +45,35 @@ class TwoPanelsPath(FreePath):
 
     def points(self, kept: Kept, lights: Lights, colour: int, planes: Sequence[int]) -> torch.Tensor:
         """Return the fields of some images at the points of pixels."""
-        return self._through_both(kept, lights, colour, self.kernels(kept, colour, lights[1].dtype, planes), REACH)
+        shown, half = self._through_both(kept, lights, colour, planes), self.finer // 2
+        places = itertools.product((0, half), repeat=2)
+        points = [self._pixels(shown, down, across, REACH) for down, across in places]
+        return torch.stack(points, -3).flatten(-4, -3)
 
     def middles(self, kept: Kept, lights: Lights, colour: int) -> torch.Tensor:
         """Return the fields of all images at the middles of pixels."""
-        kernels = self.kernels(kept, colour, lights[1].dtype, range(len(self.distances)))
-        return self._through_both(kept, lights, colour, kernels[:: self.samples**2])
+        return self._pixels(self._through_both(kept, lights, colour, range(len(self.distances))))
 
-    def _through_both(self, kept, lights, colour, kernels, beyond=0):
-        """Return the fields ``[..., F, kernel, rows, columns]`` of the light of two panels, filtered by kernels.
+    def _pixels(self, shown, down=0, across=0, beyond=0):
+        """Return the samples some samples beside the middles of pixels, of which some are beyond each rim."""
+        for axis, n, m, more in zip((-2, -1), self.window, self.sizes, (down, across), strict=True):
+            first = ((n - m) // 2 - beyond) * self.finer + more
+            chosen = slice(first, first + (m + 2 * beyond) * self.finer, self.finer)
+            shown = shown[..., chosen] if axis == -1 else shown[..., chosen, :]
+        return shown
 
-        They reach some pixels beyond each rim.
+    def _through_both(self, kept, lights, colour, planes):
+        """Return the fields of the light of two panels on some planes, ``[..., F, planes, rows, columns]``.
+
+        They are on the window, with `finer` samples in each pixel.
 
         The modulator multiplies the light of the first panel, which holds the diffraction orders that pass its stop.
         Frequencies of the modulator up to one order beyond these reach the images, and with one sample more in each
         pixel than orders pass, no other frequencies are aliased onto them.
         """
-        first: Any = self.first
         amplitudes, light = lights
-        finer, window = 1 + self.passing(first.iris), self.window
-        between = kept(type(self)._between, self, colour, finer, light.dtype)
-        there = convolve(_comb(amplitudes, window, finer), between)
+        finer, window = self.finer, self.window
+        there = convolve(_comb(amplitudes, window, finer), kept(type(self)._between, self, colour, light.dtype))
         width = math.sqrt(self.fill)
         down, across = (
             torch.sinc(width * p * torch.fft.fftfreq(n * finer, p / finer, dtype=light.real.dtype, device=light.device))
@@ -70,23 +81,25 @@ class TwoPanelsPath(FreePath):
         )
         spectrum = torch.fft.fft2(_comb(light, window, finer)) * (down[:, None] * across * finer**2)
         product = there * torch.fft.ifft2(spectrum)
-        for axis, n in zip((-1, -2), window[::-1], strict=True):
-            whole = torch.fft.fft(product, 2 * n * finer, axis) / finer
-            product = torch.cat([whole.narrow(axis, 0, n), whole.narrow(axis, 2 * n * finer - n, n)], axis)
-        shown = torch.fft.ifft2(product[..., None, :, :] * kernels)
-        for axis, n, m in zip((-2, -1), window, self.sizes, strict=True):
-            shown = shown.narrow(axis, (n - m) // 2 - beyond, m + 2 * beyond)
-        return shown
+        return convolve(product[..., None, :, :], self.kernels(kept, colour, light.dtype, planes))
 
-    def _between(self, device, colour, finer, dtype) -> torch.Tensor:
+    def _of_plane(self, device, colour, plane, dtype, error=0.0):
+        """Yield the transfer function of one order from samples at the modulator to those at a plane."""
+        cutoff, way = self.cutoff(colour), linear_kernel_of(self.method).transfer
+        # Light that has passed two panels has the spectrum of their pixels already.
+        transfer = replace(PixelTransfer.of(self.pitches, 0.0, 1), transfer=way)
+        linear = linear_kernel(transfer, math.inf if cutoff is None else cutoff)
+        yield linear(self._grid(device, colour, plane, dtype, error, self.finer))
+
+    def _between(self, device, colour, dtype) -> torch.Tensor:
         """Return the transfer function from the pixels of the first panel to points at the modulator."""
         first: Any = self.first
         cutoff = first.iris.cutoff(self.wavelengths[colour]) if isinstance(first.iris, Iris) else math.inf
         transfer = PixelTransfer.of(self.pitches, first.fill, self.passing(first.iris))
-        request = Request(divided_pitch(self.pitches, finer), self.wavelengths[colour], first.distance)
-        shape = tuple(2 * n * finer for n in self.window)
+        request = Request(divided_pitch(self.pitches, self.finer), self.wavelengths[colour], first.distance)
+        shape = 2 * self.window[0] * self.finer, 2 * self.window[1] * self.finer
         xp = _array.namespace(torch.empty(0))
-        return linear_kernel(transfer, cutoff)(request.grid(shape, xp, device, dtype)) * finer**2
+        return linear_kernel(transfer, cutoff)(request.grid(shape, xp, device, dtype)) * self.finer**2
 
 
 def not_behind(got: str) -> str:
