@@ -6,6 +6,7 @@ Micro-Manager's demonstration camera, not with hardware.
 
 import glob
 import os
+import re
 import time
 import weakref
 from collections.abc import Sequence
@@ -170,8 +171,9 @@ class VideoCamera(_show.Shown):
     pitch : float
         Distance between pixels in metres.
     exposure : float, optional
-        Exposure time in seconds; by default what the camera is set to. Cameras of this class take it in units of
-        100 µs, or in powers of two, as `exposure_unit` says.
+        Exposure time in seconds; by default what the camera is set to. Cameras of this class take it in whole units of
+        100 µs, or whole powers of two, as `exposure_unit` says; the nearest is set, and :attr:`exposure` is what the
+        camera reports.
     exposure_unit : {"100 us", "log2"}
         Unit of the driver: "100 us" on Linux (V4L2), "log2" of seconds on Windows (DirectShow).
     skip : int
@@ -213,7 +215,11 @@ class VideoCamera(_show.Shown):
         self.region: tuple[int, int, int, int] | None = None
         columns, rows = (int(self._stream.get(code)) for code in (3, 4))
         self.shape: tuple[int, int] = (rows, columns)
+        # Of a file it is a name alone.
+        self._adjustable = isinstance(source, int)
         self._exposure = 1.0
+        if self._adjustable:
+            self._exposure = self._seconds(self._stream.get(self._cv2.CAP_PROP_EXPOSURE), 1.0)
         if exposure is not None:
             self.exposure = exposure
 
@@ -225,10 +231,23 @@ class VideoCamera(_show.Shown):
     @exposure.setter
     def exposure(self, value: float) -> None:
         value = float(_validate.number("exposure", value, positive=True))
-        given = value / 1e-4 if self._unit == "100 us" else float(np.log2(value))
-        self._stream.set(self._cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
-        self._stream.set(self._cv2.CAP_PROP_EXPOSURE, given)
+        if self._adjustable:
+            # Drivers truncate what is not whole.
+            given = max(round(value / 1e-4), 1) if self._unit == "100 us" else round(float(np.log2(value)))
+            self._stream.set(self._cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
+            if not self._stream.set(self._cv2.CAP_PROP_EXPOSURE, float(given)):
+                raise OSError(
+                    f"the camera does not take an exposure of {value:g} s, {given} in units of {self._unit!r}: it may "
+                    "lie beyond its limits, or the camera has no manual exposure, or another exposure_unit"
+                )
+            value = self._seconds(self._stream.get(self._cv2.CAP_PROP_EXPOSURE), self._seconds(given, value))
         self._exposure = value
+
+    def _seconds(self, given: float, otherwise: float) -> float:
+        """Return an exposure in units of the driver in seconds, or another number where the driver tells none."""
+        if self._unit == "log2":
+            return float(2.0**given) if -20 < given < 10 and given != 0 else otherwise
+        return 1e-4 * given if given > 0 else otherwise
 
     def capture(self, count: int = 1) -> np.ndarray:
         """Return captures, uint8 or uint16 ``[count, rows, columns]`` of the region."""
@@ -263,14 +282,18 @@ class GenICamCamera(_show.Shown):
         The GenTL producer of the maker or of another one, a ``.cti`` file; by default the files in the folders of the
         environment variable ``GENICAM_GENTL64_PATH``, which installers of makers set.
     pixel_format : str
-        Name of a monochrome format after the Pixel Format Naming Convention, such as "Mono8" or "Mono12", unpacked.
+        Name of a monochrome or Bayer format after the Pixel Format Naming Convention, such as "Mono8", "Mono12",
+        "Mono12p", "Mono12Packed" or "BayerRG12"; of Bayer formats the mosaic is returned.
     timeout : float
         Seconds to wait for a frame beyond the exposure.
+    bits : int, optional
+        Bit depth where the format has more, such as 12 of "Mono16"; data in the upper bits are shifted down. That of
+        the format by default.
 
     Notes
     -----
-    Needs the package harvesters (``pip install harvesters``). EMVA, GenICam Standard Features Naming Convention 2.7.
-    Not run on hardware: tested with a stand-in for harvesters.
+    Needs the package harvesters (``pip install harvesters``). EMVA, GenICam Standard Features Naming Convention 2.7 and
+    Pixel Format Naming Convention 2.4; AIA, GigE Vision 2.0. Not run on hardware: tested with a stand-in.
 
     Examples
     --------
@@ -286,12 +309,20 @@ class GenICamCamera(_show.Shown):
         producer: str | os.PathLike[str] | None = None,
         pixel_format: str = "Mono12",
         timeout: float = 5.0,
+        bits: int | None = None,
     ):
         self.pitch: float = float(_validate.number("pitch", pitch, positive=True))
         self._timeout = float(_validate.number("timeout", timeout, positive=True))
-        if not (isinstance(pixel_format, str) and pixel_format[:4] == "Mono" and pixel_format[4:].isdigit()):
-            raise ValueError(f"pixel_format must be Mono and a number of bits, got {pixel_format!r}")
-        self.bits: int = int(pixel_format[4:])
+        named = re.fullmatch(r"(?:Mono|Bayer(?:RG|GR|GB|BG))(\d+)(p|Packed)?", str(pixel_format))
+        if named is None:
+            raise ValueError(
+                f"pixel_format must be Mono or Bayer and a number of bits, such as Mono12p or BayerRG12, got "
+                f"{pixel_format!r}"
+            )
+        self._depth, self._packing = int(named[1]), named[2] or ""
+        self.bits: int = self._depth if bits is None else _validate.integer("bits", bits, minimum=1)
+        if self.bits > self._depth:
+            raise ValueError(f"bits must be at most {self._depth}, those of {pixel_format}, got {bits}")
         self._harvester = _imported("harvesters.core", "harvesters").Harvester()
         for path in _producers(producer):
             self._harvester.add_file(path)
@@ -309,9 +340,13 @@ class GenICamCamera(_show.Shown):
         self._camera = self._harvester.create(chosen)
         self._nodes = self._camera.remote_device.node_map
         for name, value in (
+            ("AcquisitionMode", "Continuous"),
             ("PixelFormat", pixel_format),
+            ("ExposureMode", "Timed"),
             ("ExposureAuto", "Off"),
             ("GainAuto", "Off"),
+            ("BlackLevelAuto", "Off"),
+            ("GammaEnable", False),
             ("TriggerSelector", "FrameStart"),
             ("TriggerMode", "On"),
             ("TriggerSource", "Software"),
@@ -348,7 +383,7 @@ class GenICamCamera(_show.Shown):
             try:
                 with self._camera.fetch(timeout=self._timeout + self.exposure) as buffer:
                     part = buffer.payload.components[0]
-                    frame = np.array(part.data, copy=True).reshape(part.height, part.width)
+                    frame = self._counts(np.array(part.data, copy=True), part.height, part.width)
             except Exception:
                 # The frame may still come, and would be taken for the next one: stopping discards it.
                 self._camera.stop()
@@ -356,6 +391,15 @@ class GenICamCamera(_show.Shown):
                 raise
             frames.append(frame[row : row + rows, column : column + columns])
         return np.stack(frames)
+
+    def _counts(self, data: np.ndarray, rows: int, columns: int) -> np.ndarray:
+        """Return counts ``[rows, columns]`` from the data of a frame."""
+        if self._packing and data.size != rows * columns:
+            data = unpacked(data, self._depth, self._packing)[: rows * columns]
+        shift = self._depth - self.bits
+        if shift and not (np.bitwise_or.reduce(data, axis=None) & ((1 << shift) - 1)):
+            data = data >> shift
+        return data.reshape(rows, columns)
 
     def close(self) -> None:
         """Stop the camera and release it."""
@@ -619,6 +663,34 @@ class FileCamera(_show.Shown):
         os.remove(path)
         row, column, rows, columns = self.region or (0, 0, *self.shape)
         return frames[:, row : row + rows, column : column + columns]
+
+
+def unpacked(data: np.ndarray, bits: int, packing: str) -> np.ndarray:
+    """Return counts from bytes that hold them packed.
+
+    Parameters
+    ----------
+    data : numpy.ndarray
+        Bytes.
+    bits : int
+        Bit depth, for "Packed" 10 or 12.
+    packing : {"p", "Packed"}
+        "p" of the Pixel Format Naming Convention: one after another from the lowest bit on. "Packed" of GigE Vision:
+        two in three bytes, of which the first and the last hold the upper bits, and the middle one the lower ones.
+
+    Returns
+    -------
+    numpy.ndarray
+        The counts, uint16.
+    """
+    if packing == "p":
+        single = np.unpackbits(data.view(np.uint8), bitorder="little")
+        single = single[: single.size // bits * bits].reshape(-1, bits)
+        return (single.astype(np.uint16) << np.arange(bits, dtype=np.uint16)).sum(-1, dtype=np.uint16)
+    first, middle, last = data.view(np.uint8).reshape(-1, 3).T.astype(np.uint16)
+    low = (1 << (bits - 8)) - 1
+    pairs = (first << (bits - 8)) | (middle & low), (last << (bits - 8)) | ((middle >> 4) & low)
+    return np.stack(pairs, axis=-1).ravel()
 
 
 def checked_levels(levels: Any, shape: Sequence[int], bits: int) -> np.ndarray:

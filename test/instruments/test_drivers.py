@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -125,6 +126,53 @@ def test_frames_of_a_video_are_captured(tmp_path):
         camera.close()
     with pytest.raises(OSError, match="cannot open the camera"):
         instruments.VideoCamera(str(tmp_path / "none.avi"), pitch=3e-6)
+
+
+class Stream:
+    """What OpenCV's captures have: properties by number, of which the exposure is truncated and limited as V4L2's is.
+
+    Video for Linux, V4L2_CID_EXPOSURE_ABSOLUTE: whole units of 100 µs.
+    """
+
+    def __init__(self, least=3, most=2047, manual=True):
+        self.exposure, self.least, self.most, self.manual, self.given = 157.0, least, most, manual, []
+
+    isOpened = staticmethod(lambda: True)
+
+    def get(self, code):
+        return {3: 48.0, 4: 32.0, 15: self.exposure}[code]
+
+    def set(self, code, value):
+        if code == 15:
+            self.given.append(value)
+            if not self.manual:
+                return False
+            self.exposure = float(np.clip(int(value), self.least, self.most))
+        return True
+
+
+@pytest.mark.parametrize(
+    ("unit", "asked", "given", "reported"),
+    [
+        ("100 us", 0.16e-3, 2.0, 3e-4),
+        ("100 us", 0.02, 200.0, 0.02),
+        ("100 us", 10.0, 1e5, 0.2047),
+        ("log2", 0.01, -7.0, 2**-7),
+    ],
+)
+def test_a_uvc_camera_reports_the_exposure_that_it_takes(monkeypatch, unit, asked, given, reported):
+    stream = Stream(*((-13, -1) if unit == "log2" else (3, 2047)))
+    stream.exposure = -6.0 if unit == "log2" else 157.0
+    cv2 = types.SimpleNamespace(VideoCapture=lambda _: stream, CAP_PROP_AUTO_EXPOSURE=21, CAP_PROP_EXPOSURE=15)
+    monkeypatch.setitem(sys.modules, "cv2", cv2)
+    camera = instruments.VideoCamera(0, pitch=3e-6, exposure_unit=unit)
+    assert camera.exposure == pytest.approx(2**-6 if unit == "log2" else 0.0157)
+    camera.exposure = asked
+    assert stream.given == [given] and camera.exposure == pytest.approx(reported)
+    stream.manual = False
+    with pytest.raises(OSError, match="does not take an exposure of"):
+        camera.exposure = asked
+    assert camera.exposure == pytest.approx(reported)
 
 
 def test_a_table_behind_a_folder(tmp_path):
@@ -260,6 +308,50 @@ def test_a_genicam_camera_is_triggered_for_each_frame(monkeypatch, tmp_path):
         assert found.capture(1).max() == np.floor(np.arange(192) * level / 192).reshape(12, 16)[2:6, 3:8].max()
     found.close()
     assert camera.seen == ["start", *2 * ["stop", "start"], "stop", "destroy"] and made[-1] == "reset"
+
+
+@pytest.mark.parametrize(
+    ("name", "bits"),
+    [
+        *((name, None) for name in ("Mono12p", "Mono10p", "Mono12Packed", "Mono10Packed", "BayerRG12p", "BayerGB8")),
+        ("Mono16", 12),
+    ],
+)
+def test_a_genicam_camera_unpacks_and_shifts_its_data(monkeypatch, tmp_path, name, bits):
+    depth = bits or int(re.search(r"\d+", name)[0])
+    values = np.random.default_rng(0).integers(1 << depth, size=12 * 16)
+    camera = StandIn(depth)
+    for node in ("AcquisitionMode", "ExposureMode", "GammaEnable", "BlackLevelAuto"):
+        setattr(camera.nodes, node, types.SimpleNamespace(value="unset"))
+
+    def packed():
+        """Return the bytes of the values, written one bit or one nibble at a time after the conventions."""
+        if name.endswith("p"):
+            text = "".join(format(value, f"0{depth}b")[::-1] for value in values)
+            return np.array([int(text[k : k + 8][::-1], 2) for k in range(0, len(text), 8)], np.uint8)
+        if name.endswith("Packed"):
+            low, found = depth - 8, []
+            for a, b in values.reshape(-1, 2).tolist():
+                found += [a >> low, a % (1 << low) + (b % (1 << low) << 4), b >> low]
+            return np.array(found, np.uint8)
+        return values.astype(np.uint8) if depth == 8 else (values << (16 - depth)).astype(np.uint16)
+
+    camera.nodes.TriggerSoftware.execute = lambda: camera.waiting.append(packed())
+    made = types.SimpleNamespace(
+        device_info_list=[types.SimpleNamespace(serial_number="1")],
+        **dict.fromkeys(("add_file", "reset", "update"), lambda *_: None),
+        create=lambda _: camera,
+    )
+    monkeypatch.setitem(sys.modules, "harvesters", types.ModuleType("harvesters"))
+    monkeypatch.setitem(sys.modules, "harvesters.core", types.SimpleNamespace(Harvester=lambda: made))
+    (tmp_path / "maker.cti").write_bytes(b"")
+    found = instruments.GenICamCamera(3.45e-6, producer=tmp_path / "maker.cti", pixel_format=name, bits=bits)
+    assert found.bits == depth and (found.capture(1)[0].ravel() == values).all()
+    nodes = camera.nodes
+    assert (nodes.AcquisitionMode.value, nodes.ExposureMode.value) == ("Continuous", "Timed")
+    assert nodes.GammaEnable.value is False and nodes.BlackLevelAuto.value == "Off"
+    with pytest.raises(ValueError, match="pixel_format must be Mono or Bayer"):
+        instruments.GenICamCamera(3.45e-6, producer=tmp_path / "maker.cti", pixel_format="RGB8")
 
 
 def test_micro_manager_shows_and_captures(tmp_path):
