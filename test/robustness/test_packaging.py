@@ -72,7 +72,8 @@ def test_imports_are_declared():
     """What the package imports is declared in pyproject.toml, or part of Python."""
     modules = {"pillow": "PIL", "array-api-compat": "array_api_compat", "scikit-image": "skimage"}
     modules |= {"opencv-python-headless": "cv2", "pygame-ce": "pygame"}
-    brought_along = {"distributed", "cloudpickle", "psutil", "choreographer"}  # by dask[distributed] and kaleido
+    # By dask[distributed], kaleido and torch.
+    brought_along = {"distributed", "cloudpickle", "psutil", "choreographer", "typing_extensions"}
     declared = {modules.get(name, name) for name in declared_names()} | {"odak"} | brought_along
     found = set()
     for path in (ROOT / "odak").rglob("*.py"):

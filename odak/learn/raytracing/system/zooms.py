@@ -231,7 +231,7 @@ class configurations(torch.nn.Module):
     def each(self, function: Callable[..., Stacked], *arguments: Any, **options: Any) -> Stacked: ...
     @overload
     def each(self, function: Callable[..., Result], *arguments: Any, **options: Any) -> list[Result]: ...
-    def each(self, function, *arguments, **options):
+    def each(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
         """Return the results of a function of a system for all configurations.
 
         Parameters
