@@ -80,32 +80,36 @@ def real(name: str, value, *, positive: bool = False, nonzero: bool = False):
     return value
 
 
-def number(name: str, value, *, positive: bool = False, **bounds: float):
+def number(name: str, value, *, positive: bool = False, unit: str = "", **bounds: float):
     """Return `value`, one real number or an array of one, after checking it as :func:`real` and `within` do."""
     if isinstance(value, (list, tuple)):
         raise TypeError(f"{name} must be one number, got a {type(value).__name__}")
     if is_array(value) and math.prod(value.shape) != 1:
         raise ValueError(f"{name} must be one number, got an array of shape {tuple(value.shape)}")
     value = real(name, value, positive=positive)
-    return within(name, value, **bounds) if bounds and (not is_array(value) or is_readable(value)) else value
+    return within(name, value, unit, **bounds) if bounds and (not is_array(value) or is_readable(value)) else value
 
 
-def within(name: str, value, *, least: float = -math.inf, most: float = math.inf, below: float = math.inf):
-    """Return a number after checking that it is from `least` to `most`, and below `below`."""
+def within(
+    name: str, value, unit: str = "", *, least: float = -math.inf, most: float = math.inf, below: float = math.inf
+):
+    """Return a number after checking that it is from `least` to `most`, and below `below`, with the unit of both."""
     if least <= value <= most and (value < below or below == math.inf):
         return value
     words = [f"at least {least}"] * (least > -math.inf) + [f"at most {most}"] * (most < math.inf)
     words = [f"from {least} to {most}"] if len(words) > 1 else words
     words += [f"below {below}"] * (below < math.inf)
-    raise ValueError(f"{name} must be {' and '.join(words)}, got {value!r:.80}")
+    raise ValueError(f"{name} must be {' and '.join(words)}{unit and ' ' + unit}, got {value!r:.80}")
 
 
-def constant(name: str, value, *, positive: bool = False, nonzero: bool = False, **bounds: float) -> float:
+def constant(
+    name: str, value, *, positive: bool = False, nonzero: bool = False, unit: str = "", **bounds: float
+) -> float:
     """Return `value`, one real number or an array of one, as a float that carries no derivative.
 
     A tensor that requires a gradient is reported by an AccuracyWarning: the result will not depend on it.
     """
-    value = number(name, real(name, value, nonzero=nonzero), positive=positive, **bounds)
+    value = number(name, real(name, value, nonzero=nonzero), positive=positive, unit=unit, **bounds)
     (value,) = constants(**{name: value})
     return float(value)
 
@@ -148,11 +152,13 @@ def numbers(value) -> list[float]:
     return [float(value)]
 
 
-def integer(name: str, value, *, minimum: float = 0, most: float = math.inf, below: float = math.inf) -> int:
+def integer(
+    name: str, value, *, minimum: float = 0, most: float = math.inf, below: float = math.inf, unit: str = ""
+) -> int:
     """Return `value` as an int after checking that it is a whole number within bounds, as `within` does."""
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError(f"{name} must be an integer, got {type(value).__name__}")
-    return int(within(name, value, least=minimum, most=most, below=below))
+    return int(within(name, value, unit, least=minimum, most=most, below=below))
 
 
 def image(name: str, value, *, axes: int = 2):

@@ -262,7 +262,7 @@ class thin_diffuser(_show.Shown):
         diffusion_no: Sequence[int] = (3, 3),
         name: str = "diffuser",
     ):
-        _validate.number("diffusion_angle", diffusion_angle, least=0, below=180)
+        _validate.number("diffusion_angle", diffusion_angle, least=0, below=180, unit="degrees")
         self.settings: dict[str, Any] = {
             "name": _validate.text("name", name),
             "center": three("center", center),

@@ -70,7 +70,11 @@ class ScreenModulator(_show.Shown):
         count = pygame.display.get_num_displays()
         if display is None and count == 1:
             raise ValueError("there is one screen, on which you work: connect the modulator, or give display=0")
-        display = count - 1 if display is None else _validate.integer("display", display, below=count)
+        display = (
+            count - 1
+            if display is None
+            else _validate.integer("display", display, below=count, unit="(the number of screens)")
+        )
         columns, rows = pygame.display.get_desktop_sizes()[display]
         self.shape = (rows, columns) if shape is None else _validate.size("shape", shape)
         if self.shape != (rows, columns):

@@ -344,7 +344,7 @@ def bessel_beam(
     11
     """
     order = _validate.integer("order", order, minimum=-math.inf)
-    _validate.number("angle", angle, positive=True, below=90)
+    _validate.number("angle", angle, positive=True, below=90, unit="degrees")
     if waist is not None:
         _validate.number("waist", waist, positive=True)
     given = (wavelength, angle)

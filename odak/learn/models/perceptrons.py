@@ -230,7 +230,7 @@ class positional_encoder(nn.Module):
 
     def __init__(self, L: int):
         super().__init__()
-        self.L = _validate.integer("L", L, minimum=1, most=_MAXIMUM_OCTAVES)
+        self.L = _validate.integer("L", L, minimum=1, most=_MAXIMUM_OCTAVES, unit="(2^L within the range of float64)")
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the coordinates, their cosines and their sines.

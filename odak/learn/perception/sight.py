@@ -133,7 +133,7 @@ class Viewing:
         if field_of_view is None:
             width = columns / math.degrees(1) / _validate.constant("pixels_per_degree", pixels_per_degree)
         else:
-            angle = _validate.constant("field_of_view", field_of_view, positive=True, below=180)
+            angle = _validate.constant("field_of_view", field_of_view, positive=True, below=180, unit="degrees")
             width = 2 * math.tan(math.radians(angle) / 2)
         return cls(width, 1.0, resolution, gaze, peak_luminance, black_luminance)
 

@@ -681,7 +681,11 @@ def light_source(
     power = _validate.number("power", power, least=0)
     place, angles = _validate.shaped("center", place, "[3]"), _validate.shaped("angles", angles, "[3]")
     most = 90.0 if kind == "lambertian" else 180.0
-    half = most if half_angle is None else _validate.constant("half_angle", half_angle, least=0, most=most)
+    half = (
+        most
+        if half_angle is None
+        else _validate.constant("half_angle", half_angle, least=0, most=most, unit=f"degrees of a {kind} source")
+    )
     listed = isinstance(size, Sequence) or math.prod(getattr(size, "shape", ())) > 1
     given: Any = size if listed else [size]
     sides = [_validate.constant("size", value, least=0) for value in given]

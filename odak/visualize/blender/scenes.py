@@ -598,7 +598,7 @@ class Views:
         self, size, location=None, target=None, up=None, fov=40.0, projection="perspective", width=None, clip=None
     ) -> Camera:
         projection = _validate.one_of("projection", projection, PROJECTIONS)
-        fov = _validate.within("fov", positive("fov", fov), below=180)
+        fov = _validate.within("fov", positive("fov", fov), "degrees", below=180)
         points = self._extremes()
         middle = (points.min(0) + points.max(0)) / 2 if len(points) else np.zeros(3)
         target = middle.tolist() if target is None else three("target", target)

@@ -131,7 +131,7 @@ def _accommodated(accommodation, growth):
 
 
 def _accommodation(value, name="accommodation"):
-    return _validate.constant(name, value, least=0, most=10)
+    return _validate.constant(name, value, least=0, most=10, unit="dioptres")
 
 
 @dataclass(frozen=True)
@@ -232,7 +232,7 @@ def _shifted_medium(index):
 
 def _pupil_width(value):
     """Return the diameter of a pupil in millimetres as a float."""
-    return _validate.constant("pupil_diameter", value, least=0.5, most=9)
+    return _validate.constant("pupil_diameter", value, least=0.5, most=9, unit="millimetres")
 
 
 def _numbers(name, values):

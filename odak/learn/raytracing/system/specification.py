@@ -137,7 +137,7 @@ class Wavelengths:
         waves = None if self.wavelengths is None else checked_wavelengths(self.wavelengths)
         count = 1 if waves is None else len(waves)
         if self.reference is not None:
-            _validate.integer("reference", self.reference, below=count)
+            _validate.integer("reference", self.reference, below=count, unit="(the number of wavelengths)")
         weights = checked_weights("wavelength_weights", self.wavelength_weights, count)
         set_(self, wavelengths=waves, wavelength_weights=weights)
 

@@ -77,7 +77,7 @@ class Observer:
         _validate.number("fill", self.fill, least=0, most=1)
         _validate.real("magnification", self.magnification, positive=True)
         _validate.flag("registered", self.registered)
-        _validate.constant("turned", self.turned, least=-45, most=45)
+        _validate.constant("turned", self.turned, least=-45, most=45, unit="degrees")
         if self.registered and not (self.pitch is None and self.magnification == 1 and self.turned == 0):
             raise ValueError(
                 "pitch must be None, magnification 1 and turned 0 for a registered camera, whose pixels are those of "
