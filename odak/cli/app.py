@@ -469,7 +469,7 @@ def capture(settings: CaptureSettings) -> None:
 
 @command(InstrumentsSettings)
 def instruments(settings: InstrumentsSettings) -> None:
-    """Test whether the driver of a camera or a modulator does what its protocol says.
+    """Test the driver of a camera or a modulator.
 
     Drivers are named as in `odak calibrate`. A camera must see steady light that it can saturate; with --beside, the
     light of that modulator. Prints what is wrong with the remedy, and writes report.json. The exit code is 1 if

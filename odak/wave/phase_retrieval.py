@@ -228,7 +228,9 @@ def _starting_phase(target, initial_phase, seed):
     _validate.seed("seed", seed)
     if initial_phase is None:
         return _array.cast(uniform(shape, seed, target) * math.pi, target)
-    _validate.shaped("initial_phase", _validate.image("initial_phase", initial_phase), f"{list(shape)} as field")
+    _validate.shaped(
+        "initial_phase", _validate.image("initial_phase", initial_phase), f"{list(shape)} as field, or each of fields"
+    )
     _validate.check_values("initial_phase", initial_phase)
     return _array.cast(initial_phase, target)
 

@@ -148,7 +148,6 @@ AT_RUN_TIME = {
     "models/gaussians:refine",
     "raytracing/system/lens_fields:products",
     "raytracing/system/design:_now",
-    "raytracing/system/optimise:iso_10110_tolerances",
     "raytracing/system/optimise:tolerances_for_yield",
     "raytracing/system/surfaces:_image",
     "tools/transformation:load_voxelized_PLY",

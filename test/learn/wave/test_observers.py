@@ -208,7 +208,7 @@ def test_colours_and_planes_have_a_number_each(picture):
         (lambda: Observer.camera(fill=1.5), "fill must be from 0 to 1, got 1.5"),
         (lambda: Observer.camera(magnification=0), "magnification must be positive"),
         (lambda: Observer.camera(3e-6, registered=True), "pitch must be None, magnification 1 and turned 0 for a"),
-        (lambda: Observer.camera(turned=60), "turned must be from -45 to 45, got 60"),
+        (lambda: Observer.camera(turned=60), "turned must be from -45 to 45 degrees, got 60"),
         (lambda: Observer.camera(40.0).places((40, 36), SQUARE), "observer must have pixels within an image of 40"),
     ],
 )

@@ -2,6 +2,7 @@ from .analysis import Footprint as Footprint
 from .analysis import Incidence as Incidence
 from .analysis import QFit as QFit
 from .analysis import Spots as Spots
+from .analysis import Spread as Spread
 from .analysis import Wavefront as Wavefront
 from .analysis import axial_color as axial_color
 from .analysis import best_focus as best_focus
@@ -133,7 +134,6 @@ from .tracing import ray_paths as ray_paths
 from .tracing import trace as trace
 from .waves import ExitField as ExitField
 from .waves import FieldQuality as FieldQuality
-from .waves import Spread as Spread
 from .waves import airy_pattern as airy_pattern
 from .waves import exit_field as exit_field
 from .waves import field_modulation as field_modulation

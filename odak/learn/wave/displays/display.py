@@ -360,9 +360,9 @@ class Display(Prepared, torch.nn.Module):
         """Return the images of patterns by another computation than :meth:`forward`, and those at points.
 
         Each pixel is a comb of samples on a grid of four times the panel's extent, wider for small panels, multiplied
-        by the spectrum of a square and the phases of plane waves, or propagated by the method that
-        :func:`odak.wave.sampling_report` recommends where light goes far aside; the mean over the area of a pixel is a
-        product of spectra. It shares neither transfer functions nor weights with :meth:`forward`. Images of both
+        by the spectrum of a square and propagated by the method that :func:`odak.wave.sampling_report` recommends, or
+        as plane waves where a large panel's light stays on the grid; the mean over the area of a pixel is a product of
+        spectra. It shares neither transfer functions nor weights with :meth:`forward`. Images of both
         are within 2e-3 of direct sums over stops and pupils, edges and corners among them: of panels of 24 to 1920
         pixels along each axis in free space, behind a round iris and behind a lens, of up to 480 in a medium, in eyes
         and behind two panels. Without a stop both hold nine orders.

@@ -302,15 +302,20 @@ def _both(at, amplitudes, light, colour, samples, wide):
 def _spread_freely(at, field, wavelength, distance, samples, wide, cut=True):
     """Return a field with several samples in each pixel after it has travelled a distance.
 
-    Light that stays on the grid is a sum of plane waves, each with its phase. That which goes far beyond is propagated
-    without wrap-around, of a smaller part of the grid where it may be `cut`.
+    Light is propagated without wrap-around, of a smaller part of the grid where it may be `cut`. Of a large panel that
+    would cut off too much, and light that stays on the grid is a sum of plane waves, each with its phase: what a stop
+    spreads beyond the grid, which comes back, is little beside it.
     """
     if distance == 0:
         return field
     pitch = divided_pitch(at.pitches, samples)
-    if at.mask is None and all(
-        4 * reach * (1 + reach / n) <= 2 * n * k
-        for reach, n, k in zip(_reach(at, wavelength, distance, samples), at.sizes, wide, strict=True)
+    if (
+        at.mask is None
+        and min(at.sizes) > _LEAST // 2
+        and all(
+            4 * reach * (1 + reach / n) <= 2 * n * k
+            for reach, n, k in zip(_reach(at, wavelength, distance, samples), at.sizes, wide, strict=True)
+        )
     ):
         return _turned(field, wavelength, distance, pitch)
     if cut:
