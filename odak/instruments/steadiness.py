@@ -8,6 +8,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from scipy.ndimage import convolve1d, shift
+from scipy.stats import chi2
 
 from odak._warnings import AccuracyWarning, warn
 from odak.instruments.mapping import Registration, ray_matrix
@@ -32,6 +33,8 @@ NAMED, DRIFTED = (0.02, 0.01, 0.05), (0.05, 0.05, 0.3)
 SLOPES = np.array([(-1.0) ** n / n * np.sinc(n / 7) if n else 0.0 for n in range(-6, 7)])
 # Rounds in which displacements of frames of the reference are found.
 ROUNDS = 3
+# Share of steady tables whose noise alone may be taken for deviations that are named.
+RARE = 1e-4
 # Standard deviations of a slope above which it is a drift.
 CLEAR = 5.0
 # Errors of results by unit deviations of phases, light and places from frame to frame: standard deviations on
@@ -49,10 +52,14 @@ ERRORS = {
 
 @dataclass(frozen=True)
 class Steadiness:
-    """Deviations of phases (share), light (share) and places (pixels) from frame to frame, and their drifts."""
+    """Deviations of phases (share), light (share) and places (pixels) from frame to frame, and their drifts.
+
+    Deviations that are not `sure` may be noise of the camera: they widen uncertainties and are not named.
+    """
 
     deviations: np.ndarray
     drifts: np.ndarray
+    sure: np.ndarray
 
     def error(self, name: str, table: OpticalTable) -> float:
         """Return the standard deviation of the error of a result that the deviations cause."""
@@ -73,9 +80,9 @@ class Steadiness:
         )
         named = [
             text.format(value)
-            for text, value, limit in zip(texts, self.deviations, NAMED, strict=True)
+            for text, value, limit, sure in zip(texts, self.deviations, NAMED, self.sure, strict=True)
             # A change of the phases changes the light where it is seen, too.
-            if value > limit and (text is not light or value > self.deviations[0])
+            if sure and value > limit and (text is not light or value > self.deviations[0])
         ]
         if named:
             warn(
@@ -194,8 +201,10 @@ class Watched:
             back, changes = np.linalg.pinv(system), (still - mean).reshape(len(frames), -1).T
             values = back @ changes
             moved += values[2:4].T
-        # Photons make bright pixels noisier than others.
-        noise = back[:4] ** 2 @ ((changes - system @ values) ** 2).mean(-1)
+        # Photons make bright pixels noisier than others, and few bright ones follow the fit: the residuals of each are
+        # divided by what the others leave to it (MacKinnon and White, Journal of Econometrics 29, 305, 1985, HC3).
+        alone = np.clip(1 - (system * back.T).sum(-1), 0.01, None)
+        noise = back[:4] ** 2 @ (((changes - system @ values) ** 2).sum(-1) / (len(frames) - 1) / alone**2)
         values = np.column_stack([values[:2].T, moved])
         times = np.array(self.times, float) - np.mean(self.times)
         spread, drifts = values.std(0, ddof=1), np.zeros(4)
@@ -207,10 +216,13 @@ class Watched:
             drifts = np.where(clear, slopes * np.ptp(times), 0)
             spread = np.where(clear, about, spread)
         # The spread of a few noisy values may be several times the noise.
-        most = 1 + 3 * math.sqrt(2 / (len(values) - 1))
+        count = len(values) - 1
+        sure = spread**2 > chi2.ppf(1 - RARE, count) / count * noise
+        most = 1 + 3 * math.sqrt(2 / count)
         spread = np.where(spread**2 > most * noise, np.sqrt(np.clip(spread**2 - noise, 0, None)), 0)
         along = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0.5, 0.5]])
-        return Steadiness(np.sqrt(along @ spread**2), np.array([*drifts[:2], np.hypot(*drifts[2:])]))
+        drifts = np.array([*drifts[:2], np.hypot(*drifts[2:])])
+        return Steadiness(np.sqrt(along @ spread**2), drifts, np.array([*sure[:2], sure[2:].any()]))
 
 
 def watched(

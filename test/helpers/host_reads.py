@@ -58,7 +58,7 @@ REASONS = {
         raytracing/system/optimise: _deviated _dispersed _irregular_shapes iso_10110_tolerances
         raytracing/system/paraxial: _check_forward _near_reach ghost_system medium met seidel_sums
         raytracing/system/films: __post_init__ _between reflects
-        raytracing/system/polarisation: jones_vector ghosts
+        raytracing/system/polarisation: _ghost jones_vector ghosts
         raytracing/system/pupils: _far real_places
         raytracing/system/specification: checked_fields checked_settings number_or_infinity plain
         raytracing/system/surfaces: _any _image _optional is_off_axis vary
@@ -149,6 +149,7 @@ AT_RUN_TIME = {
     "raytracing/system/lens_fields:products",
     "raytracing/system/design:_now",
     "raytracing/system/optimise:tolerances_for_yield",
+    "raytracing/system/polarisation:_ghost",
     "raytracing/system/surfaces:_image",
     "tools/transformation:load_voxelized_PLY",
     "tools/iterations:iterate",

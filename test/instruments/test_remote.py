@@ -40,8 +40,8 @@ def test_a_table_of_another_computer_is_measured_as_one_here(server, tmp_path):
         known = instruments.OpticalTable(modulator, camera, twin.wavelength, twin.truth.distance)
         phases = instruments.measure_phase_response(known, samples=8)
         here = replace(known, modulator=twin.modulator, camera=twin.camera)
-        # The folder has no limits of the exposure: the noise of the captures is another.
-        assert np.abs(phases - instruments.measure_phase_response(here, samples=8)).max() < 2e-3
+        # The folder has no limits of the exposure: their noise is another, of a milliradian in each.
+        assert np.abs(phases - instruments.measure_phase_response(here, samples=8)).max() < 4e-3
         camera.region = (1, 2, 3, 4)
         assert camera.region == (1, 2, 3, 4) and camera.capture().shape == (1, 3, 4)
         # What the driver raises, and what no answer within the time means.

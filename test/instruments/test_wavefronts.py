@@ -32,7 +32,8 @@ def test_large_wavefront_seen_by_a_turned_and_mirrored_camera():
         taken += there[1].taken - before
         error = spots.without(found - table.truth.wavefront, low)
         assert rms(error) < bound * 2 * np.pi / 100
-    assert taken <= 30
+    # Two of them show the reference pattern.
+    assert taken <= 32
 
 
 def test_an_aberration_beyond_the_lenslets_is_reported():

@@ -182,7 +182,8 @@ def color_fidelity(spectrum: torch.Tensor, wavelengths: torch.Tensor | Sequence[
     found = [_uniform(*_seen(one, axis, observer, "CIE 2017")) for one in (light, body.lerp(daylight, share))]
     apart = root((found[0] - found[1]).square().sum(-2))
     hue = torch.atan2(found[1][..., 2, :], found[1][..., 1, :]) % (2 * math.pi)
-    bins = torch.nn.functional.one_hot((hue * (_HUES / (2 * math.pi))).long() % _HUES, _HUES).to(light)
+    bins = (hue * (_HUES / (2 * math.pi))).long() % _HUES
+    bins = (bins[..., None] == torch.arange(_HUES, device=light.device)).to(light)
     areas = []
     for one in found:
         a, b = (one[..., 1:, :] @ bins / bins.sum(-2, keepdim=True)).unbind(-2)
@@ -193,8 +194,8 @@ def color_fidelity(spectrum: torch.Tensor, wavelengths: torch.Tensor | Sequence[
 
 
 def _checked(spectrum, wavelengths):
-    axis = _checked_axis("wavelengths", wavelengths).double()
-    return in_float64(floating_tensor("spectrum", spectrum)), axis
+    light = in_float64(floating_tensor("spectrum", spectrum))
+    return light, _checked_axis("wavelengths", wavelengths).double().to(light.device)
 
 
 def _temperature(light, axis):

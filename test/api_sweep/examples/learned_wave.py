@@ -72,8 +72,8 @@ def _looked_at(folder):
 
 
 def _seen_by_eyes(folder):
-    display = Display(Modulator((32, 48), 8e-6), COLOUR, Eyes(0.1, diameter=2e-3))
-    return optimise(display, torch.ones(32, 48), run=Run(1, progress=False, seed=0))
+    display = Display(Modulator((16, 24), 8e-6), COLOUR, Eyes(0.1, diameter=2e-3))
+    return optimise(display, torch.ones(16, 24), run=Run(1, progress=False, seed=0))
 
 
 def _twice(part):
@@ -329,10 +329,10 @@ BY_CALL = {
     "odak.learn.wave.LightField.images": {"display": Build(_looked_at)},
     "odak.learn.wave.eyebox_map": {
         "hologram": Build(_seen_by_eyes),
-        "target": tensor(32, 48),
+        "target": tensor(16, 24),
         "box": 1e-3,
         "diameter": 2e-3,
-        "steps": 2,
+        "steps": 1,
         "foci": [0.1],
         "distance": 0.1,
     },

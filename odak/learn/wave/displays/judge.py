@@ -303,15 +303,15 @@ def _spread_freely(at, field, wavelength, distance, samples, wide, cut=True):
     """Return a field with several samples in each pixel after it has travelled a distance.
 
     Light is propagated without wrap-around, of a smaller part of the grid where it may be `cut`. Of a large panel that
-    would cut off too much, and light that stays on the grid is a sum of plane waves, each with its phase: what a stop
-    spreads beyond the grid, which comes back, is little beside it.
+    would cut off too much. There, and where all of the grid is wanted, light that stays on it is a sum of plane waves,
+    each with its phase: what a stop spreads beyond the grid, which comes back, is little beside it.
     """
     if distance == 0:
         return field
     pitch = divided_pitch(at.pitches, samples)
     if (
         at.mask is None
-        and min(at.sizes) > _LEAST // 2
+        and (min(at.sizes) > _LEAST // 2 or not cut)
         and all(
             4 * reach * (1 + reach / n) <= 2 * n * k
             for reach, n, k in zip(_reach(at, wavelength, distance, samples), at.sizes, wide, strict=True)

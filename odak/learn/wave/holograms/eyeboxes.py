@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import torch
 
 from odak import _show, _validate
+from odak._torch_private import in_own_precision
 from odak.instruments import Lens
 from odak.learn.wave.displays.display import Display
 from odak.learn.wave.displays.judge import Comparison, judged
@@ -111,6 +112,7 @@ class EyeboxMap:
 
 
 @_validate.takes_units("box", "diameter", "focus", "foci", "distance")
+@in_own_precision
 def eyebox_map(
     hologram: DisplayedHologram,
     target: torch.Tensor | Scenery,
@@ -172,6 +174,7 @@ def eyebox_map(
         raise ValueError("distance must be given for a hologram on planes: that from the panel to the pupils")
     away = own.distance if distance is None and own is not None else distance
     counts = [_validate.integer("steps", n, minimum=1) for n in _validate.pair("steps", steps)]
+    box, foci = _validate.constants(box=box, foci=foci)
     foci = [float(one) for one in _validate.listed("foci", foci, "distances in metres")]
     if not all(one > 0 for one in foci):
         raise ValueError(f"foci must be positive distances, infinity included; got {foci!r:.80}")

@@ -106,8 +106,10 @@ class DepthScene:
             The display, whose path says which rays form each image.
         """
         _fits("picture", self.picture, display)
-        layers = self._sorted(display.path.nearness(self.depth))
-        return _each(display.path, lambda colour, image: self._seen(display.path, colour, image, *layers))
+        # Scenes are rendered on the CPU, whatever the default device is.
+        with torch.device("cpu"):
+            layers = self._sorted(display.path.nearness(self.depth))
+            return _each(display.path, lambda colour, image: self._seen(display.path, colour, image, *layers))
 
     def _seen(self, path: Path, colour: int, image: int, places: torch.Tensor, layers: torch.Tensor) -> torch.Tensor:
         """Return what is to be seen in one image of a colour, of layers at some places."""
@@ -236,7 +238,9 @@ class LightField:
             The display, whose path says which rays form each image.
         """
         _fits("views", self.views, display)
-        return _each(display.path, lambda colour, image: self._seen(display.path, colour, image))
+        # Scenes are rendered on the CPU, whatever the default device is.
+        with torch.device("cpu"):
+            return _each(display.path, lambda colour, image: self._seen(display.path, colour, image))
 
     def _seen(self, path: Path, colour: int, image: int) -> torch.Tensor:
         nearness = path.nearness(self.plane)
