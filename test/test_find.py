@@ -33,19 +33,6 @@ def test_words_find_the_name_that_is_meant(words, name):
     assert name in (found[0].name, *found[0].also)
 
 
-def test_every_name_that_is_found_has_an_entry_and_a_line_in_the_index_of_the_reference():
-    reference = script("reference")
-    listed = reference._index_of(None)
-    for found, _ in _find._index():
-        assert {found.name, *found.also} <= set(reference.entries())
-        assert found.page == f"reference/overview/#{found.name.rpartition('.')[2]}"
-        assert f'<a id="{found.page.rpartition("#")[2]}"></a>' in listed
-        assert ":`" not in found.line
-    names = {path for found, _ in _find._index() for path in (found.name, *found.also)}
-    functions = {path for path in reference.entries() if path.startswith("odak.learn.raytracing.system.")}
-    assert functions <= names
-
-
 def test_findings_show_themselves():
     found = odak.find("zmx")
     assert repr(found).splitlines()[:3] == [found[0].name, f"    {found[0].line}", f"    {found[0].page}"]

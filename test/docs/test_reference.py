@@ -15,6 +15,7 @@ import griffe
 from documentation import script
 
 import odak
+from odak import _find
 
 reference = script("reference")
 REFERS = re.compile(r"(?:As|Those|That) (?:in|of|for) ")
@@ -207,6 +208,18 @@ def test_complaints():
     assert "grouped" in complaint(grouped)
     assert "not described" in complaint(refers)
     assert complaint(lacks) == "no row for ['b']"
+
+
+def test_every_name_that_is_found_has_an_entry_and_a_line_in_the_index_of_the_reference():
+    listed = reference._index_of(None)
+    for found, _ in _find._index():
+        assert {found.name, *found.also} <= set(reference.entries())
+        assert found.page == f"reference/overview/#{found.name.rpartition('.')[2]}"
+        assert f'<a id="{found.page.rpartition("#")[2]}"></a>' in listed
+        assert ":`" not in found.line
+    names = {path for found, _ in _find._index() for path in (found.name, *found.also)}
+    functions = {path for path in reference.entries() if path.startswith("odak.learn.raytracing.system.")}
+    assert functions <= names
 
 
 def test_roles_become_links():
