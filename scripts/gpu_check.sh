@@ -34,4 +34,4 @@ useful=$(lacking "pytest=pytest!=9.2.0" pytest_timeout=pytest-timeout xdist=pyte
 for package in $useful; do
   "$python" -m pip install -q "${from[@]}" "$package" || echo "without $package: the report names what lacks" >&2
 done
-PYTHONPATH=$root exec "$python" "$root/scripts/gpu_check.py" "$@"
+PYTHONPATH=$root${PYTHONPATH:+:$PYTHONPATH} exec "$python" "$root/scripts/gpu_check.py" "$@"
