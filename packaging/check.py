@@ -42,18 +42,24 @@ def package_files(root: Path) -> set[str]:
     return {path.relative_to(root).as_posix() for path in found}
 
 
+def gallery_files(root: Path) -> set[str]:
+    """Return the scripts of the gallery, which are installed beside the package."""
+    return {path.relative_to(root).as_posix() for path in (root / "docs" / "gallery").glob("*/*.py")}
+
+
 def difference(found: set[str], expected: set[str]) -> str:
     """Return how two sets of names differ, the empty string where they do not."""
     lines = [f"  missing: {name}" for name in sorted(expected - found)]
     return "\n".join([*lines, *(f"  too many: {name}" for name in sorted(found - expected))])
 
 
-def check_wheel(path: Path, package: set[str]) -> None:
-    """Require a wheel to hold the package, its metadata, its licence, and nothing else."""
+def check_wheel(path: Path, package: set[str], gallery: set[str]) -> None:
+    """Require a wheel to hold the package, the gallery, its metadata, its licence, and nothing else."""
     with zipfile.ZipFile(path) as archive:
         names = {name for name in archive.namelist() if not name.endswith("/")}
-    info = "-".join(path.name.split("-")[:2]) + ".dist-info"
-    if wrong := difference(names, package | {f"{info}/{name}" for name in INFO}):
+    name = "-".join(path.name.split("-")[:2])
+    scripts = {f"{name}.data/data/share/odak/{script.removeprefix('docs/')}" for script in gallery}
+    if wrong := difference(names, package | scripts | {f"{name}.dist-info/{item}" for item in INFO}):
         raise SystemExit(f"{path.name} is not what it should be:\n{wrong}")
 
 
@@ -114,14 +120,18 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         shutil.copytree(ROOT, folder / "source", ignore=LEFT_OUT)
+        gallery = gallery_files(ROOT)
+        for script in gallery:
+            (folder / "source" / script).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / script, folder / "source" / script)
         tools = environment(folder / "tools", borrowed=False)
         pip(tools, *TOOLS)
         built = folder / "built"
         subprocess.run([tools, "-m", "build", "-q", "--outdir", built, folder / "source"], check=True)
         wheel, sdist = next(built.glob("*.whl")), next(built.glob("*.tar.gz"))
         package = package_files(ROOT)
-        check_wheel(wheel, package)
-        check_sdist(sdist, package)
+        check_wheel(wheel, package, gallery)
+        check_sdist(sdist, package | gallery)
         subprocess.run([tools, "-m", "twine", "check", "--strict", wheel, sdist], check=True)
         for path in (wheel, sdist):
             print(f"{path.name}, {path.stat().st_size / 1e6:.1f} MB", flush=True)

@@ -55,6 +55,15 @@ def hologram(command: Path) -> float:
         return json.loads((Path(folder) / "report.json").read_text(encoding="utf-8"))["psnr_db"]
 
 
+def examples(command: Path) -> int:
+    """Return how many scripts of the gallery the command line lists, one of which is copied and read."""
+    listed = subprocess.run([command, "examples"], check=True, capture_output=True, text=True).stdout.splitlines()
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run([command, "examples", "talbot_carpet", "--output", folder], check=True, capture_output=True)
+        compile((Path(folder) / "talbot_carpet.py").read_text(encoding="utf-8"), "talbot_carpet.py", "exec")
+    return len(listed)
+
+
 def main() -> None:
     """Check the installation that runs this."""
     installed = Path(odak.__file__).parent
@@ -66,7 +75,10 @@ def main() -> None:
     assert np.isclose(kept, 1.0, atol=1e-6), kept
     psnr = hologram(Path(sys.executable).with_name("odak"))
     assert psnr > 15, psnr
-    print(f"odak {odak.__version__}: {modules} modules, power kept {kept:.9f}, hologram {psnr:.1f} dB")
+    scripts = examples(Path(sys.executable).with_name("odak"))
+    assert scripts > 50, scripts
+    counted = f"{modules} modules, {scripts} examples"
+    print(f"odak {odak.__version__}: {counted}, power kept {kept:.9f}, hologram {psnr:.1f} dB")
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from odak.cli.settings import (
     CaptureSettings,
     CertificateSettings,
     DesignSettings,
+    ExamplesSettings,
     EyeboxSettings,
     InstrumentsSettings,
     MetamerSettings,
@@ -521,6 +522,25 @@ def show(settings: ShowSettings) -> None:
         typer.echo("There is no browser here: open the page on another machine; it needs no other file.", err=True)
     else:
         typer.launch(str(page))
+
+
+@command(ExamplesSettings)
+def examples(settings: ExamplesSettings) -> None:
+    """List the scripts of the gallery, or copy some to a folder.
+
+    Each makes its figure as it stands: copy one, run it with Python, and change it.
+
+    Examples::
+
+        odak examples
+        odak examples double_gauss propagation --output scripts
+    """
+    from odak.cli import examples as gallery
+
+    for line in (
+        gallery.copied(settings.names, settings.output, settings.again) if settings.names else gallery.listing()
+    ):
+        typer.echo(line)
 
 
 @command(WorkerSettings)

@@ -524,6 +524,25 @@ class ShowSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ExamplesSettings(Settings):
+    """Settings of `odak examples`.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of scripts, or of their groups, to copy; without any, all scripts are listed.
+    output : Path
+        Folder to copy to; created if it does not exist.
+    again : bool
+        Replace files that are there already.
+    """
+
+    names: tuple[str, ...] = argument((), "[NAME]...")
+    output: Path = option(Path("."), "-o")
+    again: bool = option(False)
+
+
+@dataclass(frozen=True, kw_only=True)
 class ClusterSettings(Settings):
     """Settings of workers and of their scheduler.
 

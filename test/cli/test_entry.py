@@ -28,7 +28,7 @@ def test_module_runs_in_its_own_process_help_needs_no_torch():
 def test_help_lists_the_commands_with_whole_sentences():
     text = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "80"}).stdout
     listed = text.partition("Commands:\n")[2].strip().splitlines()
-    assert [line.split()[0] for line in listed][::13] == ["hologram", "info"]
+    assert [line.split()[0] for line in listed][::14] == ["hologram", "info"]
     assert all(line.endswith(".") and not line.endswith("...") for line in listed)
 
 
