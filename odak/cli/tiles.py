@@ -394,48 +394,25 @@ class _Tiff:
     path : str
         The file.
     shape : tuple of int
-        Rows, columns, samples per pixel.
+        Rows, columns and, of several, samples per pixel.
     dtype : numpy.dtype
         Type of a sample.
-    part : tuple of int
-        Rows and columns of a strip or tile.
     """
 
     path: str
-    shape: tuple[int, int, int]
+    shape: tuple[int, ...]
     dtype: np.dtype
-    part: tuple[int, int]
 
     def __getitem__(self, index):
         import tifffile
+        import zarr
 
-        (top, bottom, _), (left, right, _) = (part.indices(n) for part, n in zip(index, self.shape, strict=False))
-        found = np.empty((bottom - top, right - left, self.shape[2]), self.dtype)
-        rows, columns = self.part
-        across = -(-self.shape[1] // columns)
-        with tifffile.TiffFile(self.path) as file:
-            page = file.pages.first
-            for i in range(top // rows, -(-bottom // rows)):
-                for j in range(left // columns, -(-right // columns)):
-                    number = i * across + j
-                    data = file.filehandle.read_segments(
-                        page.dataoffsets[number : number + 1], page.databytecounts[number : number + 1]
-                    )
-                    block = self._decoded(page, next(data)[0], number)
-                    y0, x0 = max(top, i * rows), max(left, j * columns)
-                    y1, x1 = min(bottom, i * rows + len(block)), min(right, (j + 1) * columns)
-                    inside = block[y0 - i * rows : y1 - i * rows, x0 - j * columns : x1 - j * columns]
-                    found[y0 - top : y1 - top, x0 - left : x1 - left] = inside
-        return found
-
-    def _decoded(self, page, data: bytes | None, number: int) -> np.ndarray:
-        """Return a strip or tile ``[rows, columns, samples]``."""
         try:
-            block, _, shape = page.decode(data, number)
-            return block.reshape(shape[1:])
-        except (OSError, ValueError, TypeError, zlib.error) as error:
+            with tifffile.TiffFile(self.path) as file, file.pages.first.aszarr() as store:
+                return zarr.open_array(store, mode="r")[index]
+        except (OSError, ValueError, TypeError, RuntimeError, zlib.error) as error:
             raise InputError(
-                f"IMAGE {self.path!r} cannot be read: strip or tile {number}: {' '.join(str(error).split())}"
+                f"IMAGE {self.path!r} cannot be read: a strip or tile is damaged ({' '.join(str(error).split())})"
             ) from None
 
 
@@ -452,9 +429,7 @@ def _tiff(path: Path) -> _Tiff | None:
             samples = page.planarconfig == 1 or page.samplesperpixel == 1
             if not (upright and samples and page.photometric in (1, 2) and page.compression in _IN_PARTS):
                 return None
-            size = (page.imagelength, page.imagewidth)
-            part = (page.tilelength, page.tilewidth) if page.is_tiled else (min(page.rowsperstrip, size[0]), size[1])
-            return _Tiff(str(path), (*size, page.samplesperpixel), page.dtype, part)
+            return _Tiff(str(path), page.shape, page.dtype)
     except tifffile.TiffFileError:
         return None
 

@@ -188,8 +188,20 @@ def _gradients(x, factors, weight, stride, padding, gradient, wanted):
 class _AdaptiveLayer(nn.Module):
     """Common base: a weight that appears twice in the state dict, and the check of the two inputs."""
 
-    def __init__(self, weights, input_channels, kernel_size, stride, padding, bias, activation):
+    _sums = 0  # channels of the result that are sums of windows, without a kernel of their own
+
+    def __init__(
+        self,
+        input_channels: int = 2,
+        output_channels: int = 2,
+        kernel_size: int = 3,
+        stride: int = 1,
+        padding: int = 1,
+        bias: bool = False,
+        activation: nn.Module | None = _LEAKY_RELU,
+    ):
         super().__init__()
+        weights = _validate.integer("output_channels", output_channels, minimum=1 + self._sums) - self._sums
         self.input_channels = channels("input_channels", input_channels)
         self.kernel_size = kernel(kernel_size)
         self.stride = _validate.integer("stride", stride, minimum=1)
@@ -278,19 +290,6 @@ class spatially_adaptive_convolution(_AdaptiveLayer):
     (1, 3, 8, 8)
     """
 
-    def __init__(
-        self,
-        input_channels: int = 2,
-        output_channels: int = 2,
-        kernel_size: int = 3,
-        stride: int = 1,
-        padding: int = 1,
-        bias: bool = False,
-        activation: nn.Module | None = _LEAKY_RELU,
-    ):
-        weights = channels("output_channels", output_channels)
-        super().__init__(weights, input_channels, kernel_size, stride, padding, bias, activation)
-
     def forward(self, x: torch.Tensor, sv_kernel_feature: torch.Tensor) -> torch.Tensor:
         """Return the convolution.
 
@@ -348,18 +347,7 @@ class spatially_adaptive_module(_AdaptiveLayer):
     (1, 3, 8, 8)
     """
 
-    def __init__(
-        self,
-        input_channels: int = 2,
-        output_channels: int = 2,
-        kernel_size: int = 3,
-        stride: int = 1,
-        padding: int = 1,
-        bias: bool = False,
-        activation: nn.Module | None = _LEAKY_RELU,
-    ):
-        weights = _validate.integer("output_channels", output_channels, minimum=2) - 1
-        super().__init__(weights, input_channels, kernel_size, stride, padding, bias, activation)
+    _sums = 1
 
     def forward(self, x: torch.Tensor, sv_kernel_feature: torch.Tensor) -> torch.Tensor:
         """Return the sum and the convolutions of the modulated windows, activated.

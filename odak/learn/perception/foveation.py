@@ -908,41 +908,6 @@ class RadiallyVaryingBlur(nn.Module):
         *,
         viewing: Viewing | None = None,
     ) -> torch.Tensor:
-        """Return the blurred image; the same as :meth:`blur`.
-
-        Parameters
-        ----------
-        image : torch.Tensor
-            Image ``[B, C, H, W]``.
-        alpha : float
-            Growth of the pooling regions with eccentricity, see :meth:`blur`; default 0.2.
-        real_image_width : float
-            Width of the displayed image in metres, default 0.2.
-        real_viewing_distance : float
-            Distance of the eye from the image in metres, default 0.7.
-        centre : sequence of float, optional
-            Gaze position, see :meth:`blur`; by default the middle of the image.
-        mode : {"quadratic", "linear"}
-            Law of that growth, default "quadratic".
-        equi : bool
-            Whether the image is an equirectangular panorama, default False.
-        viewing : Viewing, optional
-            Geometry and gaze, see :meth:`blur`.
-        """
-        return self.blur(image, alpha, real_image_width, real_viewing_distance, centre, mode, equi, viewing=viewing)
-
-    def blur(
-        self,
-        image: torch.Tensor,
-        alpha: float = 0.2,
-        real_image_width: float = 0.2,
-        real_viewing_distance: float = 0.7,
-        centre: Gaze | None = None,
-        mode: str = "quadratic",
-        equi: bool = False,
-        *,
-        viewing: Viewing | None = None,
-    ) -> torch.Tensor:
         """Blur a picture; differentiable in it.
 
         Parameters
@@ -986,6 +951,8 @@ class RadiallyVaryingBlur(nn.Module):
         self._kept.room = len(centres)
         blurred = [self.sampler(one, alpha, *view, place, mode, equi)(one) for one, place in parts_of(image, centres)]
         return torch.cat(blurred) if len(blurred) > 1 else blurred[0]
+
+    blur = forward
 
     def sampler(
         self,

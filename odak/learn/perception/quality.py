@@ -347,7 +347,19 @@ class FLIP(nn.Module):
         return flip(predictions, targets, self.pixels_per_degree, viewing=self.viewing).mean()
 
 
-class PU21PSNR(nn.Module):
+class _OnUniformValues(nn.Module):
+    """Common base of the measures of high-dynamic-range pictures: the curve that encodes them."""
+
+    def __init__(self, variant: str = "banding_glare") -> None:
+        super().__init__()
+        self.variant: str = _validate.one_of("variant", variant, PU21_PARAMETERS)
+
+    def _encoded(self, predictions, targets) -> tuple[torch.Tensor, torch.Tensor]:
+        one, two = checked_pair(predictions, targets, PU21_LIMITS[1])
+        return pu21_encode(one, self.variant), pu21_encode(two, self.variant)
+
+
+class PU21PSNR(_OnUniformValues):
     """Peak signal-to-noise ratio of high-dynamic-range pictures in decibels, on perceptually uniform values.
 
     Parameters
@@ -369,10 +381,6 @@ class PU21PSNR(nn.Module):
     inf
     """
 
-    def __init__(self, variant: str = "banding_glare") -> None:
-        super().__init__()
-        self.variant: str = _validate.one_of("variant", variant, PU21_PARAMETERS)
-
     def forward(self, predictions: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
         """Return the peak signal-to-noise ratio of PU21-encoded images in decibels, a scalar tensor.
 
@@ -383,11 +391,10 @@ class PU21PSNR(nn.Module):
         targets : torch.Tensor
             Reference images of the same shape, absolute luminance in cd/m².
         """
-        one, two = _uniform_pair(predictions, targets, self.variant)
-        return psnr(one, two, PU21_WHITE)
+        return psnr(*self._encoded(predictions, targets), PU21_WHITE)
 
 
-class PU21SSIM(nn.Module):
+class PU21SSIM(_OnUniformValues):
     """Structural similarity of high-dynamic-range pictures, on perceptually uniform values; 1 for equal pictures.
 
     Parameters
@@ -408,10 +415,6 @@ class PU21SSIM(nn.Module):
     1.0
     """
 
-    def __init__(self, variant: str = "banding_glare") -> None:
-        super().__init__()
-        self.variant: str = _validate.one_of("variant", variant, PU21_PARAMETERS)
-
     def forward(self, predictions: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
         """Return the structural similarity of PU21-encoded images, a scalar tensor.
 
@@ -422,13 +425,7 @@ class PU21SSIM(nn.Module):
         targets : torch.Tensor
             Reference images of the same shape, absolute luminance in cd/m².
         """
-        one, two = _uniform_pair(predictions, targets, self.variant)
-        return structural_similarity(one, two, PU21_WHITE)
-
-
-def _uniform_pair(predictions, targets, variant):
-    pair = checked_pair(predictions, targets, PU21_LIMITS[1])
-    return pu21_encode(pair[0], variant), pu21_encode(pair[1], variant)
+        return structural_similarity(*self._encoded(predictions, targets), PU21_WHITE)
 
 
 def _opponent(xyz):
@@ -1065,7 +1062,14 @@ class _DifferencePredictor(_Wrapper):
 
     _photometry = _geometry = ""
 
-    def __init__(self, device, viewing, encoding, required):
+    def __init__(
+        self,
+        device: torch.device = torch.device("cpu"),  # noqa: B008
+        *,
+        viewing: Viewing | None = None,
+        encoding: str = "sRGB",
+        required: bool = False,
+    ):
         super().__init__(required)
         self.device = checked_device("device", device)
         self.viewing = None if viewing is None else checked_viewing(viewing)
@@ -1225,16 +1229,6 @@ class CVVDP(_DifferencePredictor):
     _module, _package = "pycvvdp", "cvvdp"
     _photometry, _geometry = "vvdp_display_photo_eotf", "vvdp_display_geometry"
 
-    def __init__(
-        self,
-        device: torch.device = torch.device("cpu"),  # noqa: B008
-        *,
-        viewing: Viewing | None = None,
-        encoding: str = "sRGB",
-        required: bool = False,
-    ):
-        super().__init__(device, viewing, encoding, required)
-
 
 class FVVDP(_DifferencePredictor):
     """FovVideoVDP: visual difference of pictures or videos in luminance, in JOD; a quality, larger is better.
@@ -1280,16 +1274,6 @@ class FVVDP(_DifferencePredictor):
 
     _module, _package = "pyfvvdp", "pyfvvdp"
     _photometry, _geometry = "fvvdp_display_photo_eotf", "fvvdp_display_geometry"
-
-    def __init__(
-        self,
-        device: torch.device = torch.device("cpu"),  # noqa: B008
-        *,
-        viewing: Viewing | None = None,
-        encoding: str = "sRGB",
-        required: bool = False,
-    ):
-        super().__init__(device, viewing, encoding, required)
 
     def _made(self, **display):
         foveated = {} if self.viewing is None else {"foveated": True}
