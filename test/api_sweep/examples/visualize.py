@@ -62,6 +62,7 @@ BY_NAME = {
     "odak.visualize": {
         **SPOTS,
         "dash": "dot",
+        "draw": lambda: numbers(4, 5),
         "dx": 8e-6,
         "field": numbers(6, 8),
         "filename": unwritten("a.html"),
@@ -90,6 +91,7 @@ BY_NAME = {
         "host": "127.0.0.1",
         "trusted_network": False,
     },
+    "odak.visualize.Exploration": {"values": {"x": (1, 2)}, "frames": [b"one", b"two"]},
     "odak.visualize.PLY_object": {"color": [255, 0, 0]},
     "odak.visualize.blender": {
         "center": [0.0, 1.0, 2.0],
