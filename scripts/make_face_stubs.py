@@ -30,7 +30,7 @@ def faces() -> dict[str, dict[str, types.FunctionType]]:
     """Return the functions that torch_face made, by modules and by the names of their variables."""
     found = {}
     for path in sorted((ROOT / "odak" / "learn").rglob("*.py")):
-        if "torch_face(" in path.read_text(encoding="utf-8") and path.name != "_face.py":
+        if "from odak.learn._face import" in path.read_text(encoding="utf-8"):
             name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
             found[name] = {
                 variable: value

@@ -138,6 +138,21 @@ def torch_face(
     return face
 
 
+def face_of(core: Callable[..., Any], **options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return a decorator for the PyTorch function of a function of the core.
+
+    The function below it is `through` of :func:`torch_face`, its docstring `describe`, its name the name.
+    """
+
+    def made(through: Callable[..., Any]) -> Callable[..., Any]:
+        described = through.__doc__ or ""
+        face = torch_face(core, through=through, describe=described, name=through.__name__, **options)
+        face.__module__ = through.__module__
+        return face
+
+    return made
+
+
 def _sections(text: str) -> dict[str, str]:
     """Return the sections of a docstring by title, and the entries of its parameters by name."""
     summary, *parts = _SECTION.split("\n\n" + inspect.cleandoc(text))

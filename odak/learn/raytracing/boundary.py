@@ -8,7 +8,7 @@ import torch
 from odak import _show, _validate
 from odak._array import is_readable
 from odak._attributes import Prepared
-from odak.learn._face import torch_face
+from odak.learn._face import face_of
 from odak.learn._tensors import checked_device, reals_of
 from odak.learn.raytracing.primitives import batched, define_plane
 from odak.raytracing import arguments, intersections
@@ -17,24 +17,6 @@ from odak.tools.transformation import apply_matrix, rotation_matrix
 
 if TYPE_CHECKING:
     from odak.learn._faces.raytracing_boundary import *  # noqa: F403
-
-
-def _plane(_, ray, points):
-    normal, distance = core.plane_hits(*arguments.rays_and_triangles(ray=ray, points=points))
-    return normal, distance[..., None]
-
-
-def _circle(_, ray, circle):
-    normal, distance = core.circle_hits(ray, circle)
-    return normal, distance[..., None]
-
-
-def _triangle(_, ray, triangle):
-    ray, triangle = arguments.rays("ray", ray), arguments.triangles("triangle", triangle)
-    if len(triangle) != 1:
-        raise ValueError(f"triangle must be one triangle [3, 3] or [1, 3, 3], got {tuple(triangle.shape)}")
-    normal, distance, check = _triangle_hits(ray, triangle)
-    return normal[0], distance[0][..., None], ray[check[0]], normal[0][check[0]], check
 
 
 def _triangle_hits(ray, triangle) -> tuple[Any, ...]:
@@ -57,211 +39,214 @@ def _picked(rays, normals, distance, hit) -> tuple[torch.Tensor, torch.Tensor, t
 
 
 if not TYPE_CHECKING:
-    fresnel_coefficients = torch_face(
-        core.fresnel_coefficients,
-        tensors=("ray", "normal"),
-        describe="""
-    Examples
-    --------
-    At normal incidence glass reflects ((n − 1)/(n + 1))²:
 
-    >>> import torch
-    >>> from odak.learn.raytracing import fresnel_coefficients
-    >>> ray = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    >>> round(fresnel_coefficients(ray, ray, 1.0, 1.5).reflectance_s.item(), 4)
-    0.04
-    """,
-    )
-    get_cylinder_normal = torch_face(
-        core.get_cylinder_normal,
-        tensors=("point", "cylinder"),
-        through=batched(2),
-        describe="""
-    Returns
-    -------
-    torch.Tensor
-        ``[m, 2, 3]``. Each starts at its point's foot on the axis.
+    @face_of(core.fresnel_coefficients, tensors=("ray", "normal"))
+    def fresnel_coefficients(function, **given):
+        """Return the Fresnel coefficients of rays at surfaces, for the amplitude and for the power.
 
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import define_cylinder, get_cylinder_normal
-    >>> get_cylinder_normal(torch.tensor([0.0, 2, 3]), define_cylinder(torch.zeros(3), 2.0)).tolist()
-    [[[0.0, 0.0, 3.0], [0.0, 1.0, 0.0]]]
-    """,
-    )
-    get_sphere_normal_torch = torch_face(
-        core.get_sphere_normal,
-        name="get_sphere_normal_torch",
-        tensors=("point", "sphere"),
-        through=batched(2),
-        describe="""
-    Returns
-    -------
-    torch.Tensor
-        ``[m, 2, 3]``.
+        Examples
+        --------
+        At normal incidence glass reflects ((n − 1)/(n + 1))²:
 
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import get_sphere_normal_torch
-    >>> get_sphere_normal_torch(torch.tensor([0.0, 0, 3]), torch.tensor([0.0, 0, 1, 2]))[0, 1].tolist()
-    [0.0, 0.0, -1.0]
-    """,
-    )
-    get_triangle_normal = torch_face(
-        core.get_triangle_normal,
-        tensors=("triangle", "triangle_center"),
-        describe="""
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import get_triangle_normal
-    >>> get_triangle_normal(torch.tensor([[0.0, 0, 0], [3, 0, 0], [0, 3, 0]])).tolist()
-    [[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-    """,
-    )
-    reflect = torch_face(
-        core.reflect,
-        tensors=("input_ray", "normal"),
-        through=lambda _, input_ray, normal: core.reflected_rays(input_ray, normal),
-        describe="""
-    Returns
-    -------
-    torch.Tensor
-        ``[m, 2, 3]``: rays that start at the normals' points; NaN where a normal is zero.
+        >>> import torch
+        >>> from odak.learn.raytracing import fresnel_coefficients
+        >>> ray = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+        >>> round(fresnel_coefficients(ray, ray, 1.0, 1.5).reflectance_s.item(), 4)
+        0.04
+        """
+        return function(**given)
 
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import reflect
-    >>> normal = torch.tensor([[1.0, 1.0, 1.0], [0.0, 0.0, 2.0]])
-    >>> reflect(torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.6, 0.8]]), normal)[0, 1]
-    tensor([ 0.0000,  0.6000, -0.8000])
-    """,
-    )
-    refract = torch_face(
-        core.refract,
-        tensors=("vector", "normvector", "n1", "n2"),
-        through=lambda _, vector, normvector, n1, n2, error=0.01: core.refracted_rays(
-            vector, normvector, n1.reshape(-1), n2.reshape(-1)
-        ),
-        describe="""
-    Returns
-    -------
-    torch.Tensor
-        ``[m, 2, 3]``: rays that start at the normals' points. A totally reflected ray has a NaN direction and no
-        gradient. Differentiable in rays, normals and indices.
+    @face_of(core.get_cylinder_normal, tensors=("point", "cylinder"))
+    def get_cylinder_normal(function, **given):
+        """Return the outward normals of a cylinder at points of it, as rays from its axis.
 
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import refract
-    >>> normal = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    >>> refract(torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.6, 0.8]]), normal, 1.0, 1.5)[0, 1]
-    tensor([0.0000, 0.4000, 0.9165])
-    """,
-    )
-    intersect_w_surface = torch_face(
-        core.intersect_w_surface,
-        tensors=("ray", "points"),
-        through=_plane,
-        describe="""
-    Parameters
-    ----------
-    points : torch.Tensor
-        Three points, ``[3, 3]`` or ``[1, 3, 3]``; ``[m, 3, 3]`` gives each ray its own plane.
+        Returns
+        -------
+        torch.Tensor
+            ``[m, 2, 3]``. Each starts at its point's foot on the axis.
 
-    Returns
-    -------
-    tuple of torch.Tensor
-        Normals ``[m, 2, 3]`` (where the plane is met, unit normal) and distances ``[m, 1]``, negative behind the
-        start. Point and distance are NaN for rays along the plane.
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import define_cylinder, get_cylinder_normal
+        >>> get_cylinder_normal(torch.tensor([0.0, 2, 3]), define_cylinder(torch.zeros(3), 2.0)).tolist()
+        [[[0.0, 0.0, 3.0], [0.0, 1.0, 0.0]]]
+        """
+        return batched(function(**given), 2)
 
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import define_plane, intersect_w_surface
-    >>> ray = torch.tensor([[0.0, 0.0, 20.0], [0.0, 0.6, 0.8]])
-    >>> intersect_w_surface(ray, define_plane(torch.tensor([0.0, 0.0, 10.0])))[1]
-    tensor([[-12.5000]])
-    """,
-    )
-    intersect_w_circle = torch_face(
-        core.intersect_w_circle,
-        tensors=("ray",),
-        through=_circle,
-        describe="""
-    Returns
-    -------
-    tuple of torch.Tensor
-        Normals as in :func:`intersect_w_surface` (``[2, 3]`` for a ray ``[2, 3]``) and distances ``[m, 1]``.
+    @face_of(core.get_sphere_normal, tensors=("point", "sphere"))
+    def get_sphere_normal_torch(function, **given):
+        """Return the rays from points of a sphere towards its centre.
 
-    Examples
-    --------
-    The first ray meets the disc of radius 2 at z = 5, the second one passes by:
+        Returns
+        -------
+        torch.Tensor
+            ``[m, 2, 3]``.
 
-    >>> import torch
-    >>> from odak.learn.raytracing import define_circle, intersect_w_circle
-    >>> circle = define_circle(torch.tensor([0.0, 0.0, 5.0]), torch.tensor([2.0]), torch.zeros(3))
-    >>> rays = torch.tensor([[[1.0, 0, 0], [0, 0, 1]], [[3, 0, 0], [0, 0, 1]]])
-    >>> intersect_w_circle(rays, circle)[1].flatten().tolist()
-    [5.0, 0.0]
-    """,
-    )
-    intersect_w_triangle = torch_face(
-        core.intersect_w_triangle,
-        tensors=("ray", "triangle"),
-        through=_triangle,
-        describe="""
-    Intersect rays with one triangle, ahead of the starts or behind them.
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import get_sphere_normal_torch
+        >>> get_sphere_normal_torch(torch.tensor([0.0, 0, 3]), torch.tensor([0.0, 0, 1, 2]))[0, 1].tolist()
+        [0.0, 0.0, -1.0]
+        """
+        return batched(function(**given), 2)
 
-    Parameters
-    ----------
-    triangle : torch.Tensor
-        ``[3, 3]`` or ``[1, 3, 3]``.
+    @face_of(core.get_triangle_normal, tensors=("triangle", "triangle_center"))
+    def get_triangle_normal(function, **given):
+        """Return the unit normals of triangles by the right-hand rule, as rays from their centres.
 
-    Returns
-    -------
-    tuple
-        - normals ``[m, 2, 3]``: where each ray meets the triangle's plane, and the unit normal;
-        - distances ``[m, 1]`` to the plane, negative behind the start, NaN for rays along it;
-        - the k rays that hit the triangle, ``[k, 2, 3]``;
-        - their normals ``[k, 2, 3]``;
-        - bool ``[1, m]``: which rays hit, by the rule of :func:`odak.learn.raytracing.is_it_on_triangle`.
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import get_triangle_normal
+        >>> get_triangle_normal(torch.tensor([[0.0, 0, 0], [3, 0, 0], [0, 3, 0]])).tolist()
+        [[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+        """
+        return function(**given)
 
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import intersect_w_triangle
-    >>> triangle = torch.tensor([[0.0, 0, 5], [4, 0, 5], [0, 4, 5]])
-    >>> rays = torch.tensor([[[1.0, 1, 0], [0, 0, 1]], [[4, 4, 0], [0, 0, 1]]])
-    >>> _, distances, _, _, hits = intersect_w_triangle(rays, triangle)
-    >>> distances.flatten().tolist(), hits.tolist()
-    ([5.0, 5.0], [[True, False]])
-    """,
-    )
-    intersect_w_cylinder = torch_face(
-        core.intersect_w_cylinder,
-        tensors=("ray", "cylinder"),
-        through=lambda _, ray, cylinder: _picked(*core.cylinder_hits(ray, cylinder)),
-        describe="""
-    Returns
-    -------
-    tuple of torch.Tensor
-        As :func:`odak.learn.raytracing.intersect_w_sphere`: rays ``[k, 2, 3]`` from the points hit, normals
-        ``[k, 2, 3]`` from the axis outwards, distances ``[m]`` (NaN, without gradient, for misses and for rays along
-        the axis), and which rays hit, ``[m]``.
+    @face_of(core.reflect, tensors=("input_ray", "normal"))
+    def reflect(_, input_ray, normal):
+        """Reflect rays at surfaces: d' = d − 2(d·n)/(n·n)·n.
 
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import define_cylinder, intersect_w_cylinder
-    >>> ray = torch.tensor([[-20.0, 0.0, 4.0], [1.0, 0.0, 0.0]])
-    >>> intersect_w_cylinder(ray, define_cylinder(torch.zeros(3), 2.0))[2]
-    tensor([18.])
-    """,
-    )
+        Returns
+        -------
+        torch.Tensor
+            ``[m, 2, 3]``: rays that start at the normals' points; NaN where a normal is zero.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import reflect
+        >>> normal = torch.tensor([[1.0, 1.0, 1.0], [0.0, 0.0, 2.0]])
+        >>> reflect(torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.6, 0.8]]), normal)[0, 1]
+        tensor([ 0.0000,  0.6000, -0.8000])
+        """
+        return core.reflected_rays(input_ray, normal)
+
+    @face_of(core.refract, tensors=("vector", "normvector", "n1", "n2"))
+    def refract(_, vector, normvector, n1, n2, error=0.01):
+        """Refract rays at surfaces by Snell's law.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[m, 2, 3]``: rays that start at the normals' points. A totally reflected ray has a NaN direction and no
+            gradient. Differentiable in rays, normals and indices.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import refract
+        >>> normal = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+        >>> refract(torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.6, 0.8]]), normal, 1.0, 1.5)[0, 1]
+        tensor([0.0000, 0.4000, 0.9165])
+        """
+        return core.refracted_rays(vector, normvector, n1.reshape(-1), n2.reshape(-1))
+
+    @face_of(core.intersect_w_surface, tensors=("ray", "points"))
+    def intersect_w_surface(_, ray, points):
+        """Intersect rays with the plane through three points.
+
+        Parameters
+        ----------
+        points : torch.Tensor
+            Three points, ``[3, 3]`` or ``[1, 3, 3]``; ``[m, 3, 3]`` gives each ray its own plane.
+
+        Returns
+        -------
+        tuple of torch.Tensor
+            Normals ``[m, 2, 3]`` (where the plane is met, unit normal) and distances ``[m, 1]``, negative behind the
+            start. Point and distance are NaN for rays along the plane.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import define_plane, intersect_w_surface
+        >>> ray = torch.tensor([[0.0, 0.0, 20.0], [0.0, 0.6, 0.8]])
+        >>> intersect_w_surface(ray, define_plane(torch.tensor([0.0, 0.0, 10.0])))[1]
+        tensor([[-12.5000]])
+        """
+        normal, distance = core.plane_hits(*arguments.rays_and_triangles(ray=ray, points=points))
+        return normal, distance[..., None]
+
+    @face_of(core.intersect_w_circle, tensors=("ray",))
+    def intersect_w_circle(_, ray, circle):
+        """Intersect rays with the plane of a circle; the distance is 0 where the intersection lies outside the circle.
+
+        Returns
+        -------
+        tuple of torch.Tensor
+            Normals as in :func:`intersect_w_surface` (``[2, 3]`` for a ray ``[2, 3]``) and distances ``[m, 1]``.
+
+        Examples
+        --------
+        The first ray meets the disc of radius 2 at z = 5, the second one passes by:
+
+        >>> import torch
+        >>> from odak.learn.raytracing import define_circle, intersect_w_circle
+        >>> circle = define_circle(torch.tensor([0.0, 0.0, 5.0]), torch.tensor([2.0]), torch.zeros(3))
+        >>> rays = torch.tensor([[[1.0, 0, 0], [0, 0, 1]], [[3, 0, 0], [0, 0, 1]]])
+        >>> intersect_w_circle(rays, circle)[1].flatten().tolist()
+        [5.0, 0.0]
+        """
+        normal, distance = core.circle_hits(ray, circle)
+        return normal, distance[..., None]
+
+    @face_of(core.intersect_w_triangle, tensors=("ray", "triangle"))
+    def intersect_w_triangle(_, ray, triangle):
+        """Intersect rays with one triangle, ahead of the starts or behind them.
+
+        Parameters
+        ----------
+        triangle : torch.Tensor
+            ``[3, 3]`` or ``[1, 3, 3]``.
+
+        Returns
+        -------
+        tuple
+            - normals ``[m, 2, 3]``: where each ray meets the triangle's plane, and the unit normal;
+            - distances ``[m, 1]`` to the plane, negative behind the start, NaN for rays along it;
+            - the k rays that hit the triangle, ``[k, 2, 3]``;
+            - their normals ``[k, 2, 3]``;
+            - bool ``[1, m]``: which rays hit, by the rule of :func:`odak.learn.raytracing.is_it_on_triangle`.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import intersect_w_triangle
+        >>> triangle = torch.tensor([[0.0, 0, 5], [4, 0, 5], [0, 4, 5]])
+        >>> rays = torch.tensor([[[1.0, 1, 0], [0, 0, 1]], [[4, 4, 0], [0, 0, 1]]])
+        >>> _, distances, _, _, hits = intersect_w_triangle(rays, triangle)
+        >>> distances.flatten().tolist(), hits.tolist()
+        ([5.0, 5.0], [[True, False]])
+        """
+        ray, triangle = arguments.rays("ray", ray), arguments.triangles("triangle", triangle)
+        if len(triangle) != 1:
+            raise ValueError(f"triangle must be one triangle [3, 3] or [1, 3, 3], got {tuple(triangle.shape)}")
+        normal, distance, check = _triangle_hits(ray, triangle)
+        return normal[0], distance[0][..., None], ray[check[0]], normal[0][check[0]], check
+
+    @face_of(core.intersect_w_cylinder, tensors=("ray", "cylinder"))
+    def intersect_w_cylinder(_, ray, cylinder):
+        """Intersect rays with an infinite cylinder, at the nearest point ahead, or the exit when the ray starts inside.
+
+        Returns
+        -------
+        tuple of torch.Tensor
+            As :func:`odak.learn.raytracing.intersect_w_sphere`: rays ``[k, 2, 3]`` from the points hit, normals
+            ``[k, 2, 3]`` from the axis outwards, distances ``[m]`` (NaN, without gradient, for misses and for rays
+            along the axis), and which rays hit, ``[m]``.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import define_cylinder, intersect_w_cylinder
+        >>> ray = torch.tensor([[-20.0, 0.0, 4.0], [1.0, 0.0, 0.0]])
+        >>> intersect_w_cylinder(ray, define_cylinder(torch.zeros(3), 2.0))[2]
+        tensor([18.])
+        """
+        return _picked(*core.cylinder_hits(ray, cylinder))
 
 
 def intersect_w_sphere(

@@ -1,12 +1,12 @@
 """Planes, triangles, circles and spheres as tensors, and the test whether points lie on triangles."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
 
 from odak import _validate
-from odak.learn._face import torch_face
+from odak.learn._face import face_of
 from odak.learn._tensors import reals_of
 from odak.raytracing import arguments
 from odak.raytracing import primitives as core
@@ -19,150 +19,141 @@ if TYPE_CHECKING:
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
-def batched(axes: int) -> Callable[..., Any]:
-    """Return a function that calls one of the core and puts a batch axis in front of the last axes of its results."""
-
-    def call(core, **options):
-        result = core(**options)
-        if isinstance(result, tuple):
-            return tuple(arguments.batch(value, axes) for value in result)
-        return arguments.batch(result, axes)
-
-    return call
-
-
-def _unit_sphere(core, center=None, radius=None):
-    return arguments.batch(core(_ORIGIN if center is None else center, 1.0 if radius is None else radius), 1)
+def batched(result: Any, axes: int) -> Any:
+    """Return what a function of the core returns, arrays or a tuple of them, with a batch axis in front of `axes`."""
+    if isinstance(result, tuple):
+        return tuple(arguments.batch(value, axes) for value in result)
+    return arguments.batch(result, axes)
 
 
 if not TYPE_CHECKING:
-    bring_plane_to_origin = torch_face(
-        core.bring_plane_to_origin,
-        tensors=("point", "center", "angles"),
-        defaults={"plane": None},
-        through=batched(1),
-        describe="""
-    Returns
-    -------
-    torch.Tensor
-        R⁻¹·(point − center), ``[m, 3]``.
 
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import bring_plane_to_origin
-    >>> bring_plane_to_origin(torch.tensor([2.0, 1.0, 1.0]), center=torch.tensor([1.0, 1.0, 1.0])).tolist()
-    [[1.0, 0.0, 0.0]]
-    """,
-    )
-    center_of_triangle = torch_face(
-        core.center_of_triangle,
-        tensors=("triangle",),
-        describe="""
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import center_of_triangle
-    >>> center_of_triangle(torch.tensor([[0.0, 0, 0], [3, 0, 0], [0, 6, 0]])).tolist()
-    [[1.0, 2.0, 0.0]]
-    """,
-    )
-    cylinder_function = torch_face(
-        core.cylinder_function,
-        tensors=("point", "cylinder"),
-        describe="""
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import cylinder_function, define_cylinder
-    >>> cylinder_function(torch.tensor([[0.0, 0, 9], [3, 0, 9]]), define_cylinder(torch.zeros(3), 2.0)).tolist()
-    [-4.0, 5.0]
-    """,
-    )
-    define_circle = torch_face(
-        core.define_circle,
-        tensors=("center", "radius", "angles"),
-        through=lambda core, center, radius, angles: core(center, arguments.vector("radius", radius, 1), angles),
-        describe="""
-    Return a circle as [plane ``[3, 3]``, centre ``[3]``, radius ``[1]``].
+    @face_of(core.bring_plane_to_origin, tensors=("point", "center", "angles"), defaults={"plane": None})
+    def bring_plane_to_origin(function, **given):
+        """Return points in the frame of a plane that was rotated by `angles` and moved to `center`.
 
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import define_circle
-    >>> plane, center, radius = define_circle(torch.tensor([0.0, 0.0, 5.0]), torch.tensor([2.0]), torch.zeros(3))
-    >>> plane[:, 2].tolist(), radius.tolist()
-    ([5.0, 5.0, 5.0], [2.0])
-    """,
-    )
-    define_cylinder = torch_face(
-        core.define_cylinder,
-        tensors=("center", "radius", "rotation"),
-        through=batched(1),
-        describe="""
-    Returns
-    -------
-    torch.Tensor
-        ``[m, 7]``; single arguments are broadcast.
+        Returns
+        -------
+        torch.Tensor
+            R⁻¹·(point − center), ``[m, 3]``.
 
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import define_cylinder
-    >>> define_cylinder(torch.tensor([0.0, 0.0, 4.0]), 2.0)
-    tensor([[0., 0., 4., 2., 0., 0., 5.]])
-    """,
-    )
-    define_plane = torch_face(
-        core.define_plane,
-        tensors=("point", "angles"),
-        describe="""
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import define_plane
-    >>> define_plane(torch.tensor([0.0, 0.0, 5.0]))[:, 2].tolist()
-    [5.0, 5.0, 5.0]
-    """,
-    )
-    define_sphere = torch_face(
-        core.define_sphere,
-        tensors=("center", "radius"),
-        defaults={"center": None, "radius": None},
-        through=_unit_sphere,
-        describe="""
-    Parameters
-    ----------
-    center : torch.Tensor, optional
-        ``[3]`` or ``[m, 3]``; the origin by default.
-    radius : torch.Tensor or float, optional
-        A number, ``[1]``, ``[m]`` or ``[m, 1]``; 1 by default.
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import bring_plane_to_origin
+        >>> bring_plane_to_origin(torch.tensor([2.0, 1.0, 1.0]), center=torch.tensor([1.0, 1.0, 1.0])).tolist()
+        [[1.0, 0.0, 0.0]]
+        """
+        return batched(function(**given), 1)
 
-    Returns
-    -------
-    torch.Tensor
-        ``[m, 4]``; a single centre or a single radius is broadcast.
+    @face_of(core.center_of_triangle, tensors=("triangle",))
+    def center_of_triangle(function, **given):
+        """Return the mean of the corners of triangles.
 
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import define_sphere
-    >>> define_sphere(torch.tensor([0.0, 0.0, 5.0]), torch.tensor([3.0]))
-    tensor([[0., 0., 5., 3.]])
-    """,
-    )
-    sphere_function = torch_face(
-        core.sphere_function,
-        tensors=("point", "sphere"),
-        describe="""
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import sphere_function
-    >>> sphere_function(torch.tensor([[0.0, 0, 0], [3, 0, 0]]), torch.tensor([0.0, 0, 0, 2])).tolist()
-    [-4.0, 5.0]
-    """,
-    )
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import center_of_triangle
+        >>> center_of_triangle(torch.tensor([[0.0, 0, 0], [3, 0, 0], [0, 6, 0]])).tolist()
+        [[1.0, 2.0, 0.0]]
+        """
+        return function(**given)
+
+    @face_of(core.cylinder_function, tensors=("point", "cylinder"))
+    def cylinder_function(function, **given):
+        """Return the squared distance to the axis of a cylinder minus the squared radius.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import cylinder_function, define_cylinder
+        >>> cylinder_function(torch.tensor([[0.0, 0, 9], [3, 0, 9]]), define_cylinder(torch.zeros(3), 2.0)).tolist()
+        [-4.0, 5.0]
+        """
+        return function(**given)
+
+    @face_of(core.define_circle, tensors=("center", "radius", "angles"))
+    def define_circle(core, center, radius, angles):
+        """Return a circle as [plane ``[3, 3]``, centre ``[3]``, radius ``[1]``].
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import define_circle
+        >>> plane, center, radius = define_circle(torch.tensor([0.0, 0.0, 5.0]), torch.tensor([2.0]), torch.zeros(3))
+        >>> plane[:, 2].tolist(), radius.tolist()
+        ([5.0, 5.0, 5.0], [2.0])
+        """
+        return core(center, arguments.vector("radius", radius, 1), angles)
+
+    @face_of(core.define_cylinder, tensors=("center", "radius", "rotation"))
+    def define_cylinder(function, **given):
+        """Return infinite cylinders as ``[c, r, q]``, q a point of the axis one unit from c.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[m, 7]``; single arguments are broadcast.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import define_cylinder
+        >>> define_cylinder(torch.tensor([0.0, 0.0, 4.0]), 2.0)
+        tensor([[0., 0., 4., 2., 0., 0., 5.]])
+        """
+        return batched(function(**given), 1)
+
+    @face_of(core.define_plane, tensors=("point", "angles"))
+    def define_plane(function, **given):
+        """Return three points of a plane through `point`, tilted.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import define_plane
+        >>> define_plane(torch.tensor([0.0, 0.0, 5.0]))[:, 2].tolist()
+        [5.0, 5.0, 5.0]
+        """
+        return function(**given)
+
+    @face_of(core.define_sphere, tensors=("center", "radius"), defaults={"center": None, "radius": None})
+    def define_sphere(function, center=None, radius=None):
+        """Return spheres as ``[c_x, c_y, c_z, r]``.
+
+        Parameters
+        ----------
+        center : torch.Tensor, optional
+            ``[3]`` or ``[m, 3]``; the origin by default.
+        radius : torch.Tensor or float, optional
+            A number, ``[1]``, ``[m]`` or ``[m, 1]``; 1 by default.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[m, 4]``; a single centre or a single radius is broadcast.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import define_sphere
+        >>> define_sphere(torch.tensor([0.0, 0.0, 5.0]), torch.tensor([3.0]))
+        tensor([[0., 0., 5., 3.]])
+        """
+        return arguments.batch(function(_ORIGIN if center is None else center, 1.0 if radius is None else radius), 1)
+
+    @face_of(core.sphere_function, tensors=("point", "sphere"))
+    def sphere_function(function, **given):
+        """Return |p − c|² − r², which is zero on a sphere and negative inside.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import sphere_function
+        >>> sphere_function(torch.tensor([[0.0, 0, 0], [3, 0, 0]]), torch.tensor([0.0, 0, 0, 2])).tolist()
+        [-4.0, 5.0]
+        """
+        return function(**given)
 
 
 def define_plane_mesh(

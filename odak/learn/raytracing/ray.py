@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from odak import _validate
-from odak.learn._face import torch_face
+from odak.learn._face import face_of
 from odak.learn._tensors import checked_generator, reals_of
 from odak.learn.raytracing.primitives import batched
 from odak.raytracing import arguments
@@ -18,136 +18,139 @@ if TYPE_CHECKING:
 
 
 if not TYPE_CHECKING:
-    calculate_intersection_of_two_rays = torch_face(
-        core.calculate_intersection_of_two_rays,
-        tensors=("ray0", "ray1"),
-        through=batched(1),
-        describe="""
-    Returns
-    -------
-    tuple of torch.Tensor
-        Points ``[m, 3]`` and signed distances ``[m, 2]`` along both rays. Where the lines are skew or parallel:
-        ray0's start and zeros without gradient. NaN where a ray is not finite.
 
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import calculate_intersection_of_two_rays
-    >>> ray0 = torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
-    >>> ray1 = torch.tensor([[3.0, -7.0, 0.0], [0.0, 1.0, 0.0]])
-    >>> calculate_intersection_of_two_rays(ray0, ray1)[1]
-    tensor([[3., 7.]])
-    """,
-    )
-    create_ray_from_all_pairs = torch_face(
-        core.create_ray_from_all_pairs,
-        tensors=("x0y0z0", "x1y1z1"),
-        describe="""
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import create_ray_from_all_pairs
-    >>> tuple(create_ray_from_all_pairs(torch.zeros(2, 3), torch.ones(3, 3)).shape)
-    (6, 2, 3)
-    """,
-    )
-    create_ray_from_angles = torch_face(
-        core.create_ray_from_angles,
-        tensors=("point", "angles"),
-        through=batched(2),
-        describe="""
-    Parameters
-    ----------
-    angles : torch.Tensor
-        Degrees about X, Y and Z, ``[3]`` or ``[m, 3]``; zero angles point along +z.
+    @face_of(core.calculate_intersection_of_two_rays, tensors=("ray0", "ray1"))
+    def calculate_intersection_of_two_rays(function, **given):
+        """Return the intersection of two lines, and its distance along each of the rays.
 
-    Returns
-    -------
-    torch.Tensor
-        ``[m, 2, 3]``.
+        Returns
+        -------
+        tuple of torch.Tensor
+            Points ``[m, 3]`` and signed distances ``[m, 2]`` along both rays. Where the lines are skew or parallel:
+            ray0's start and zeros without gradient. NaN where a ray is not finite.
 
-    Examples
-    --------
-    A rotation of 90° about y takes the z axis to the x axis:
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import calculate_intersection_of_two_rays
+        >>> ray0 = torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+        >>> ray1 = torch.tensor([[3.0, -7.0, 0.0], [0.0, 1.0, 0.0]])
+        >>> calculate_intersection_of_two_rays(ray0, ray1)[1]
+        tensor([[3., 7.]])
+        """
+        return batched(function(**given), 1)
 
-    >>> import torch
-    >>> from odak.learn.raytracing import create_ray_from_angles
-    >>> ray = create_ray_from_angles(torch.zeros(3), torch.tensor([0.0, 90.0, 0.0]))
-    >>> [round(abs(value), 6) for value in ray[0, 1].tolist()]
-    [1.0, 0.0, 0.0]
-    """,
-    )
-    create_ray_from_two_points = torch_face(
-        core.create_ray_from_two_points,
-        tensors=("x0y0z0", "x1y1z1"),
-        through=batched(2),
-        describe="""
-    Returns
-    -------
-    torch.Tensor
-        ``[m, 2, 3]``; NaN directions, with zero gradients, where start and end coincide.
+    @face_of(core.create_ray_from_all_pairs, tensors=("x0y0z0", "x1y1z1"))
+    def create_ray_from_all_pairs(function, **given):
+        """Return a ray from each of the first points to each of the second ones.
 
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import create_ray_from_two_points
-    >>> create_ray_from_two_points(torch.zeros(3), torch.tensor([0.0, 3.0, 4.0]))
-    tensor([[[0.0000, 0.0000, 0.0000],
-             [0.0000, 0.6000, 0.8000]]])
-    """,
-    )
-    find_nearest_points = torch_face(
-        core.find_nearest_points,
-        tensors=("ray0", "ray1"),
-        through=batched(1),
-        describe="""
-    Returns
-    -------
-    tuple of torch.Tensor
-        Points ``[m, 3]`` on ray0 and ray1; for parallel lines ray0's start and its foot on ray1.
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import create_ray_from_all_pairs
+        >>> tuple(create_ray_from_all_pairs(torch.zeros(2, 3), torch.ones(3, 3)).shape)
+        (6, 2, 3)
+        """
+        return function(**given)
 
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import find_nearest_points
-    >>> ray0 = torch.tensor([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
-    >>> ray1 = torch.tensor([[0.0, 0.0, 5.0], [0.0, 1.0, 0.0]])
-    >>> [point.tolist() for point in find_nearest_points(ray0, ray1)]
-    [[[0.0, 0.0, 0.0]], [[0.0, 0.0, 5.0]]]
-    """,
-    )
-    get_points_along_a_ray_segment = torch_face(
-        core.get_points_along_a_ray_segment,
-        tensors=("ray", "distances"),
-        describe="""
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import get_points_along_a_ray_segment
-    >>> ray = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    >>> get_points_along_a_ray_segment(ray, torch.tensor([1.0, 2.5]))[:, 2].tolist()
-    [1.0, 2.5]
-    """,
-    )
-    propagate_a_ray = propagate_ray = torch_face(
-        core.propagate_a_ray,
-        name="propagate_ray",
-        tensors=("ray", "distance"),
-        through=batched(2),
-        describe="""
-    Returns
-    -------
-    torch.Tensor
-        ``[m, 2, 3]``.
+    @face_of(core.create_ray_from_angles, tensors=("point", "angles"))
+    def create_ray_from_angles(function, **given):
+        """Return the ray from a point along the rotated z axis.
 
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import propagate_ray
-    >>> propagate_ray(torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.6, 0.8]]), 10.0)[0, 0]
-    tensor([0., 6., 8.])
-    """,
-    )
+        Parameters
+        ----------
+        angles : torch.Tensor
+            Degrees about X, Y and Z, ``[3]`` or ``[m, 3]``; zero angles point along +z.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[m, 2, 3]``.
+
+        Examples
+        --------
+        A rotation of 90° about y takes the z axis to the x axis:
+
+        >>> import torch
+        >>> from odak.learn.raytracing import create_ray_from_angles
+        >>> ray = create_ray_from_angles(torch.zeros(3), torch.tensor([0.0, 90.0, 0.0]))
+        >>> [round(abs(value), 6) for value in ray[0, 1].tolist()]
+        [1.0, 0.0, 0.0]
+        """
+        return batched(function(**given), 2)
+
+    @face_of(core.create_ray_from_two_points, tensors=("x0y0z0", "x1y1z1"))
+    def create_ray_from_two_points(function, **given):
+        """Return rays from the first points towards the second ones.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[m, 2, 3]``; NaN directions, with zero gradients, where start and end coincide.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import create_ray_from_two_points
+        >>> create_ray_from_two_points(torch.zeros(3), torch.tensor([0.0, 3.0, 4.0]))
+        tensor([[[0.0000, 0.0000, 0.0000],
+                 [0.0000, 0.6000, 0.8000]]])
+        """
+        return batched(function(**given), 2)
+
+    @face_of(core.find_nearest_points, tensors=("ray0", "ray1"))
+    def find_nearest_points(function, **given):
+        """Return, on each of two lines, the point nearest to the other line.
+
+        Returns
+        -------
+        tuple of torch.Tensor
+            Points ``[m, 3]`` on ray0 and ray1; for parallel lines ray0's start and its foot on ray1.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import find_nearest_points
+        >>> ray0 = torch.tensor([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+        >>> ray1 = torch.tensor([[0.0, 0.0, 5.0], [0.0, 1.0, 0.0]])
+        >>> [point.tolist() for point in find_nearest_points(ray0, ray1)]
+        [[[0.0, 0.0, 0.0]], [[0.0, 0.0, 5.0]]]
+        """
+        return batched(function(**given), 1)
+
+    @face_of(core.get_points_along_a_ray_segment, tensors=("ray", "distances"))
+    def get_points_along_a_ray_segment(function, **given):
+        """Return the points of rays at given distances from their starts.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import get_points_along_a_ray_segment
+        >>> ray = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+        >>> get_points_along_a_ray_segment(ray, torch.tensor([1.0, 2.5]))[:, 2].tolist()
+        [1.0, 2.5]
+        """
+        return function(**given)
+
+    @face_of(core.propagate_a_ray, tensors=("ray", "distance"))
+    def propagate_ray(function, **given):
+        """Return rays whose starts are moved along their directions; the directions are unchanged.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[m, 2, 3]``.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import propagate_ray
+        >>> propagate_ray(torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.6, 0.8]]), 10.0)[0, 0]
+        tensor([0., 6., 8.])
+        """
+        return batched(function(**given), 2)
+
+    propagate_a_ray = propagate_ray
 
 
 def create_ray(xyz: torch.Tensor, abg: torch.Tensor, direction: bool = False) -> torch.Tensor:

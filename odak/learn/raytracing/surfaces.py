@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from odak import _validate
-from odak.learn._face import torch_face
+from odak.learn._face import face_of
 from odak.learn._tensors import reals_of
 from odak.raytracing import arguments, boundary, surfaces
 from odak.raytracing.geometry import dot, unit
@@ -30,81 +30,41 @@ if TYPE_CHECKING:
 
 
 if not TYPE_CHECKING:
-    intersect_w_sag = torch_face(
-        surfaces.intersect_w_sag,
-        through=lambda core, ray, surface, center=None, angles=None, aperture=None, ahead=True: surfaces.placed_hits(
-            reals_of, ray, surface, center, angles, aperture, ahead
-        ),
-        describe="""
-    Intersect rays with a surface z = sag(x, y), differentiable in rays, placement and parameters of the surface.
 
-    Parameters
-    ----------
-    surface : Shape
-        A Conic, EvenAsphere, Toroid or any other shape, its vertex at the origin and its axis along z. Parameters that
-        are tensors broadcast against the rays' batch axes (coefficients with their last axis, heights as a whole,
-        aside).
-    center : torch.Tensor, optional
-        Position of its vertex, ``[3]``.
-    angles : torch.Tensor, optional
-        Its rotation in degrees about X, Y and Z, applied in this order, ``[3]``.
-    aperture : float or torch.Tensor, optional
-        Semi-diameter of the surface.
+    @face_of(surfaces.intersect_w_sag)
+    def intersect_w_sag(core, ray, surface, center=None, angles=None, aperture=None, ahead=True):
+        """Intersect rays with a surface z = sag(x, y), differentiable in rays, placement and parameters of the surface.
 
-    Notes
-    -----
-    Large batches are evaluated block by block, forward and backward, and store only their arguments.
-    Derivatives follow from the implicit function theorem; see :func:`odak.raytracing.surfaces.intersection`.
+        Parameters
+        ----------
+        surface : Shape
+            A Conic, EvenAsphere, Toroid or any other shape, its vertex at the origin and its axis along z. Parameters
+            that are tensors broadcast against the rays' batch axes (coefficients with their last axis, heights as a
+            whole, aside).
+        center : torch.Tensor, optional
+            Position of its vertex, ``[3]``.
+        angles : torch.Tensor, optional
+            Its rotation in degrees about X, Y and Z, applied in this order, ``[3]``.
+        aperture : float or torch.Tensor, optional
+            Semi-diameter of the surface.
 
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import Conic, intersect_w_sag
-    >>> curvature = torch.tensor(0.2, dtype=torch.float64, requires_grad=True)
-    >>> ray = torch.tensor([[0.0, 3.0, -10.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
-    >>> distance = intersect_w_sag(ray, Conic(curvature)).distance
-    >>> distance.backward()
-    >>> round(distance.item(), 9), round(curvature.grad.item(), 9)
-    (11.0, 6.25)
-    """,
-    )
+        Notes
+        -----
+        Large batches are evaluated block by block, forward and backward, and store only their arguments.
+        Derivatives follow from the implicit function theorem; see :func:`odak.raytracing.surfaces.intersection`.
 
-
-def _intersect_parametric(
-    core,
-    ray,
-    parametric_surface,
-    surface_function,
-    surface_normal_function=None,
-    target_error=0.00000001,
-    iter_no_limit=100000,
-):
-    target_error = _validate.constant("target_error", target_error, positive=True)
-    _validate.function("surface_function", surface_function)
-    _validate.function_or_none("surface_normal_function", surface_normal_function)
-    batch = arguments.rays("ray", ray).shape[:-2]
-    rays = ray.reshape(-1, 2, 3)
-    found = _search(rays, parametric_surface, surface_function, target_error, iter_no_limit)
-    hit = torch.isfinite(found)
-    if not bool(hit.any()):
-        return found.reshape(batch), torch.full_like(rays, torch.nan).reshape(*batch, 2, 3)
-    # A ray that misses is replaced by one that hits: elsewhere the functions may not be differentiable.
-    first = hit.nonzero()[0, 0]
-    rays = torch.where(hit[:, None, None], rays, rays[first].detach())
-    distance = torch.where(hit, found, found[first])
-    for _ in range(2):
-        value, gradient = _gradient(rays, distance, parametric_surface, surface_function)
-        slope = dot(gradient, rays[:, 1])
-        regular = hit & (slope != 0)
-        distance = distance - torch.where(regular, value, 0.0) / torch.where(regular, slope, 1.0)
-    point = rays[:, 0] + distance[:, None] * rays[:, 1]
-    if surface_normal_function is None:
-        _, gradient = _gradient(rays, distance, parametric_surface, surface_function)
-        normal = arguments.as_rays(point, unit(gradient))
-    else:
-        normal = surface_normal_function(point, parametric_surface).reshape(-1, 2, 3)
-    distance, normal = torch.where(hit, distance, torch.nan), torch.where(hit[:, None, None], normal, torch.nan)
-    return distance.reshape(batch), normal.reshape(*batch, 2, 3)
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import Conic, intersect_w_sag
+        >>> curvature = torch.tensor(0.2, dtype=torch.float64, requires_grad=True)
+        >>> ray = torch.tensor([[0.0, 3.0, -10.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
+        >>> distance = intersect_w_sag(ray, Conic(curvature)).distance
+        >>> distance.backward()
+        >>> round(distance.item(), 9), round(curvature.grad.item(), 9)
+        (11.0, 6.25)
+        """
+        return surfaces.placed_hits(reals_of, ray, surface, center, angles, aperture, ahead)
 
 
 @torch.no_grad()
@@ -135,42 +95,74 @@ def _gradient(rays, distance, surface, function: Callable[..., Any]):
 
 
 if not TYPE_CHECKING:
-    intersect_parametric = torch_face(
-        boundary.intersect_parametric,
-        tensors=("ray",),
-        defaults={"surface_normal_function": None},
-        through=_intersect_parametric,
-        describe="""
-    Parameters
-    ----------
-    parametric_surface : object
-        Passed to both functions, with the tensors with respect to which the surface is differentiated.
-    surface_function : callable
-        ``surface_function(points [m, 3], parametric_surface)`` returns ``[m]``: zero on the surface, with opposite
-        signs on its sides, in torch operations.
-    surface_normal_function : callable, optional
-        Takes the same and returns normals as rays; by default along the function's gradient.
 
-    Returns
-    -------
-    tuple of torch.Tensor
-        Distances ``[m]`` and normals ``[m, 2, 3]``, in this order; NaN, without gradient, for rays that miss.
+    @face_of(boundary.intersect_parametric, tensors=("ray",), defaults={"surface_normal_function": None})
+    def intersect_parametric(
+        _,
+        ray,
+        parametric_surface,
+        surface_function,
+        surface_normal_function=None,
+        target_error=0.00000001,
+        iter_no_limit=100000,
+    ):
+        """Intersect rays with a surface given as a function, at the nearest point ahead.
 
-    Notes
-    -----
-    The search runs as in :func:`odak.raytracing.intersect_parametric`, on the CPU in float64, and keeps no graph. Two
-    steps of Newton's method from where it ends carry first and second derivatives, according to the implicit function
-    theorem.
+        Parameters
+        ----------
+        parametric_surface : object
+            Passed to both functions, with the tensors with respect to which the surface is differentiated.
+        surface_function : callable
+            ``surface_function(points [m, 3], parametric_surface)`` returns ``[m]``: zero on the surface, with opposite
+            signs on its sides, in torch operations.
+        surface_normal_function : callable, optional
+            Takes the same and returns normals as rays; by default along the function's gradient.
 
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import intersect_parametric, sphere_function
-    >>> radius = torch.tensor(1.0, requires_grad=True)
-    >>> sphere = torch.cat((torch.zeros(3), radius[None]))
-    >>> ray = torch.tensor([[0.0, 0.0, -5.0], [0.0, 0.0, 1.0]])
-    >>> distance, _ = intersect_parametric(ray, sphere, sphere_function)
-    >>> [round(value.item(), 5) for value in (distance.detach()[0], torch.autograd.grad(distance.sum(), radius)[0])]
-    [4.0, -1.0]
-    """,
-    )
+        Returns
+        -------
+        tuple of torch.Tensor
+            Distances ``[m]`` and normals ``[m, 2, 3]``, in this order; NaN, without gradient, for rays that miss.
+
+        Notes
+        -----
+        The search runs as in :func:`odak.raytracing.intersect_parametric`, on the CPU in float64, and keeps no graph.
+        Two steps of Newton's method from where it ends carry first and second derivatives, according to the implicit
+        function theorem.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.raytracing import intersect_parametric, sphere_function
+        >>> radius = torch.tensor(1.0, requires_grad=True)
+        >>> sphere = torch.cat((torch.zeros(3), radius[None]))
+        >>> ray = torch.tensor([[0.0, 0.0, -5.0], [0.0, 0.0, 1.0]])
+        >>> distance, _ = intersect_parametric(ray, sphere, sphere_function)
+        >>> [round(value.item(), 5) for value in (distance.detach()[0], torch.autograd.grad(distance.sum(), radius)[0])]
+        [4.0, -1.0]
+        """
+        target_error = _validate.constant("target_error", target_error, positive=True)
+        _validate.function("surface_function", surface_function)
+        _validate.function_or_none("surface_normal_function", surface_normal_function)
+        batch = arguments.rays("ray", ray).shape[:-2]
+        rays = ray.reshape(-1, 2, 3)
+        found = _search(rays, parametric_surface, surface_function, target_error, iter_no_limit)
+        hit = torch.isfinite(found)
+        if not bool(hit.any()):
+            return found.reshape(batch), torch.full_like(rays, torch.nan).reshape(*batch, 2, 3)
+        # A ray that misses is replaced by one that hits: elsewhere the functions may not be differentiable.
+        first = hit.nonzero()[0, 0]
+        rays = torch.where(hit[:, None, None], rays, rays[first].detach())
+        distance = torch.where(hit, found, found[first])
+        for _ in range(2):
+            value, gradient = _gradient(rays, distance, parametric_surface, surface_function)
+            slope = dot(gradient, rays[:, 1])
+            regular = hit & (slope != 0)
+            distance = distance - torch.where(regular, value, 0.0) / torch.where(regular, slope, 1.0)
+        point = rays[:, 0] + distance[:, None] * rays[:, 1]
+        if surface_normal_function is None:
+            _, gradient = _gradient(rays, distance, parametric_surface, surface_function)
+            normal = arguments.as_rays(point, unit(gradient))
+        else:
+            normal = surface_normal_function(point, parametric_surface).reshape(-1, 2, 3)
+        distance, normal = torch.where(hit, distance, torch.nan), torch.where(hit[:, None, None], normal, torch.nan)
+        return distance.reshape(batch), normal.reshape(*batch, 2, 3)
