@@ -415,6 +415,9 @@ def cast(value, like, dtype=None):
     dtype = like.dtype if dtype is None else dtype
     if is_torch(value) and is_torch(like):
         return value.to(device=like.device, dtype=dtype)
+    if isinstance(value, (int, float, complex)):
+        # A GPU fills memory without waiting; it waits for a copy.
+        return xp.full((), value, dtype=dtype, device=device_of(like))
     return xp.asarray(value, dtype=dtype, device=device_of(like))
 
 

@@ -30,6 +30,8 @@ SINGLE = 1e-4
 DECIBELS = 0.3
 # What the tests marked cuda import besides the package.
 FOR_TESTS = ("pytest", "pytest_timeout", "xdist", "hypothesis", "array_api_strict")
+# What some of them need besides, and are skipped without.
+FOR_FIGURES = ("plotly", "kaleido")
 # Groups of benchmarks, the most telling first.
 BENCHMARKS = ("wave_optics", "displays", "lens_system", "perception", "rays")
 
@@ -71,11 +73,16 @@ class Place:
         return self.emulation.EmulatedDevice() if self.name == "emulated" else contextlib.nullcontext()
 
     def reads_of(self, call) -> dict[str, int] | None:
-        """Return how often each line reads numbers back, of a call that was made before; None on the processor."""
+        """Return how often each line waits for the device, of a call that was made before; None on the processor.
+
+        It waits to read numbers, and to copy some of the processor there.
+        """
         if self.name == "emulated":
             self.emulation.reads.clear()
+            self.emulation.copies.clear()
             call()
-            return {line: count for line, count in self.emulation.reads.items() if line != "outside"}
+            found = self.emulation.reads + self.emulation.copies
+            return {line: count for line, count in found.items() if line != "outside"}
         if self.name == "cpu":
             return None
         with warnings.catch_warnings(record=True) as caught:
@@ -145,25 +152,48 @@ def propagation(place: Place):
 
 
 def displays(place: Place):
-    """Yield a display's images, and the first steps of its optimisation, behind free space and behind a lens."""
+    """Yield a display's images, and the first steps of its optimisation: behind free space, a lens, and of colours."""
     import torch
 
     from odak.instruments import Lens
     from odak.learn.wave import Descent, Display, Modulator, Run, optimise
 
-    shape = (1080, 1920) if place.full else (16, 24)
+    shape, frames = (1080, 1920) if place.full else (16, 24), 3
     target = torch.rand(*shape, generator=torch.Generator().manual_seed(2))
     phases = 6.28 * torch.rand(1, *shape, generator=torch.Generator().manual_seed(3))
+    run = Run(iterations=3, progress=False)
+
+    def losses(display, target, start, graph=False):
+        found = optimise(display, target, solver=Descent("adam", graph=graph), start=start, run=run)
+        return (torch.tensor(found.losses),)
+
+    def replayed(*given):
+        return losses(*given, graph=given[1].is_cuda and place.full)
+
+    def steps(what, call, *given):
+        seen = []
+
+        def told(*there):
+            seen.append(call(*there))
+            return seen[-1]
+
+        found = row(place, f"losses of three steps {what}", told, *given, limit=1e-3)
+        # Losses that hardly change would agree whatever the steps do.
+        first, *_, last = seen[0][0].tolist()
+        return {**found, "change": abs(last / first - 1), "ok": found["ok"] and abs(last / first - 1) > 1e-2}
+
     for name, space in (("free space", 5e-3), ("a lens", Lens(0.1))):
         display = Display(Modulator(shape, pitch=8e-6), wavelengths=532e-9, distances=space)
         yield row(place, f"images behind {name}", lambda d, p: (d(p),), display, phases)
-        run = Run(iterations=3, progress=False)
-
-        def losses(display, target, run=run):
-            found = optimise(display, target, solver=Descent("adam"), start="flat", run=run)
-            return (torch.tensor(found.losses),)
-
-        yield row(place, f"losses of three steps behind {name}", losses, display, target, limit=1e-2)
+        yield steps(f"behind {name}", losses, display, target, phases)
+    small = [n // 2 for n in shape]
+    display = Display(Modulator(small, pitch=8e-6), wavelengths=532e-9, distances=5e-3)
+    there = [value[..., : small[0], : small[1]].contiguous() for value in (target, phases)]
+    yield steps("from a CUDA graph", replayed, display, *there)
+    display = Display(Modulator(small, pitch=8e-6), [639e-9, 532e-9, 473e-9], [4e-3, 5e-3], frames)
+    generator = torch.Generator().manual_seed(5)
+    pictures, start = torch.rand(3, *small, generator=generator), 6.28 * torch.rand(frames, *small, generator=generator)
+    yield steps("of 3 colours, 2 planes", losses, display, pictures.expand(2, 3, *small), start)
 
 
 def hologram(place: Place):
@@ -189,12 +219,12 @@ def hologram(place: Place):
 
 
 def perception(place: Place):
-    """Yield the metameric loss and its gradient."""
+    """Yield losses and their gradients."""
     import torch
 
-    from odak.learn.perception import MetamericLoss
+    from odak.learn.perception import FLIP, MSSSIM, BlurLoss, MetamericLoss, Viewing, delta_e, srgb_to_lab
 
-    size = 512 if place.full else 64
+    size = 512 if place.full else 192
     pictures = torch.rand(2, 1, 3, size, size, generator=torch.Generator().manual_seed(4))
     loss = MetamericLoss(n_pyramid_levels=3)
 
@@ -204,6 +234,24 @@ def perception(place: Place):
         return value.reshape(1), *torch.autograd.grad(value, image)
 
     yield row(place, "metameric loss", call, loss, *pictures, limit=1e-3)
+
+    def difference(image, target):
+        return delta_e(srgb_to_lab(image), srgb_to_lab(target)).mean()
+
+    viewing = Viewing.head_mounted((size, size), 20)
+    for name, other in (
+        ("MS-SSIM", MSSSIM()),
+        ("FLIP", FLIP(viewing=viewing)),
+        ("blurs", BlurLoss()),
+        ("colour difference", difference),
+    ):
+
+        def plain(image, target, other=other):
+            image = image.detach().requires_grad_()
+            value = other(image, target).mean()
+            return value.reshape(1), *torch.autograd.grad(value, image)
+
+        yield row(place, name, plain, *pictures, limit=1e-3)
 
 
 def lens(place: Place):
@@ -223,6 +271,48 @@ def lens(place: Place):
     yield row(place, "rays through a triplet", call, triplet, rays, limit=1e-9)
 
 
+def scene(place: Place):
+    """Yield light that finds its way through a plate and a ball to a screen, in double precision."""
+    from odak.learn.raytracing import Conic, Element, Interface, Light, Plane, RayScene, light_source
+
+    plate = [Element(Plane(), (1.0, 1.5)), Element(Plane(), (1.5, 1.0), center=(0, 0, 3))]
+    ball = [
+        Element(Conic(0.2), (1.0, 1.6), center=(0, 0, 5), aperture=4.0),
+        Element(Conic(-0.2), (1.6, 1.0), center=(0, 0, 13), aperture=4.0),
+    ]
+    screen = Element(Plane(), interface=Interface(0, 0), center=(0, 0, 20), detects=True, name="screen")
+    found = light_source("collimated", 100_000 if place.full else 40, size=1.0, center=(0, 0, -1))
+
+    def call(rays, power):
+        traced = RayScene([*plate, *ball, screen]).trace(Light(rays, power, None), 550e-6, split=True, threshold=1e-4)
+        return (traced.absorbed,)
+
+    yield row(place, "light through a plate and a lens", call, found.rays.double(), found.power.double(), limit=1e-9)
+
+
+def compiled(place: Place):
+    """Yield a propagation that torch compiled, beside the plain one of the processor."""
+    import torch
+
+    from odak.learn.wave import propagate_beam
+
+    if place.name == "emulated":
+        yield {"what": "a compiled propagation", "ok": True, "skipped": "torch does not compile within a mode"}
+        return
+    size = 512 if place.full else 24
+    field = torch.randn(size, size, dtype=torch.complex64, generator=torch.Generator().manual_seed(6))
+
+    def propagate(field):
+        return propagate_beam(field, None, 5e-3, 8e-6, 532e-9, "Bandlimited Angular Spectrum") * 1
+
+    made = torch.compile(propagate, fullgraph=True, backend="inductor" if place.full else "aot_eager")
+
+    def call(field):
+        return (made(field) if field.is_cuda or not place.full else propagate(field),)
+
+    yield row(place, "a compiled propagation", call, field)
+
+
 def tests(place: Place):
     """Yield the tests that are marked cuda."""
     missing = [name for name in FOR_TESTS if find_spec(name) is None]
@@ -230,7 +320,7 @@ def tests(place: Place):
         yield {"what": "pytest -m cuda", "ok": not missing, "skipped": ", ".join(missing) or "no GPU"}
         return
     tested = runpy.run_path(str(ROOT / "benchmarks" / "__main__.py"))["tested"]
-    found = tested(["test", "-m", "cuda", "-n", "0"])
+    found = tested(["test", "-m", "cuda", "-n", "0", "--continue-on-collection-errors"])
     yield {"what": "pytest -m cuda", "ok": bool(found["passed"]) and not found["failed"], **found}
 
 
@@ -246,10 +336,12 @@ def benchmarks(place: Place):
 # Checks and the most seconds that each may take.
 CHECKS = (
     (propagation, 60),
-    (displays, 60),
+    (displays, 90),
     (hologram, 45),
     (perception, 45),
     (lens, 30),
+    (scene, 30),
+    (compiled, 60),
     (tests, 120),
     (benchmarks, 600),
 )
@@ -333,7 +425,8 @@ def about(device: str) -> dict:
     found = runpy.run_path(str(ROOT / "benchmarks" / "__main__.py"))["about"](device, 0)
     import torch
 
-    return {**found, "cuda": torch.version.cuda, "missing": [name for name in FOR_TESTS if find_spec(name) is None]}
+    missing = [name for name in (*FOR_TESTS, *FOR_FIGURES) if find_spec(name) is None]
+    return {**found, "cuda": torch.version.cuda, "missing": missing}
 
 
 def main() -> int:
@@ -356,6 +449,8 @@ def main() -> int:
     for name, held in report["checks"].items():
         if "error" in held:
             print(f"{name}: {held['error']}")
+    if report["about"]["missing"]:
+        print(f"not installed: {', '.join(report['about']['missing'])}; tests that need them are skipped")
     print(f"{'all checks passed' if report['ok'] else 'not all checks passed'}: see {arguments.output}")
     return int(not report["ok"])
 

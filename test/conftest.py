@@ -146,8 +146,8 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker(pytest.mark.skip(reason=NOT_DISTURBED[item.originalname]))
         if "cuda" in item.keywords and not torch.cuda.is_available():
             item.add_marker(pytest.mark.skip(reason="no CUDA device on this machine"))
-        if "browser" in item.keywords and not _has_browser():
-            item.add_marker(pytest.mark.skip(reason="no Chrome or Chromium on this machine"))
+        if "browser" in item.keywords and (lacking := _what_figures_lack()):
+            item.add_marker(pytest.mark.skip(reason=lacking))
         # Not item.keywords: they hold the names of folders too.
         if item.get_closest_marker("blender") and not _has_blender():
             item.add_marker(pytest.mark.skip(reason="no Blender: name a Python with bpy by ODAK_BLENDER_PYTHON"))
@@ -160,13 +160,16 @@ def pytest_runtest_setup(item):
 
 
 @functools.cache
-def _has_browser():
-    from odak.visualize.plotly import BrowserNotFoundError, find_browser
-
+def _what_figures_lack():
+    """Return why no image of a figure can be drawn here: a package or the browser; None where it can."""
     try:
-        return find_browser() is not None
-    except BrowserNotFoundError:
-        return False
+        from odak.visualize.plotly import BrowserNotFoundError, find_browser
+    except ImportError as error:
+        return str(error)
+    try:
+        return None if find_browser() else "no Chrome or Chromium on this machine"
+    except (BrowserNotFoundError, ImportError) as error:
+        return str(error)
 
 
 @functools.cache

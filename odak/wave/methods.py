@@ -164,14 +164,15 @@ def _fraunhofer(field, request: Request):
     xp = _array.namespace(field)
     field = _conjugate_behind(field, request)
     spectrum = xp.fft.fftn(xp.fft.ifftshift(field, axes=_AXES), axes=_AXES)
-    spectrum = _conjugate_behind(spectrum, request) * _fraunhofer_factor(field, request)
+    spectrum = _conjugate_behind(spectrum, request) * request.kernel_for(field, _fraunhofer_factor, field.shape[-2:])
     return xp.astype(xp.fft.fftshift(spectrum, axes=_AXES), field.dtype, copy=False)
 
 
 def _fraunhofer_inverse(field, request: Request):
     """Return the field whose Fraunhofer pattern is given: the exact inverse, with the pitch of the source plane."""
     xp = _array.namespace(field)
-    spectrum = _conjugate_behind(xp.fft.ifftshift(field, axes=_AXES) / _fraunhofer_factor(field, request), request)
+    factor = request.kernel_for(field, _fraunhofer_factor, field.shape[-2:])
+    spectrum = _conjugate_behind(xp.fft.ifftshift(field, axes=_AXES) / factor, request)
     source = _conjugate_behind(xp.fft.ifftn(spectrum, axes=_AXES), request)
     return xp.astype(xp.fft.fftshift(source, axes=_AXES), field.dtype, copy=False)
 
@@ -188,10 +189,9 @@ def _conjugate_behind(values, request: Request):
     return xp.where(distance < 0, xp.conj(values), values)
 
 
-def _fraunhofer_factor(field, request: Request):
+def _fraunhofer_factor(grid: Grid):
     """Return exp(ikz)/(iλz)·exp(ik(x² + y²)/(2z))·dx² on the output grid, whose pitch is λ|z|/(N·dx), in FFT order."""
-    xp = _array.namespace(field)
-    grid = request.grid(tuple(field.shape[-2:]), xp, _array.device_of(field), field.dtype)
+    xp = grid.xp
     fy, fx = grid.frequencies()
     # With x = λz·f the quadratic phase is πλz·f².
     cycles = tf.axial_cycles(grid) - 0.25 + grid.wavelength * grid.distance * (fx**2 + fy**2) / 2

@@ -646,6 +646,9 @@ def _numbers(value) -> np.ndarray:
 
 def _column(value, xp, device):
     array = value if _array.is_array(value) and _array.namespace(value) is xp else _numbers(value)
+    if isinstance(array, np.ndarray) and array.ndim == 0:
+        # A GPU fills memory without waiting; it waits for a copy.
+        return xp.full((1, 1), float(array), dtype=xp.float64, device=device)
     if isinstance(array, np.ndarray) or not _array.is_torch(array):
         array = xp.asarray(array, dtype=xp.float64, device=device)
     else:

@@ -1,6 +1,7 @@
 """An emulated device: tensors that keep their numbers on the CPU, seem to be elsewhere, and refuse those of the CPU.
 
-It finds what a GPU would: operations that mix devices, results on the wrong device, and numbers that are read back.
+It finds what a GPU would: operations that mix devices, results on the wrong device, numbers that are read back, and
+numbers of the CPU that are copied there, for which CUDA waits too.
 """
 
 import collections
@@ -23,9 +24,12 @@ aten = torch.ops.aten
 _MIXING = {aten.copy_, aten._to_copy, aten.index, aten.index_put, aten.index_put_, aten._index_put_impl_}
 
 _NUMBERS = (bool, int, float, complex)
+# Functions that make tensors of numbers, or of the values of others; the rest need a shape and fill it on the device.
+_FROM_NUMBERS = {"tensor", "asarray", "as_tensor", "from_numpy"}
 
-# How often each line of the package read a number back.
+# How often each line of the package read a number back, and copied numbers of the CPU to the device.
 reads: collections.Counter = collections.Counter()
+copies: collections.Counter = collections.Counter()
 
 
 class DeviceMismatch(RuntimeError):
@@ -65,6 +69,8 @@ class Emulated(torch.Tensor):
             raise DeviceMismatch(f"{function} of the device with tensors of the CPU, {strangers}")
         if function is aten._local_scalar_dense.default:
             reads[_line()] += 1
+        if strangers and isinstance(tensors[0], Emulated):
+            copies[_line()] += 1
         if function is aten.copy_.default and _same_memory(*arguments[:2]):
             return arguments[0]
         here = isinstance(tensors[0], Emulated)
@@ -192,6 +198,7 @@ class EmulatedDevice(TorchFunctionMode):
             reads[_line()] += 1
             return arguments[0].held.tolist()
         if name == "new_tensor" and isinstance(arguments[0], Emulated):
+            copies[_line()] += 1
             return Lift.apply(torch.tensor(arguments[1], dtype=keywords.get("dtype", arguments[0].dtype)))
         device = keywords.get("device")
         if device is None or not is_emulated(device):
@@ -201,6 +208,8 @@ class EmulatedDevice(TorchFunctionMode):
             made = function(*arguments, **{**keywords, "device": None})
         else:
             made = function(*arguments, **{**keywords, "device": "cpu"})
+        if name in _FROM_NUMBERS and not isinstance(made, Emulated):
+            copies[_line()] += 1
         made = made if isinstance(made, Emulated) else Lift.apply(made)
         return made.requires_grad_() if requires_grad else made
 
@@ -215,7 +224,10 @@ class EmulatedDevice(TorchFunctionMode):
         if like:
             device, dtype = like[0].device, like[0].dtype
         if name == "cuda" or (device is not None and is_emulated(device)):
-            tensor = tensor if isinstance(tensor, Emulated) else Lift.apply(tensor)
+            if not isinstance(tensor, Emulated):
+                # A copy that is not waited for needs pinned memory, which tensors of the package have not.
+                copies[_line()] += 1
+                tensor = Lift.apply(tensor)
         elif device is not None and isinstance(tensor, Emulated):
             tensor = Lower.apply(tensor)
         tensor = tensor if dtype is None else torch.Tensor.to(tensor, dtype=dtype)

@@ -155,7 +155,6 @@ AT_RUN_TIME = {
     "tools/iterations:iterate",
     "tools/iterations:minimise",
     "tools/iterations:go",
-    "tools/iterations:step",
 }
 _METHODS = {"item", "tolist", "cpu", "numpy"}
 _CASTS = {"float", "int", "bool", "complex"}

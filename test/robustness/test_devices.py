@@ -16,6 +16,7 @@ from torch.utils._pytree import tree_leaves
 
 import odak.learn.wave
 import odak.tools
+from odak.learn.wave import Descent, Display, Modulator, Run, optimise
 
 CALLABLES = {path: call for path, call in walk.public_callables().items() if path.startswith("odak.learn.")}
 # What the emulation itself cannot do.
@@ -133,22 +134,41 @@ def test_the_emulation_finds_what_a_gpu_would():
         assert isinstance(there.to(torch.complex64) * 2, Emulated) and isinstance(torch.ones(3).to(there), Emulated)
         assert not isinstance(there.cpu(), Emulated)
         emulated_device.reads.clear()
+        emulated_device.copies.clear()
         float(there.sum())
         assert sum(emulated_device.reads.values()) == 1
+        for copied in (
+            lambda: torch.tensor([1.0, 2.0], device=DEVICE),
+            lambda: torch.asarray(1.0, device=DEVICE),
+            lambda: torch.ones(3).to(there),
+            lambda: there.new_tensor([1.0]),
+            lambda: there[torch.tensor([0, 1])],
+            lambda: there[0].copy_(torch.ones(4)),
+        ):
+            emulated_device.copies.clear()
+            assert isinstance(copied(), Emulated)
+            assert sum(emulated_device.copies.values()) == 1
+        # What the device fills by itself.
+        emulated_device.copies.clear()
+        torch.full((2,), 3.0, device=DEVICE), torch.arange(4, device=DEVICE), there.new_zeros(2), 2 * there
+        assert not emulated_device.copies
 
 
-def test_a_propagation_on_a_device():
+@pytest.mark.parametrize("method", ["Angular Spectrum", "Fraunhofer", "Bandextended Angular Spectrum"])
+@pytest.mark.filterwarnings("ignore::odak.SamplingWarning")
+def test_a_propagation_on_a_device(method):
     field = torch.randn(16, 12, dtype=torch.complex64)
-    geometry = (None, 1e-3, 8e-6, 532e-9, "Angular Spectrum", None, [True, False, True])
+    geometry = (None, 1e-3, 8e-6, 532e-9, method, None, [True, False, True])
     expected = odak.learn.wave.propagate_beam(field, *geometry)
     emulated_device.reads.clear()
+    emulated_device.copies.clear()
     with EmulatedDevice():
         there = on_device(field).requires_grad_()
         result = odak.learn.wave.propagate_beam(there, *geometry)
         result.abs().sum().backward()
     assert isinstance(result, Emulated) and isinstance(there.grad, Emulated)
     torch.testing.assert_close(result.held, expected)
-    assert not emulated_device.reads
+    assert not emulated_device.reads and not emulated_device.copies
 
 
 def test_gradient_descent_reads_a_number_at_the_end_only():
@@ -157,8 +177,26 @@ def test_gradient_descent_reads_a_number_at_the_end_only():
         # The first call makes the transfer function, for which it reads the lengths.
         for _ in range(2):
             emulated_device.reads.clear()
+            emulated_device.copies.clear()
             phase, _ = odak.learn.wave.stochastic_gradient_descent(
                 target, 532e-9, 1e-3, 8e-6, n_iteration=10, progress=False
             )
     assert isinstance(phase, Emulated)
-    assert max(emulated_device.reads.values()) <= 2
+    assert max(emulated_device.reads.values()) <= 2 and max(emulated_device.copies.values()) <= 1
+
+
+@pytest.mark.parametrize("solver", [Descent("adam"), Descent("lbfgs")])
+def test_an_iteration_of_a_display_waits_for_a_gpu_once_at_most(solver):
+    waited = {}
+    with EmulatedDevice():
+        display = Display(Modulator((16, 24), pitch=8e-6), wavelengths=532e-9, distances=2e-3).to(DEVICE)
+        target = torch.rand(16, 24, device=DEVICE)
+        # The first run makes what is kept.
+        for count in (2, 4, 9):
+            emulated_device.reads.clear()
+            emulated_device.copies.clear()
+            optimise(display, target, solver=solver, run=Run(iterations=count, progress=False))
+            waited[count] = emulated_device.reads + emulated_device.copies
+    more = waited[9] - waited[4]
+    # L-BFGS reads what a trial of its line search found.
+    assert sum(more.values()) == (0 if solver.method == "adam" else 5), more

@@ -28,8 +28,9 @@ def test_all_checks_pass_on_what_is_here(device, tmp_path):
     status, report, said = checked(device, tmp_path)
     assert status == 0 and report["ok"], said
     rows = {name: held["rows"] for name, held in report["checks"].items()}
-    assert len(rows["propagation"]) >= 12 and len(rows["displays"]) == 4
-    assert all(rows[name] for name in ("hologram", "perception", "lens", "tests"))
+    assert len(rows["propagation"]) >= 12 and len(rows["displays"]) == 6
+    assert all(row["change"] > 0.01 for row in rows["displays"] if "losses" in row["what"])
+    assert all(rows[name] for name in ("hologram", "perception", "lens", "scene", "compiled", "tests"))
     # The processor is no device whose numbers are read; a lens trace on a device reads whether a shape is flat.
     counted = [row["reads"] for row in rows["lens"]]
     assert counted == [None] if device == "cpu" else sum(counted[0].values()) >= 1

@@ -1,6 +1,23 @@
 import sys
+from importlib.util import find_spec
 
 import pytest
+
+
+class _Module(pytest.Module):
+    """A file of tests, skipped where it cannot be imported without plotly."""
+
+    def collect(self):
+        try:
+            return super().collect()
+        except self.CollectError:
+            if find_spec("plotly"):
+                raise
+            pytest.skip("plotly is not installed", allow_module_level=True)
+
+
+def pytest_pycollect_makemodule(module_path, parent):
+    return _Module.from_parent(parent, path=module_path)
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -230,6 +230,7 @@ def test_browser_path_overrides_and_is_checked(monkeypatch, tmp_path):
 
 
 def test_without_a_browser_the_error_says_what_to_install(monkeypatch, tmp_path):
+    pytest.importorskip("kaleido", reason="kaleido is not installed")
     close_browser()
     monkeypatch.delenv("BROWSER_PATH", raising=False)
     monkeypatch.setattr("choreographer.browsers.chromium.Chromium.find_browser", lambda **options: None)
@@ -242,6 +243,7 @@ def test_without_a_browser_the_error_says_what_to_install(monkeypatch, tmp_path)
 
 @pytest.mark.slow
 def test_a_program_that_is_no_browser_is_named(monkeypatch, tmp_path):
+    pytest.importorskip("kaleido", reason="kaleido is not installed")
     close_browser()
     program = tmp_path / "no-browser"
     program.write_text("#!/bin/sh\nexit 3\n")

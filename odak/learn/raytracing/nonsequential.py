@@ -1050,7 +1050,8 @@ class _Walk:
     def __init__(self, scene: RayScene, wavelength, split: bool, size: float, paths: bool, least):
         self.scene, self.wavelength, self.split, self.size, self.least = scene, wavelength, split, size, least
         self.margin = 4096 * torch.finfo(wavelength.dtype).eps * size
-        self.index = [[self._index(m) for m in item.media] for item in scene.elements]
+        kind: dict[str, Any] = {"dtype": wavelength.dtype, "device": wavelength.device}
+        self.index = [[torch.as_tensor(self._index(m), **kind) for m in item.media] for item in scene.elements]
         self.loss = [[self._absorption(m) for m in item.media] for item in scene.elements]
         self.films = [self._both_ways(item.interface.coating) for item in scene.elements]
         zero = torch.zeros_like(wavelength)
@@ -1189,7 +1190,7 @@ class _Walk:
         return following
 
     def _spread(self, i: int, like) -> tuple[Any, ...]:
-        return tuple(torch.as_tensor(value, dtype=like.dtype, device=like.device) + 0 * like for value in self.index[i])
+        return tuple(value + 0 * like for value in self.index[i])
 
     def _options(self, i: int, interface: Interface, ray: tuple, numbers, power, path) -> list[tuple[Any, ...]]:
         """Return directions, powers, fields and paths of the rays into which light is divided, before scattering."""

@@ -491,9 +491,7 @@ class LBFGS:
         """Take one step and return the loss before it; the learning rate does not matter."""
         loss, slope = self._evaluate(gradient) if self.loss is None or self.slope is None else (self.loss, self.slope)
         start, direction = torch.cat([parameter.reshape(-1) for parameter in self.parameters]), self._direction(slope)
-        descent, size = float(direction @ slope), 1.0
-        # Of the loss: differences below are rounding.
-        rounding = torch.finfo(loss.dtype).eps * abs(float(loss))
+        along, size = direction @ slope, 1.0
         for _ in range(self._TRIALS):
             change = size * direction
             try:
@@ -503,8 +501,12 @@ class LBFGS:
                 # An interrupted step has not been taken.
                 self._put(start)
                 raise
-            rise = float(found - loss)
-            if rise <= 1e-4 * size * descent + rounding:
+            bend = there - slope
+            # Read at once, for which a GPU waits once.
+            curvature = change @ bend
+            rise, descent, before, bent = torch.stack([found - loss, along, loss, curvature]).tolist()
+            # Differences of the loss below are rounding.
+            if rise <= 1e-4 * size * descent + torch.finfo(loss.dtype).eps * abs(before):
                 break
             # To the minimum of the parabola through what is known, within limits that hold for NaN too.
             share = -descent * size / (2 * (rise - descent * size))
@@ -514,8 +516,7 @@ class LBFGS:
             self.pairs.clear()
             self.loss, self.slope = loss, slope
             return loss
-        bend = there - slope
-        if float(curvature := change @ bend) > 0:
+        if bent > 0:
             self.pairs = [*self.pairs[1 - self._PAIRS :], (change, bend, curvature)]
         self.loss, self.slope = found, there
         return loss

@@ -580,7 +580,9 @@ def _filtered(values: torch.Tensor, samples: int, side: float, grids: int, axis:
 
     Values have some pixels more beyond each end.
     """
-    here, after = (part.to(values) for part in _weights(samples, side, grids))
+    # A tensor without values has no copy of them either.
+    device = torch.device("cpu") if values.is_meta else values.device
+    here, after = (part.to(values) for part in _weights(samples, side, grids, values.dtype, device))
     reach, step, count = _reach(samples, side), len(here), values.shape[axis] // samples - 2 * beyond
     blocks = -(-count * samples // step)
     before = reach - beyond * samples
@@ -614,14 +616,21 @@ def _reach(samples: int, side: float) -> int:
 
 
 @_array.constant_in_graphs
-def _weights(samples: int, side: float, grids: int) -> tuple[torch.Tensor, torch.Tensor]:
+def _weights(
+    samples: int, side: float, grids: int, dtype: torch.dtype, device: torch.device
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Return :func:`_matrices`, for a graph of torch.compile to hold."""
-    return _matrices(samples, side, grids)
+    return _matrices(samples, side, grids, dtype, device)
 
 
-@functools.lru_cache(64)
-def _matrices(samples: int, side: float, grids: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the matrices from the points of a block of pixels, and of the next, to `grids` means for each pixel."""
+@functools.lru_cache(256)
+def _matrices(
+    samples: int, side: float, grids: int, dtype: torch.dtype, device: torch.device
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the matrices from the points of a block of pixels, and of the next, to `grids` means for each pixel.
+
+    They are kept for each device: a copy in every call would wait for the work that is queued there.
+    """
     reach = _reach(samples, side)
     pixels = max(_BLOCK, 2 * reach // samples + 1)
     whole = np.zeros((pixels * samples + 2 * reach + samples, pixels * grids))
@@ -631,7 +640,8 @@ def _matrices(samples: int, side: float, grids: int) -> tuple[torch.Tensor, torc
             start = pixel * samples + first
             whole[start : start + len(taps), pixel * grids + grid] = taps
     with _torch_private.outside_functional_transforms(), _torch_private.keeping():
-        here, beyond = torch.from_numpy(whole).split([pixels * samples, 2 * reach + samples])
+        matrix = torch.from_numpy(whole).to(device, dtype)
+        here, beyond = matrix.split([pixels * samples, 2 * reach + samples])
     return here, beyond
 
 
