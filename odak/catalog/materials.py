@@ -256,7 +256,7 @@ FORMULAS["table"] = Formula(table, ("W", "N"))
 FORMULAS["herzberger"] = Formula(herzberger, ("A", "P", "B"))
 
 
-_KNOWN = {"formula", "A", "B", "C", "range", "relative_to", "nd", "vd", "source"}
+_KNOWN = {"formula", "A", "B", "C", "P", "range", "relative_to", "nd", "vd", "source"}
 
 
 def read_materials(path: Path | str) -> tuple[list[Material], dict[str, str]]:
@@ -335,7 +335,8 @@ def _coefficients(where: str, formula: str, entry) -> dict[Any, Any]:
     for key in kind.numbers:
         if key in entry:
             found[key] = _optional(where, key, entry)
-    if len({len(found[key]) for key in kind.lists}) > 1:
+    # Lists belong together in pairs: factors with powers, factors with poles.
+    if any(len({len(found[key]) for key in kind.lists[i : i + 2]}) > 1 for i in range(0, len(kind.lists), 2)):
         raise ValueError(
             f"{where}: {' and '.join(kind.lists)} must have equal lengths, "
             f"got {[len(found[key]) for key in kind.lists]}"
@@ -767,8 +768,9 @@ def refractive_index(
     Notes
     -----
     At another temperature the index in vacuum changes by (n² − 1)/(2n)·[D₀ΔT + D₁ΔT² + D₂ΔT³ + (E₀ΔT + E₁ΔT²)/(λ² −
-    λ_TK²)] (Schott, Technical Information 19); air follows :func:`air_index`. Of germanium, silicon, gallium arsenide
-    and common plastics D₀ alone is known, from a constant dn/dT. A material without these constants
+    λ_TK²)] (Schott, Technical Information 19); air follows :func:`air_index`. For crystals, liquids, infrared materials
+    and plastics the constants reproduce a published formula, or D₀ alone a published dn/dT at one wavelength; their
+    sources are in ``odak/catalog/data/thermal.json``. A material without these constants
     keeps its index in vacuum, and an :class:`~odak.AccuracyWarning` says so where a temperature is given.
 
     Examples
@@ -837,11 +839,14 @@ def thermal_of(found: Material) -> tuple[tuple[float, ...] | None, float | None,
         return found.thermal, found.expansion, found.measured_at
     built_in = "refractiveindex.info database" in found.source or "schott" in found.source.casefold()
     maker, _, bare = found.name.rpartition(":")
-    constant, own = _thermal_data()["constant"].get(found.name), _catalogue().get(_key(found.name))
-    if constant is not None and own is not None and own.source == found.source:
-        rate, wavelength, expansion, _ = constant
-        n = found.index(wavelength)
-        return (2 * n * rate / (n * n - 1), 0.0, 0.0, 0.0, 0.0, 0.0), expansion, found.measured_at
+    own = _catalogue().get(_key(found.name))
+    if own is not None and own.source == found.source:
+        if (formula := _thermal_data()["formula"].get(found.name)) is not None:
+            return tuple(formula[0]), formula[1], formula[2]
+        if (constant := _thermal_data()["constant"].get(found.name)) is not None:
+            rate, wavelength, expansion, _ = constant
+            n = found.index(wavelength)
+            return (2 * n * rate / (n * n - 1), 0.0, 0.0, 0.0, 0.0, 0.0), expansion, found.measured_at
     held = _thermal_data()["makers"]
     for one in ([maker] if maker else held) if built_in else ():
         entry = held.get(one, {}).get(_key(bare))

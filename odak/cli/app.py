@@ -324,6 +324,7 @@ def trace(settings: TraceSettings) -> None:
 
         odak trace cooke_triplet
         odak trace singlet --focus best --figures svg
+        odak trace cooke_triplet --temperature 60 --mount 23.6e-6
     """
     from odak.cli.trace import run, summary
 

@@ -206,6 +206,10 @@ class TraceSettings(RunSettings):
         File format of the figures.
     focus : str
         Where the image is: as drawn, or in the plane of the least spots.
+    temperature : float, optional
+        Temperature of the lens in degrees Celsius; as drawn without one.
+    mount : float
+        Coefficient of expansion of the mounts, per kelvin, with a temperature.
     """
 
     system: str = argument(..., "SYSTEM")
@@ -215,6 +219,13 @@ class TraceSettings(RunSettings):
     glasses: tuple[Path, ...] = option((), metavar="FILE")
     figures: str = option("png", of=("png", "svg", "pdf"))
     focus: str = option("as-drawn", of=("as-drawn", "best"))
+    temperature: float | None = option(None, metavar="DEGREES")
+    mount: float = option(0.0, metavar="PER_KELVIN")
+
+    def check(self) -> None:
+        """Check that a mount has a temperature."""
+        if self.mount and self.temperature is None:
+            raise InputError("--mount needs --temperature, to which the mount expands")
 
 
 @dataclass(frozen=True, kw_only=True)

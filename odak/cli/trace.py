@@ -19,6 +19,7 @@ from odak.learn.raytracing.system import (
     field_modulation,
     field_quality,
     first_order,
+    in_environment,
     iso_10110_tolerances,
     layout_figure,
     lens_report,
@@ -67,6 +68,8 @@ DEFINITIONS = {
     "quadrature": "Rings of the Gaussian quadrature of rms_spot, wavefront_rms, strehl and passed, and the largest "
     "change of these from half as many rings: relative for the first two, absolute for the others.",
     "statuses": "How many rays of the rings, of all wavelengths, ended how.",
+    "temperature": "In degrees Celsius; null as drawn. The system is that at the temperature, in a mount that expands "
+    "by mount per kelvin.",
 }
 
 TOLERANCES = {
@@ -158,6 +161,11 @@ def run(job: TraceSettings, notices: files.Notices = files.SILENT) -> dict:
     mark = files.fingerprint(values, [path for path in (Path(name), *job.glasses) if path.is_file()])
     if (kept := files.kept_report(folder, mark, notices)) is not None:
         return kept
+    if job.temperature is not None:
+        try:
+            system = in_environment(system, job.temperature, mount=job.mount)
+        except ValueError as error:
+            raise InputError(str(error) if "surfaces[" in str(error) else f"--{error}") from None
     with torch.no_grad():
         shift = None if system.afocal else best_focus(system, aim=aim)
         if focus == "best":
@@ -171,6 +179,7 @@ def run(job: TraceSettings, notices: files.Notices = files.SILENT) -> dict:
     files.announce(folder, [*names, files.REPORT], notices)
     with torch.no_grad():
         report = describe(system, job.rings, aim, quality) | {"ignored": ignored, "focus": focus}
+        report |= {"temperature": job.temperature, "mount": job.mount}
         report["best_focus"] = None if shift is None else finite(shift)
     for title, figure in drawn.items():
         # The layout serves both files of a figure; each saving would find it twice again.

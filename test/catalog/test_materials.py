@@ -486,7 +486,7 @@ def test_errors_in_numbers_of_other_programs_name_the_file(name, text, tmp_path)
         catalog.load_materials(path)
 
 
-@pytest.mark.parametrize("name", ["Optorez 1330", "zinc selenide", "water"])
+@pytest.mark.parametrize("name", ["Optorez 1330", "zinc selenide"])
 def test_a_temperature_of_what_has_no_known_change_is_told(name):
     wave, own = 10e-6 if name == "zinc selenide" else LINE_D * 1e-6, materials.material(name).measured_at
     with pytest.warns(
@@ -521,3 +521,55 @@ def test_the_change_of_crystals_and_plastics_with_temperature_is_that_which_was_
     assert materials.thermal_of(materials.material(name).at(60.0))[1] > 0
     own = replace(materials.material(name), source="measured")
     assert materials.thermal_of(own)[:2] == (None, None)
+
+
+def lithium_niobate(w, t):
+    """Extraordinary index of G. J. Edwards and M. Lawrence, Opt. Quantum Electron. 16, 373 (1984)."""
+    f = (t - 24.5) * (t + 570.5)
+    pole = 0.2109 - 4.9143e-8 * f
+    return (4.582 + (0.09921 + 5.2716e-8 * f) / (w * w - pole**2) + 2.2971e-7 * f - 0.02194 * w * w) ** 0.5
+
+
+@pytest.mark.parametrize(
+    ("name", "waves", "rate"),
+    [
+        # K. Kato and E. Takaoka, Appl. Opt. 41, 5040 (2002); N. Umemura and others, ASSL 1999, PD15.
+        ("KTP (z)", (0.5, 1.0, 1.5), lambda w: 1e-5 * (0.9221 / w**3 - 2.922 / w**2 + 3.6677 / w - 0.1897)),
+        ("CLBO (ordinary)", (0.3, 0.6, 1.2), lambda w: 1e-6 * (-12.48 - 0.328 / w)),
+        (
+            "lithium niobate (extraordinary)",
+            (0.6, 1.0, 1.5),
+            lambda w: (lithium_niobate(w, 34.5) - lithium_niobate(w, 14.5)) / 20,
+        ),
+        # Data sheet of Dow's CVD zinc sulfide; Schott's flyer of IRG 22; L. W. Tilton and J. K. Taylor, J. Res. Nat.
+        # Bur. Stand. 20, 419 (1938), of water of 20 and 25 degrees.
+        ("zinc sulfide", (1.15, 3.39, 10.6), lambda w: {1.15: 46e-6, 3.39: 43e-6, 10.6: 41e-6}[w]),
+        ("schott:IRG22", (10.6,), lambda w: 67e-6),
+        ("water", (0.5893,), lambda w: (1.33250 - 1.33299) / 5),
+    ],
+)
+def test_constants_of_dn_dt_reproduce_published_formulas(name, waves, rate):
+    for wave in waves:
+        first = materials.material(name).measured_at if name != "water" else 20.0
+        low, high = (
+            refractive_index(name, wave, "um", medium="vacuum", temperature=first + change) for change in (0.0, 1.0)
+        )
+        # The index of water is measured relative to air: its change differs by that of air, 1.3e-6 per kelvin.
+        assert high - low == pytest.approx(rate(wave), abs=4e-6 if name == "water" else 1e-6), wave
+
+
+def test_sixty_materials_that_no_glass_maker_sells_change_with_temperature_by_their_sources():
+    held = materials._thermal_data()
+    sources = {name: entry[3] for part in ("constant", "formula") for name, entry in held[part].items()}
+    names = [*sources, "IRG22", "IRG24", "IRG26", "IRG27"]
+    assert len(names) == len(set(names)) >= 60
+    for name in names:
+        found = materials.material(name)
+        constants, expansion, _ = materials.thermal_of(found)
+        assert constants is not None and all(map(math.isfinite, constants)), name
+        assert expansion is None or 0 < expansion < 1e-4, name
+        wave = min(max(found.range[0], 0.6), found.range[1])
+        # Less than a thousandth per kelvin, as of all transparent matter, and of the source that is stated.
+        low, high = (refractive_index(name, wave, "um", medium="vacuum", temperature=t) for t in (20.0, 21.0))
+        assert 0 < abs(high - low) < 1e-3, name
+    assert all(len(text) > 10 for text in sources.values())

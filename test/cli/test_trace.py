@@ -9,6 +9,8 @@ from typer.testing import CliRunner
 from odak.cli import app, main, trace
 from odak.learn.raytracing.system import (
     Perturbation,
+    first_order,
+    in_environment,
     layout_figure,
     load_system,
     optical_system,
@@ -224,3 +226,18 @@ def test_the_image_moves_to_the_best_focus(tmp_path, capsys):
 def test_a_focus_that_is_not_known_is_named(tmp_path, capsys):
     assert main(["trace", "singlet", "--output", str(tmp_path), "--focus", "sharp"]) == 2
     assert "--focus must be one of 'as-drawn', 'best'; got 'sharp'" in capsys.readouterr().err
+
+
+def test_a_lens_is_traced_at_a_temperature(tmp_path, capsys):
+    assert main(["trace", "singlet", "-o", str(tmp_path / "a"), "--temperature", "70", "--mount", "23.6e-6"]) == 0
+    report = json.loads((tmp_path / "a/report.json").read_text())
+    warm = in_environment(load_system("singlet"), 70.0, mount=23.6e-6)
+    assert report["first_order"]["focal_length"] == pytest.approx(float(first_order(warm).focal_length), rel=1e-12)
+    assert report["temperature"] == 70.0 and report["mount"] == 23.6e-6
+    capsys.readouterr()
+    for given, words in (
+        (["--temperature", "-300"], "--temperature must be between"),
+        (["--mount", "1e-5"], "--mount needs"),
+    ):
+        assert main(["trace", "singlet", "-o", str(tmp_path / "b"), *given]) == 2
+        assert words in capsys.readouterr().err
