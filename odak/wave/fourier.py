@@ -123,13 +123,11 @@ def to_line_from_first(field: Array, line: Line) -> Array:
     n = field.shape[line.axis]
     shifted = field * phasor_of_cycles(-line.first / line.period * centred(field, n, line.axis), field.dtype)
     # Zeros are appended, and samples transformed, fastest along the last axis.
-    along = shifted if line.axis == -1 else xp.matrix_transpose(shifted)
-    spectrum = xp.fft.fft(along, n=line.period, axis=-1)
-    spectrum = spectrum if line.axis == -1 else xp.matrix_transpose(spectrum)
+    spectrum = xp.fft.fft(xp.moveaxis(shifted, line.axis, -1), n=line.period, axis=-1)
     if line.count > line.period:
         # A line longer than the period goes round once more.
-        spectrum = xp.concat([spectrum] * -(-line.count // line.period), axis=line.axis)
-    return spectrum[..., : line.count] if line.axis == -1 else spectrum[..., : line.count, :]
+        spectrum = xp.concat([spectrum] * -(-line.count // line.period), axis=-1)
+    return xp.moveaxis(spectrum[..., : line.count], -1, line.axis)
 
 
 def phase_of_first(like: Array, line: Line, count: int) -> Array:
@@ -161,35 +159,20 @@ def from_line(spectrum: Array, line: Line, pitch: Any, count: int) -> Array:
 
 def _middle(periodic, count: int, axis: int):
     """Return `count` samples about sample 0 of a periodic array."""
-    start, end = periodic.shape[axis] - count // 2, count - count // 2
-    if axis == -1:
-        parts = [periodic[..., start:], periodic[..., :end]]
-    else:
-        parts = [periodic[..., start:, :], periodic[..., :end, :]]
-    return _array.namespace(periodic).concat(parts, axis=axis)
+    xp = _array.namespace(periodic)
+    along = xp.moveaxis(periodic, axis, -1)
+    parts = [along[..., along.shape[-1] - count // 2 :], along[..., : count - count // 2]]
+    return xp.moveaxis(xp.concat(parts, axis=-1), -1, axis)
 
 
 def _folded(spectrum, line: Line) -> tuple[Any, ...]:
-    """Return a spectrum and its line, with all that is beyond a period added to the first one."""
+    """Return the spectrum with samples a period apart added, which is what its inverse transform sees of them."""
     xp = _array.namespace(spectrum)
-    parts = []
-    for start in range(0, line.count, line.period):
-        part = slice(start, min(start + line.period, line.count))
-        parts.append(spectrum[..., part] if line.axis == -1 else spectrum[..., part, :])
-    short = parts[-1].shape[line.axis]
-    rest = slice(short, None)
-    last = (
-        [parts[0][..., :short], parts[0][..., rest]]
-        if line.axis == -1
-        else [
-            parts[0][..., :short, :],
-            parts[0][..., rest, :],
-        ]
-    )
-    folded = xp.concat([last[0] + parts[-1], last[1]], axis=line.axis)
-    for part in parts[1:-1]:
-        folded = folded + part
-    return folded, Line(line.axis, line.first, line.period, line.period)
+    along = xp.moveaxis(spectrum, line.axis, -1)
+    shape = (*along.shape[:-1], -line.count % line.period)
+    rest = xp.zeros(shape, dtype=along.dtype, device=_array.device_of(along))
+    periods = xp.reshape(xp.concat([along, rest], axis=-1), (*shape[:-1], -1, line.period))
+    return xp.moveaxis(xp.sum(periods, axis=-2), -1, line.axis), Line(line.axis, line.first, line.period, line.period)
 
 
 # Taps along an axis: the spreading error is about 10^(1 − taps) for twofold oversampling.
@@ -530,11 +513,8 @@ def _compensation_of_samples(count: int, size: int, taps: int) -> np.ndarray:
 def _wrap(field, axis: int, size: int):
     """Return a field continued by zeros to `size` along an axis, its sample n // 2 at index 0."""
     xp = _array.namespace(field)
-    count = field.shape[axis]
-    middle = count // 2
-    shape = list(field.shape)
-    shape[axis] = size - count
-    zeros = xp.zeros(tuple(shape), dtype=field.dtype, device=_array.device_of(field))
-    if axis == -1:
-        return xp.concat([field[..., middle:], zeros, field[..., :middle]], axis=-1)
-    return xp.concat([field[..., middle:, :], zeros, field[..., :middle, :]], axis=-2)
+    along = xp.moveaxis(field, axis, -1)
+    *batch, count = along.shape
+    zeros = xp.zeros((*batch, size - count), dtype=field.dtype, device=_array.device_of(field))
+    parts = [along[..., count // 2 :], zeros, along[..., : count // 2]]
+    return xp.moveaxis(xp.concat(parts, axis=-1), -1, axis)

@@ -9,7 +9,7 @@ from typing import Any
 from odak import _array, _validate
 from odak._array import Array, Device, DType, Numbers
 from odak._warnings import SamplingWarning, warn
-from odak.wave.elements import zernike_modes
+from odak.wave.elements import grid_positions, zernike_modes
 from odak.wave.propagation import padding_flags, propagate_beam
 from odak.wave.transfer_functions import autocorrelation, pitches
 
@@ -107,11 +107,7 @@ def pupil_function(
     aperture, inner = (
         _array.converted(value, xp, device, xp.float64)[..., None, None] for value in (numerical_aperture, obscuration)
     )
-    y, x = (
-        (xp.arange(n, dtype=xp.float64, device=device) - n // 2) * step
-        for n, step in zip((rows, columns), steps, strict=True)
-    )
-    y, x = y[:, None], x[None, :]
+    _, (y, x) = grid_positions((rows, columns), steps, (0.0, 0.0), xp, device)
     radius = xp.sqrt(x**2 + y**2)
     centre = radius == 0
     # Distance between samples along the radius.

@@ -15,6 +15,7 @@ from odak._array import Array, Device, cast, is_array, namespace, phasor_of_cycl
 from odak._warnings import SamplingWarning, warn
 from odak.jones.calculus import check_angle, matrix_on_axes, retarder, stack_matrix, stokes
 from odak.jones.thin_films import check_stack, stack_response
+from odak.wave.elements import grid_positions, spiral_phase
 from odak.wave.transfer_functions import pitches
 
 # Waves beyond this share of the largest transverse frequency graze the plane, and the share of power that is told.
@@ -205,16 +206,11 @@ def q_plate(
     >>> np.round(abs(matrix), decimals=6).tolist()
     [[0.0, 1.0], [1.0, 0.0]]
     """
-    rows, columns = _validate.size("shape", shape)
     charge = _validate.number("charge", charge)
     if not is_array(charge) and (2 * charge) % 1:
         raise ValueError(f"charge must be a multiple of 1/2, got {charge!r}")
     _validate.number("angle", angle)
-    xp = _validate.library("xp", xp)
-    y = xp.arange(rows, dtype=xp.float64, device=device) - rows // 2
-    x = xp.arange(columns, dtype=xp.float64, device=device) - columns // 2
-    azimuth = xp.atan2(y[:, None] + 0 * x[None, :], x[None, :] + 0 * y[:, None])
-    return retarder(retardance, charge * azimuth * (180 / math.pi) + angle)
+    return retarder(retardance, spiral_phase(shape, charge, xp=xp, device=device) * (180 / math.pi) + angle)
 
 
 def stokes_parameters(field: Array) -> Array:
@@ -561,12 +557,8 @@ def focus_polarized(
         cast(value, field, xp.float64) for value in (wavelength, focal, numerical_aperture, index, distance)
     )
     steps = _steps("dx", dx)
-    y, x = (
-        (xp.arange(n, dtype=xp.float64, device=device) - n // 2) * pitch
-        for n, pitch in zip(field.shape[-2:], steps, strict=True)
-    )
+    _, (y, x) = grid_positions(field.shape[-2:], steps, (0.0, 0.0), xp, device)
     _check_focus_sampling(field.shape[-2:], steps, focal, aperture, wavelength, targets, target_dx, offset)
-    y, x = y[:, None], x[None, :]
     squared = x**2 + y**2
     axis = squared == 0
     radius = xp.sqrt(xp.where(axis, xp.ones_like(squared), squared))

@@ -160,7 +160,7 @@ def eye_transfer(
     from_middle = []
     _check_reach(place, turns, radius, squeeze, [p * n / 2 for p, n in zip(pitch, fine, strict=True)])
     for axis, n in enumerate(fine):
-        along = xp.asarray(_frequencies(n), dtype=xp.float64, device=device) * n * pitch[axis]
+        along = xp.fft.fftfreq(n, d=1 / n, dtype=xp.float64, device=device) * pitch[axis]
         along = along - place[..., axis, None] - ROTATION_RADIUS * xp.sin(turns[axis])
         from_middle.append(along[..., :, None] if axis == 0 else along[..., None, :])
     down, across = (values / (narrow * radius) for values, narrow in zip(from_middle, squeeze, strict=True))
@@ -200,7 +200,7 @@ def retinal_field(field: Array, transfer: Array, lens: Array) -> Array:
     xp = _array.namespace(field)
     rows, columns = field.shape[-2:]
     field = field[..., None, :, :] if lens.ndim > 2 else field
-    spectrum = xp.fft.fftn(_padded(xp, field * lens, (2 * rows, 2 * columns)), axes=_AXES)
+    spectrum = xp.fft.fftn(field * lens, s=(2 * rows, 2 * columns), axes=_AXES)
     spectrum = spectrum[..., None, :, :] if transfer.ndim > lens.ndim else spectrum
     return xp.fft.ifftn(spectrum * transfer, axes=_AXES)[..., :rows, :columns] * xp.conj(lens)
 
@@ -208,33 +208,15 @@ def retinal_field(field: Array, transfer: Array, lens: Array) -> Array:
 def _short(xp, response, shape):
     """Return a response without the lags that connect no two samples of a shape, on twice that shape."""
     for axis, n in zip(_AXES, shape, strict=True):
-        long = response.shape[axis]
-        ahead, behind = (
-            response[..., part, :] if axis == -2 else response[..., part]
-            for part in (slice(0, n), slice(long - n + 1, long))
-        )
-        gap = 0 * (ahead[..., :1, :] if axis == -2 else ahead[..., :1])
-        response = xp.concat([ahead, gap, behind], axis=axis)
+        along = xp.moveaxis(response, axis, -1)
+        parts = [along[..., :n], 0 * along[..., :1], along[..., along.shape[-1] - n + 1 :]]
+        response = xp.moveaxis(xp.concat(parts, axis=-1), -1, axis)
     return response
 
 
 def _chirp(xp, n: int, bend, like):
     place = xp.arange(n, dtype=xp.float64, device=_array.device_of(like)) - n // 2
     return _array.phasor_of_cycles(bend * place**2, like.dtype)
-
-
-def _padded(xp, field, shape):
-    """Return a field with zeros behind its rows and columns."""
-    for axis, n in zip(_AXES, shape, strict=True):
-        more = list(field.shape)
-        more[axis] = n - more[axis]
-        field = xp.concat([field, xp.zeros(tuple(more), dtype=field.dtype, device=_array.device_of(field))], axis=axis)
-    return field
-
-
-def _frequencies(n: int) -> list[float]:
-    """Return the frequencies of a transform of an even number of samples, in cycles per sample."""
-    return [(k if k < n // 2 else k - n) / n for k in range(n)]
 
 
 def covered(xp: Any, down: Any, across: Any, spacing: Any) -> Any:
