@@ -440,6 +440,12 @@ def listed(name: str, value, accepted: str):
     return value
 
 
+def known(name: str, given: Iterable[Any], names: Iterable[str]) -> None:
+    """Check that all that is named, such as the keys of a dictionary, is among some names."""
+    if unknown := sorted(set(map(str, given)) - set(names)):
+        raise ValueError(f"{name} must be of {', '.join(names)}; got {', '.join(map(repr, unknown))}")
+
+
 def function(name: str, value):
     """Return a function after checking that it can be called."""
     if not callable(value):

@@ -102,8 +102,7 @@ class gaussian_2d(nn.Module):
         """
         _validate.instance("ranges", ranges, (Mapping, type(None)), "a dict")
         ranges = {} if ranges is None else dict(ranges)
-        if unknown := sorted(set(ranges) - set(_RANGES)):
-            raise ValueError(f"ranges must be of {', '.join(_RANGES)}; got {', '.join(map(repr, unknown))}")
+        _validate.known("ranges", ranges, _RANGES)
         narrower = min(1.0, math.sqrt(_FEW / self.number_of_elements))
         default = _RANGES | {"widths": tuple(narrower * end for end in _RANGES["widths"])}
         for name, (low, high) in {**default, **ranges}.items():
@@ -789,22 +788,17 @@ def volume_loss(model, estimate, ground_truth, epoch_id: int, epoch_count: int, 
 def complete_weights(weights: Mapping[Any, Any], argument: str = "weights") -> dict[Any, Any]:
     """Return the weights with the defaults for those left out; raise TypeError or ValueError that names `argument`."""
     _validate.instance(argument, weights, Mapping, f"a dict of {', '.join(DEFAULT_WEIGHTS)}")
-    _refuse_unknown(argument, weights, DEFAULT_WEIGHTS)
+    _validate.known(argument, weights, DEFAULT_WEIGHTS)
     whole = dict(DEFAULT_WEIGHTS)
     for name, value in weights.items():
         default = DEFAULT_WEIGHTS[name]
         if isinstance(default, Mapping):
             if not isinstance(value, Mapping):
                 raise ValueError(f"{argument}[{name!r}] must be a dict of {', '.join(default)}; got {value!r}")
-            _refuse_unknown(f"{argument}[{name!r}]", value, default)
+            _validate.known(f"{argument}[{name!r}]", value, default)
             value = {**default, **value}
         whole[name] = value
     return whole
-
-
-def _refuse_unknown(name, given, known):
-    if unknown := sorted(set(given) - set(known)):
-        raise ValueError(f"{name} must be of {', '.join(known)}; got {', '.join(map(repr, unknown))}")
 
 
 def _outside(values):

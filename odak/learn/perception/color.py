@@ -420,10 +420,7 @@ def _checked_space(primaries, white):
     pairs = tuple(tuple(_validate.numbers(_validate.real("primaries", pair))) for pair in primaries)
     if len(pairs) != 3 or any(len(pair) != 2 or pair[1] <= 0 for pair in pairs):
         raise ValueError(f"primaries must be three pairs (x, y) with y > 0, got {primaries!r}")
-    levels = tuple(_validate.numbers(_validate.real("white", white, positive=True)))
-    if len(levels) != 3:
-        raise ValueError(f"white must be three numbers X, Y, Z, got {white!r}")
-    return pairs, levels
+    return pairs, tuple(_validate.numbers(_white(white)))
 
 
 LUMA = (0.299, 0.587, 0.114)

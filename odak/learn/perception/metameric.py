@@ -77,6 +77,8 @@ class _StatisticsLoss(nn.Module):
 
     _place: torch.Tensor
 
+    use_radial_weight = False
+
     def __init__(self, device, n_pyramid_levels, n_orientations, trust_target, nominal_width, joint) -> None:
         super().__init__()
         self.nominal_width = _validate.flag("nominal_width", nominal_width)
@@ -128,6 +130,26 @@ class _StatisticsLoss(nn.Module):
         # Half precision would lose the digits of deviations, which are differences of means.
         picture = in_float32(pad_image_for_pyramid(picture, self.n_pyramid_levels))
         return rgb_2_ycrcb(picture) if picture.shape[1] == 3 and colourspace.upper() == "RGB" else picture
+
+    def _options(self):
+        """Return all that the statistics of a picture depend on besides the place."""
+        return self.n_pyramid_levels, self.n_orientations, self.nominal_width, self.joint
+
+    def _against(self, image, target, where, colourspace, visualise, index=0, *gaze):
+        """Return the loss of the part `index` of a batch, its picture as it was compared, and its target."""
+        reference, self.target_stats, kept = self._kept.get(
+            target,
+            (where, self._options(), colourspace),
+            lambda: self._target_statistics(target, colourspace, where),
+            index,
+        )
+        image = self._converted(image, colourspace)
+        if kept is not None and not (visualise or self.use_radial_weight) and is_blocked(image):
+            return self._distance(image, kept, where), image, reference
+        stats = statistics_maps(*self._parts(image, where))
+        if visualise:
+            self.visualise_loss_map(stats)
+        return self.metameric_loss_stats(stats, self.target_stats, *gaze), image, reference
 
     def _target_statistics(self, picture, colourspace, where):
         """Return a target padded and converted, its statistics, and these in the form that :meth:`_distance` takes.
@@ -373,18 +395,7 @@ class MetamericLoss(_StatisticsLoss, Seen):
     def _compared(self, image, target, gaze, index, image_colorspace, visualise_loss):
         """Return the loss of pictures with one gaze, the part `index` of a batch, and the map of the differences."""
         where = self._where(gaze)
-        key = (where, self._options(), image_colorspace)
-        reference, self.target_stats, kept = self._kept.get(
-            target, key, lambda: self._target_statistics(target, image_colorspace, where), index
-        )
-        image = self._converted(image, image_colorspace)
-        if kept is None or visualise_loss or self.use_radial_weight or not is_blocked(image):
-            stats = statistics_maps(*self._parts(image, where))
-            if visualise_loss:
-                self.visualise_loss_map(stats)
-            loss = self.metameric_loss_stats(stats, self.target_stats, gaze)
-        else:
-            loss = self._distance(image, kept, where)
+        loss, image, reference = self._against(image, target, where, image_colorspace, visualise_loss, index, gaze)
         if self.use_l2_foveal_loss:
             loss = loss + self.fovea_weight * ((self.fovea_mask * (image - reference)) ** 2).mean()
         return loss, self.loss_map
@@ -478,8 +489,7 @@ class MetamericLoss(_StatisticsLoss, Seen):
         return super()._apply(function, recurse)
 
     def _options(self):
-        bands = self.n_pyramid_levels, self.n_orientations, self.nominal_width, self.joint
-        return *bands, self.use_l2_foveal_loss, self.use_fullres_l0
+        return *super()._options(), self.use_l2_foveal_loss, self.use_fullres_l0
 
     def _where(self, gaze: Point):
         view = self.viewing.real_image_width, self.viewing.real_viewing_distance
@@ -611,18 +621,8 @@ class MetamericLossUniform(_StatisticsLoss):
         """
         checked_pictures("MetamericLossUniform", image, target, self.n_pyramid_levels)
         visualise_loss, where = _validate.flag("visualise_loss", visualise_loss), self.pooling_size
-        options = self.n_pyramid_levels, self.n_orientations, self.nominal_width, self.joint
-        key = (where, options, image_colorspace)
-        self.target, self.target_stats, kept = self._kept.get(
-            target, key, lambda: self._target_statistics(target, image_colorspace, where)
-        )
-        image = self._converted(image, image_colorspace)
-        if kept is not None and not visualise_loss and is_blocked(image):
-            return self._distance(image, kept, where)
-        stats = statistics_maps(*self._parts(image, where))
-        if visualise_loss:
-            self.visualise_loss_map(stats)
-        return self.metameric_loss_stats(stats, self.target_stats)
+        loss, _, self.target = self._against(image, target, where, image_colorspace, visualise_loss)
+        return loss
 
     def calc_statsmaps(self, image: torch.Tensor, pooling_size: float) -> list[torch.Tensor]:
         """Return the pooled statistics of a picture.

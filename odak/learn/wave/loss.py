@@ -817,8 +817,6 @@ _MEASURES: dict[str, tuple[Callable[..., nn.Module], Callable[[torch.Tensor], to
 def _checked_weights(argument, given, default, known):
     given = default if given is None else given
     _validate.instance(argument, given, Mapping, "a dictionary of weights")
-    unknown = sorted(set(given) - set(known))
-    if unknown:
-        raise ValueError(f"{argument} must be of {', '.join(known)}; got {', '.join(map(repr, unknown))}")
+    _validate.known(argument, given, known)
     weights = {name: _validate.constant(f"{argument}[{name!r}]", value) for name, value in given.items()}
     return {name: weight for name, weight in weights.items() if weight}

@@ -46,9 +46,7 @@ def loss_weights(given: dict[str, float] | Sequence[float] | None, defaults: dic
             raise ValueError(f"weights must be at most {len(_OLDER_ORDER)} ({', '.join(_OLDER_ORDER)}), got {given!r}")
         # A loss that the older form leaves out has no weight.
         given = dict.fromkeys(_OLDER_ORDER, 0.0) | dict(zip(_OLDER_ORDER, given, strict=False))
-    unknown = sorted(set(map(str, given)) - set(defaults))
-    if unknown:
-        raise ValueError(f"weights must be of {', '.join(defaults)}; got {', '.join(map(repr, unknown))}")
+    _validate.known("weights", given, defaults)
     for name, value in given.items():
         _validate.number(f"weights[{name!r}]", value, least=0)
     weights = defaults | {name: float(value) for name, value in given.items()}

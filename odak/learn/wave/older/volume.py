@@ -522,12 +522,8 @@ class display_volume(Prepared, torch.nn.Module):
 
     def _fill(self, kernels, distances) -> torch.Tensor:
         with _torch_private.keeping(), torch.no_grad():
-            colours = list(zip(_validate.numbers(self.wavelengths), self._cutoffs, strict=True))
             for plane, distance in enumerate(_validate.numbers(distances)):
-                for colour, (wavelength, cutoff) in enumerate(colours):
-                    kernels[plane, colour] = self._path.kernel(
-                        self.padded_shape, wavelength, distance, kernels.device, kernels.dtype, cutoff
-                    )
+                kernels[plane] = self._stacked([distance], kernels.dtype, self._cutoffs)[0]
             return kernels.mul_(torch.fft.ifftshift(self.aperture)) if self._stop == "mask" else kernels
 
     def forward(
