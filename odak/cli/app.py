@@ -388,6 +388,9 @@ def design(settings: DesignSettings) -> None:
             for value in (place["rms_spot_at_start"], place["rms_spot"])
         )
         _say(settings, f"field {place['label']}: RMS spot {before} -> {after}")
+    for item in report["elements"]:
+        sizes = " ".join(f"{name} {item[name]:.3g} {unit}" for name in ("diameter", "center", "edge"))
+        _say(settings, f"element of {item['material']}: {sizes}")
     lens = settings.output / "lens.json"
     _say(settings, f"{', '.join(report['files'])} in {settings.output}; `odak trace {lens}` analyses the lens")
 

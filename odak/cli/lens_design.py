@@ -34,7 +34,8 @@ from odak.learn.raytracing.system import (
     standard_design,
     write_zmx,
 )
-from odak.learn.raytracing.system.operands import clear_heights
+from odak.learn.raytracing.system.automatic import STANDARD_LIMITS
+from odak.learn.raytracing.system.operands import View, clear_heights, edge_thicknesses
 from odak.learn.raytracing.system.sketches import field_label
 from odak.learn.raytracing.system.surfaces import is_break
 from odak.learn.raytracing.system.system_files import MICROMETRES
@@ -59,6 +60,7 @@ DEFINITIONS = {
     "start": "The same for the lens that the design began with, at the aperture and the fields of the design; null "
     "where rays are lost. A SYSTEM is scaled to the focal length asked for; demands begin with flat plates.",
     "distortion": "Chief ray's image height at the reference wavelength over the paraxial one, less 1.",
+    "elements": "Diameter of the beam of all fields, thickness on the axis and at the rim of that beam.",
     "merit": "Half the sum of the squares of spots and of excesses over limits, at each step of the last run; of "
     "demands, the root mean square of the spots after each stage, with its shares of aperture and field.",
 }
@@ -130,6 +132,7 @@ def run(job: DesignSettings, notices: files.Notices = files.SILENT) -> dict:
         "unit": lens.unit,
         "first_order": {name: finite(value) for name, value in first_order(lens)._asdict().items()},
         "fields": _judged(start, lens, job.aim),
+        "elements": elements_of(lens, job.aim),
         "merit": merit,
         "seconds": time.perf_counter() - begun,
         "versions": versions(),
@@ -165,6 +168,27 @@ def _judged(start: optical_system, lens: optical_system, aim: str) -> list[dict]
     ]
 
 
+def elements_of(lens: optical_system, aim: str = "paraxial") -> list[dict]:
+    """Return what a workshop asks of each element: its glass, the diameter of its beam, and its thicknesses."""
+    view = View(lens, lens.prescription(), aim=aim)
+    items: list[Any] = list(lens.surfaces)
+    index = view.prescription.index[lens.reference].tolist()
+    places = [i for i in range(len(items) - 1) if index[i + 1] > 1.01 and not items[i].reflects]
+    with torch.no_grad():
+        edges: Any = edge_thicknesses(view, places) if places else []
+        heights = view.heights
+    return [
+        {
+            "surface": i,
+            "material": str(getattr(items[i].material, "name", index[i + 1])),
+            "diameter": finite(2 * heights[i : i + 2].max()),
+            "center": finite(items[i].thickness),
+            "edge": finite(edge),
+        }
+        for i, edge in zip(places, edges, strict=True)
+    ]
+
+
 def _drawing(lens: optical_system):
     """Return a section through a lens, with at most three of its fields."""
     shown = copy.copy(lens)
@@ -193,7 +217,7 @@ def _from_plates(job: DesignSettings, step: Callable[[], Any]):
         found = automatic_design(
             materials,
             requirements,
-            dimensions=LensDimensions(back=size["back"], track=size["track"]),
+            dimensions=LensDimensions(edge=size["edge"], back=size["back"], track=size["track"]),
             aspheric_terms=job.aspheric_terms,
             makers=makers,
             search=search,
@@ -236,9 +260,6 @@ def _set_semi_diameters(system: optical_system, aim: str) -> None:
     with torch.no_grad():
         for item, size in zip(surfaces, clear_heights(system, system.prescription(), aim=aim), strict=True):
             item.semi_diameter = 1.001 * float(size)
-
-
-LIMITS = ("track", "back", "distortion", "axial_color", "chief_ray_angle")
 
 
 def _from_system(job: DesignSettings, step: Callable[[], Any]):
@@ -335,7 +356,7 @@ def _optimised(system, own, goal, job: DesignSettings, f: float, metre: float, s
 
     limits = {
         name: getattr(job, name) * (metre if name in LENS_LENGTHS else 1.0)
-        for name in LIMITS
+        for name in STANDARD_LIMITS
         if getattr(job, name) is not None
     }
 

@@ -37,7 +37,7 @@ from odak.cli.options import (
 AIMS = ("paraxial", "real")
 # Metres above which a width or a distance is taken for centimetres without their unit.
 LARGEST_SCREEN = 15.0
-LENS_LENGTHS = ("focal_length", "track", "back", "axial_color")
+LENS_LENGTHS = ("focal_length", "track", "back", "edge", "axial_color")
 DEMANDS = ("focal_length", "f_number", "field", "elements")
 
 
@@ -284,6 +284,8 @@ class DesignSettings(RunSettings):
         Largest length from the first vertex to the image.
     back : float, optional
         Least distance from the last vertex to the image.
+    edge : float, optional
+        Least thickness of elements at the rim of the beam.
     distortion : float, optional
         Largest distortion.
     axial_color : float, optional
@@ -315,6 +317,7 @@ class DesignSettings(RunSettings):
     aspheric_terms: int = option(0, metavar="COUNT", check=at_least(0))
     track: float | None = length()
     back: float | None = length(check=not_negative)
+    edge: float | None = length(check=not_negative)
     distortion: float | None = option(None, metavar="RATIO", check=positive, shown="0.02, or the SYSTEM's if larger")
     axial_color: float | None = length()
     chief_ray_angle: float | None = option(None, metavar="DEGREES", check=positive)

@@ -106,6 +106,14 @@ def test_a_lens_is_improved_to_what_is_asked(name, asked, tmp_path, capsys):
     np.testing.assert_allclose(worse, [field["rms_spot_at_start"] for field in report["fields"]], rtol=1e-7)
     assert (spots**2).sum() < 0.9 * (worse**2).sum()
     assert report["merit"][-1] < report["merit"][0]
+    # The sizes of the elements: those of the file, and diameters of a beam whose semi-diameters it holds.
+    items = load_system(str(tmp_path / "lens.json")).surfaces
+    for element in report["elements"]:
+        i = element["surface"]
+        assert element["center"] == float(items[i].thickness) and element["material"] in items[i].material.name
+        widest = 2 * max(items[k].semi_diameter for k in (i, i + 1))
+        assert element["diameter"] == pytest.approx(widest, rel=2e-3) and element["edge"] > 0
+    assert f"element of {report['elements'][0]['material']}: diameter" in out.out
     again, _ = read_zmx(tmp_path / "lens.zmx")
     thicknesses = [float(item.thickness) for item in again.surfaces]
     assert thicknesses == [item["thickness"] for item in json.loads((tmp_path / "lens.json").read_text())["surfaces"]]

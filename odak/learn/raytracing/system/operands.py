@@ -168,7 +168,12 @@ class View:
 
 
 def edge_thicknesses(
-    view: View, surfaces: Any = None, heights: Any = None, shares: Any = (1.0,), flanges: bool = False
+    view: View,
+    surfaces: Any = None,
+    heights: Any = None,
+    shares: Any = (1.0,),
+    flanges: bool = False,
+    per_diameter: float = 0.0,
 ) -> torch.Tensor:
     """Return thicknesses along z between neighbouring surfaces at a distance from the axis, ``[..., n]``.
 
@@ -185,6 +190,8 @@ def edge_thicknesses(
     flanges : bool
         Whether each surface is a plane beyond its own clear semi-diameter times the largest share, as in moulded
         lenses, rather than of the same shape up to its neighbour's semi-diameter.
+    per_diameter : float
+        Share of the diameter, twice the distance, that is subtracted: what remains is a room above a limit by diameter.
     """
     p = view.prescription
     count = p.thickness.shape[-1]
@@ -197,11 +204,12 @@ def edge_thicknesses(
         clear = view.heights
         each = torch.maximum(clear[..., places], clear[..., behind] * curved)
     y = _at_shares(p, len(places), heights, each, shares)
+    least = 2 * per_diameter * _at_shares(p, len(places), heights, each, (1.0,)) if per_diameter else 0.0
     ends = [y, y]
     if flanges:
         ends = [torch.minimum(y, max(shares) * view.heights[..., own]) for own in (places, behind)]
     gaps = p.thickness[..., places] - _sags(p, places, ends[0]).height + _sags(p, behind, ends[1]).height * curved
-    return gaps.movedim(0, -1).flatten(-2)
+    return (gaps - least).movedim(0, -1).flatten(-2)
 
 
 def slopes(view: View, surfaces: Any = None, heights: Any = None, shares: Any = (1.0,)) -> torch.Tensor:

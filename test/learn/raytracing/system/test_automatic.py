@@ -21,9 +21,11 @@ from odak.learn.raytracing.system import (
     automatic_design,
     distortion,
     first_order,
+    launch,
     lens_design,
     load_system,
     optical_system,
+    ray_paths,
     rms_spot,
     standard_design,
     surface,
@@ -49,6 +51,25 @@ def test_glass_becomes_real_and_stays_good():
     report = sum(share for _, _, share in design.report())
     assert report == pytest.approx(own, rel=1e-9)
     assert report < 3 * free.merit + 1e-6
+
+
+def test_elements_can_be_ground_by_default():
+    """Rims and centres by diameter, of sags and rays that are computed here; an asked edge replaces the rule."""
+    plates, demands = ["N-LAK33B", "stop", "SF5", "N-LAK33B"], LensRequirements(50.0, 4.0, 14.0)
+    search = DesignSearch(starts=3, stages=2, iterations=5, polish=0)
+    lens = automatic_design(plates, demands, search=search).system
+    heights = ray_paths(lens, launch(lens, "rings", 12))[..., 1:, :2].norm(dim=-1).amax((0, 1, 2))
+    for i in (0, 3, 5):
+        rim = float(heights[i : i + 2].max())
+        front, rear = (surface_sag(float(lens.surfaces[k].curvature), rim) for k in (i, i + 1))
+        thickness = float(lens.surfaces[i].thickness)
+        assert thickness > 0.98 * 2 * rim / 10 and thickness - front + rear > 0.97 * 2 * rim / 20, i
+    free = LensDimensions(edge=0.05)
+    assert free._ground == (0.0, 0.1) and LensDimensions(glass=(1.0, 9.0))._ground == (0.05, 0.0)
+
+
+def surface_sag(curvature, height):
+    return curvature * height**2 / (1 + (1 - (curvature * height) ** 2) ** 0.5)
 
 
 def judged_alone(lens, angles, size, bent, edge=1e-9):
