@@ -115,24 +115,29 @@ def cycles(graph: dict[str, set[str]]) -> list[list[str]]:
     return found
 
 
-def code_lines(text: str) -> int:
-    """Return the number of lines that hold code."""
-    tree, lines = ast.parse(text), set()
-    docstrings = {
-        line
-        for node in ast.walk(tree)
+def code_lines(text: str, parsed: ast.Module | None = None) -> int:
+    """Return the number of lines that hold code; of a text that is parsed already, if it is given."""
+    parsed = parsed or ast.parse(text)
+    docstrings = [
+        node.body[0]
+        for node in (parsed, *_statements(parsed))
         if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef))
         and node.body
         and isinstance(node.body[0], ast.Expr)
         and isinstance(node.body[0].value, ast.Constant)
         and isinstance(node.body[0].value.value, str)
-        for line in range(node.body[0].lineno, (node.body[0].end_lineno or 0) + 1)
-    }
+    ]
+    inside = {line for node in docstrings for line in range(node.lineno, (node.end_lineno or 0) + 1)}
+    if text.count('"""') == 2 * len(docstrings) and "'''" not in text:
+        # No other string has several lines, so that each line tells what it is.
+        stripped = enumerate(map(str.strip, text.splitlines()), 1)
+        return sum(bool(line) and not line.startswith("#") and number not in inside for number, line in stripped)
     blank = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
+    lines: set[int] = set()
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type not in blank:
             lines |= set(range(token.start[0], token.end[0] + 1))
-    return len(lines - docstrings)
+    return len(lines - inside)
 
 
 def _statements(node: ast.AST) -> Iterator[ast.AST]:

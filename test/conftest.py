@@ -115,6 +115,15 @@ def _fresh_state():
 
 
 @pytest.fixture
+def small_judge(monkeypatch):
+    """Judge holograms of small panels on smaller grids, where the accuracy of the judge is not what is tested.
+
+    As wide a grid as the judge has is compared with sums in learn/wave/test_observers.py.
+    """
+    monkeypatch.setattr("odak.learn.wave.displays.judge._LEAST", 128)
+
+
+@pytest.fixture
 def random():
     return np.random.default_rng(20261121)
 

@@ -15,6 +15,8 @@ from PIL import Image, ImageOps
 from odak.cli import main, report
 from odak.cli.job import PRESETS, parse_length
 
+pytestmark = pytest.mark.usefixtures("small_judge")
+
 
 def psnr_of(intensity, target):
     scale = np.sum(intensity * target) / np.sum(intensity**2)

@@ -9,6 +9,8 @@ from PIL import Image
 from odak.cli import main
 from odak.learn.wave import Display, Modulator
 
+pytestmark = pytest.mark.usefixtures("small_judge")
+
 ROWS, COLUMNS = 48, 72
 VOLUME = ["--resolution", ROWS, COLUMNS, "--distance", "5e-3", "--volume-depth", "2e-3", "--device", "cpu", "--quiet"]
 VOLUME += ["--linear"]

@@ -22,6 +22,7 @@ SLOW = {
     "guides/hologram_network.md",
     "guides/large_fields.md",
     "guides/learned_models.md",
+    "guides/light_fields.md",
     "guides/metamers.md",
     "guides/multiplane_and_colour.md",
     "guides/near_eye_display.md",

@@ -156,12 +156,14 @@ class Retina:
 
     def _of_one_order(self, there, x, a, length, pitch, width):
         """Return the sum of the plane waves that pass, of which each is a chirp in the plane of the pupil."""
-        q, curvature = there / length, a / length
+        # The places along one axis repeat.
+        different, of = np.unique(there, return_inverse=True)
+        q, curvature = different / length, a / length
         turns = (np.abs(q).max() + 0.5 / pitch) / abs(curvature) / pitch
         f, weights = _gauss(0.5 / pitch, turns + len(x))
         waves = weights * np.sinc(width * pitch * f) * (1j / curvature) ** 0.5
         chirps = np.exp(-1j * np.pi / curvature * np.subtract.outer(q, f) ** 2)
-        return chirps @ (waves[:, None] * np.exp(-2j * np.pi * np.outer(f, x)))
+        return (chirps @ (waves[:, None] * np.exp(-2j * np.pi * np.outer(f, x))))[of]
 
     def spectrum(self, light, _):
         """Return the light at points of the pupil, times their weights and what the eye does not focus."""

@@ -34,6 +34,8 @@ from odak.learn.wave import (
 from odak.learn.wave.holograms.optimising import SOLVERS
 from odak.learn.wave.holograms.starts import STARTS
 
+pytestmark = pytest.mark.usefixtures("small_judge")
+
 PITCH, WAVELENGTH = 8e-6, 532e-9
 QUIET, BRIEF = Run(iterations=25, progress=False), Run(iterations=12, progress=False)
 

@@ -11,6 +11,8 @@ import torch
 
 from odak.learn import wave
 
+pytestmark = pytest.mark.usefixtures("small_judge")
+
 SHAPE, PITCH, GREEN, DISTANCE, FILL = (32, 40), 8e-6, 532e-9, 4e-3, 0.9
 POINTS = wave.Observer.points()
 IRIS = {"iris_radius": 2.4e-3, "iris_focal_length": 0.1}

@@ -15,6 +15,8 @@ from odak.learn.perception import color_matching_functions, rgb_to_xyz_matrix
 from odak.learn.wave import AmplitudePanel, Display, Modulator, Run, fitted, light_of, optimise, picture_of
 from odak.tools import load_image, save_image
 
+pytestmark = pytest.mark.usefixtures("small_judge")
+
 SOURCES = (638e-9, 520e-9, 450e-9)
 
 

@@ -12,6 +12,8 @@ from odak.learn.wave import Descent, Display, Modulator, Run, multiplane_loss, o
 from odak.learn.wave.displays.parts import shared_among, streamed
 from odak.learn.wave.displays.paths.free import FreePath
 
+pytestmark = pytest.mark.usefixtures("small_judge")
+
 BRIEF = Run(iterations=3, progress=False)
 
 

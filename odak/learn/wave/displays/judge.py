@@ -349,6 +349,6 @@ def _turned(field, wavelength, distance, pitch):
 
 
 def _middle(values: torch.Tensor, shape: Sequence[int]) -> torch.Tensor:
-    """Return the rows and columns in the middle of an array."""
-    rows, columns = (slice((m - n) // 2, (m + n) // 2) for m, n in zip(values.shape, shape, strict=True))
+    """Return the rows and columns in the middle of an array, all of them where it has fewer."""
+    rows, columns = (slice(max(0, (m - n) // 2), (m + n) // 2) for m, n in zip(values.shape, shape, strict=True))
     return values[rows, columns]
