@@ -92,7 +92,7 @@ REASONS = {
         perception/csf: foveated_budget
         raytracing/boundary: _axes intersect_w_triangle_batch
         raytracing/mesh: _faces init_heights
-        raytracing/surfaces: _intersect_parametric
+        raytracing/surfaces: intersect_parametric
         raytracing/system/eye: _radial_transfer
         raytracing/system/lens_fields: products
         raytracing/system/pupils: pupil_quadrature

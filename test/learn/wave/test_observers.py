@@ -266,6 +266,36 @@ def test_the_judge_is_right_behind_a_square_stop_and_of_nine_orders(random, orde
     assert np.linalg.norm(found - expected) < 5e-4 * np.linalg.norm(expected)
 
 
+def test_the_judge_holds_the_orders_asked_for_and_says_what_they_leave_out(random):
+    phases = random.uniform(0, 6, (2, 12, 10)) * [[[0.1]], [[1.0]]]
+    powers = torch.tensor([[0.3, 0.9], [0.7, 0.1]])
+    display = Display(Modulator((12, 10), PITCH, bits=None), [WAVELENGTH, 639e-9], 2e-3, 2, powers, iris=None)
+    for orders in (2, 4):
+        transfer, reach = freely(PITCH, WAVELENGTH, 2e-3)
+        truth = Seen(np.exp(1j * phases), [0.3, 0.7], SquareStop((12, 10), orders * reach, orders), transfer)
+        seen = truth.means(np.arange(12), np.arange(10), points=5 * orders)
+        judged, _ = display.judge(torch.from_numpy(phases), orders=orders)
+        assert np.linalg.norm(judged[0, 0].numpy() - seen) < 5e-4 * np.linalg.norm(seen)
+    default, least = display.judge(torch.from_numpy(phases))[0], display.light_beyond(torch.from_numpy(phases))
+    assert torch.equal(default, display.judge(torch.from_numpy(phases), orders=3)[0])
+    # Energies by quadrature over frequencies; all light is the lit area.
+    width = 0.9**0.5
+    for orders in (1, 2, 3, 5):
+        stop, within = SquareStop((12, 10), orders=orders), []
+        weights = np.outer(*(w for _, w in stop.nodes))
+        for frame in phases:
+            waves = stop.spectrum(np.exp(1j * frame), lambda y, x: width**2 * np.sinc(width * y) * np.sinc(width * x))
+            within.append((abs(waves) ** 2 / weights).sum() / (width**2 * frame.size))
+        found = display.light_beyond(torch.from_numpy(phases), orders=orders)
+        assert np.abs(found.numpy() - (1 - powers.numpy().T @ within)).max() < 2e-5
+        assert orders != 3 or torch.equal(found, least)
+    for other in (Display(Modulator((12, 10), PITCH), WAVELENGTH, space) for space in (2e-3, Lens(0.1))):
+        with pytest.raises(ValueError, match="orders must be None but for one panel without a stop"):
+            other.judge(torch.zeros(1, 12, 10), orders=5)
+    with pytest.raises(ValueError, match="orders must be"):
+        display.judge(torch.zeros(2, 12, 10), orders=0)
+
+
 def of_stop(stop, shape, distance):
     """Return a stop by its name, or the share of an order that a round one passes, and the quadrature over it."""
     if isinstance(stop, float):

@@ -15,7 +15,7 @@ from odak._attributes import Prepared
 from odak._warnings import ArgumentWarning, warn
 from odak.instruments import Calibration, Lens, load_calibration
 from odak.learn._tensors import ValuesRead, floating
-from odak.learn.wave.displays.judge import judged
+from odak.learn.wave.displays.judge import judged, light_beyond
 from odak.learn.wave.displays.observers import REACH, REGISTERED, Observer
 from odak.learn.wave.displays.panels import Iris, Modulator
 from odak.learn.wave.displays.parts import Part, Shares, Streamed, frames_lit
@@ -356,7 +356,9 @@ class Display(Prepared, torch.nn.Module):
         """Return the light on the panel whose images have other amplitudes ``[D, rows, columns]``, by the adjoint."""
         return self.path.replaced(self._kept, amplitudes, light, color)
 
-    def judge(self, phases: torch.Tensor, amplitudes: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
+    def judge(
+        self, phases: torch.Tensor, amplitudes: torch.Tensor | None = None, orders: int | None = None
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the images of patterns by another computation than :meth:`forward`, and those at points.
 
         Each pixel is a comb of samples on a grid of four times the panel's extent, wider for small panels, multiplied
@@ -365,7 +367,7 @@ class Display(Prepared, torch.nn.Module):
         spectra. It shares neither transfer functions nor weights with :meth:`forward`. Images of both
         are within 2e-3 of direct sums over stops and pupils, edges and corners among them: of panels of 24 to 1920
         pixels along each axis in free space, behind a round iris and behind a lens, of up to 480 in a medium, in eyes
-        and behind two panels. Without a stop both hold nine orders.
+        and behind two panels. Without a stop both hold nine orders, and :meth:`light_beyond` what these leave out.
 
         Parameters
         ----------
@@ -373,14 +375,60 @@ class Display(Prepared, torch.nn.Module):
             Phases ``[F, rows, columns]`` in radians.
         amplitudes : torch.Tensor, optional
             Amplitudes of a panel in front of the modulator, of the same shape, as in :meth:`forward`.
+        orders : int, optional
+            Diffraction orders along each axis of one panel without a stop in free space; 3 by default.
 
         Returns
         -------
         tuple of torch.Tensor
             Means over the areas of pixels, and intensities at their middles, ``[D, C, rows, columns]`` each.
+
+        Raises
+        ------
+        ValueError
+            If `orders` are given of a display whose stop, lens, eyes or first panel decides.
         """
-        found = judged(self, phases, amplitudes)
+        found = judged(self, phases, amplitudes, orders=orders)
         return found.areas, found.points
+
+    def light_beyond(
+        self, phases: torch.Tensor, amplitudes: torch.Tensor | None = None, orders: int | None = None
+    ) -> torch.Tensor:
+        """Return the share of the light of each colour that is in orders beyond those that images hold.
+
+        Images of one panel without a stop in free space lack this light: their intensity is off by about as much.
+
+        Parameters
+        ----------
+        phases : torch.Tensor
+            Phases ``[F, rows, columns]`` in radians.
+        amplitudes : torch.Tensor, optional
+            Amplitudes of a panel in front of the modulator, as in :meth:`forward`.
+        orders : int, optional
+            Diffraction orders along each axis, as in :meth:`judge`.
+
+        Returns
+        -------
+        torch.Tensor
+            Shares ``[C]`` of the light that leaves the panel. What a stop keeps away counts too.
+
+        Raises
+        ------
+        ValueError
+            As :meth:`judge`.
+
+        Examples
+        --------
+        Random phases fill all orders alike, in which the light falls with their distance:
+
+        >>> import torch
+        >>> from odak.learn.wave import Display, Modulator
+        >>> display = Display(Modulator((64, 64), 8e-6), 532e-9, 2e-3, iris=None)
+        >>> phases = 6.28 * torch.rand(1, 64, 64, generator=torch.Generator().manual_seed(0))
+        >>> [round(float(display.light_beyond(phases, orders=n)), 2) for n in (1, 3, 5)]
+        [0.44, 0.15, 0.09]
+        """
+        return light_beyond(self, phases, amplitudes, orders)
 
     def lit_by(self, powers: torch.Tensor) -> "Display":
         """Return the same display with other powers of the sources, ``[F, C]``."""

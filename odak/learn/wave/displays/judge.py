@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from odak import _array
+from odak import _array, _validate
 from odak.instruments import Lens
 from odak.learn.wave.displays.observers import Observer, fine_intensity, pixels_of, resolved
 from odak.learn.wave.displays.panels import Iris, orders_through
@@ -91,12 +91,17 @@ class Comparison:
 
 @torch.no_grad()
 def judged(
-    display: Any, phases: torch.Tensor, amplitudes: torch.Tensor | None = None, held: Comparison | None = None
+    display: Any,
+    phases: torch.Tensor,
+    amplitudes: torch.Tensor | None = None,
+    held: Comparison | None = None,
+    orders: int | None = None,
 ) -> Judgement:
     """Return what is seen of patterns on a display; see :meth:`odak.learn.wave.Display.judge`.
 
     Without a comparison, `compared` and `sharp` are empty.
     """
+    orders = _orders(display.path, orders)
     lights, at = display._lights(phases, amplitudes), display.path
     given = display._lit_by_source(lights, 0)[-1].shape
     if len(given) > 3:
@@ -111,7 +116,7 @@ def judged(
             for f in display.lit_frames[c]:
                 # One frame at a time, which takes less memory.
                 own = display._lit_by_source(tuple(one[..., f : f + 1, :, :] for one in lights), c)
-                shown, finer = _field_at(at, [one[0] for one in own], c, d)
+                shown, finer = _field_at(at, [one[0] for one in own], c, d, orders)
                 light = light + power[f] * fine_intensity(shown, [2 * n * finer for n in at.sizes])
             samples = 2 * finer
             images[0].append(resolved(light, samples, at.sizes, (1.0, 1.0), 1))
@@ -130,10 +135,54 @@ def judged(
     return Judgement(areas, points, compared[:-1], compared[-1:])
 
 
-def _field_at(at, lights, colour: int, image: int) -> tuple[torch.Tensor, int]:
+def _orders(at, orders: int | None) -> int:
+    """Return how many orders along each axis are computed: those asked for, where no stop or lens decides."""
+    if orders is None:
+        return orders_through(at.iris, at.wavelengths, at.pitches)
+    if at.iris is not None or at.first is not None or isinstance(at.ends, (Eyes, Lens)):
+        raise ValueError(
+            "orders must be None but for one panel without a stop in free space: a stop, a lens, a pupil or a second "
+            f"panel decides how many pass, got {orders!r:.80}"
+        )
+    return _validate.integer("orders", orders, minimum=1)
+
+
+@torch.no_grad()
+def light_beyond(
+    display: Any, phases: torch.Tensor, amplitudes: torch.Tensor | None = None, orders: int | None = None
+) -> torch.Tensor:
+    """Return the share of the light of each colour ``[C]`` in orders beyond those that are computed.
+
+    See :meth:`odak.learn.wave.Display.light_beyond`.
+    """
+    at, count = display.path, _orders(display.path, orders)
+    lights = display._lights(phases, amplitudes)
+    shares = []
+    for c, power in enumerate(display.powers.double().unbind(1)):
+        spectrum = torch.fft.fft2(display._lit_by_source(lights, c)[-1], s=[2 * n for n in at.sizes]).abs() ** 2
+        spectrum = (power[:, None, None] * spectrum).sum(-3)
+        # The spectrum of pixels is periodic, and that of a square on all periods sums to one over its side.
+        down, across = (_share_within(count, math.sqrt(at.fill), n).to(spectrum) for n in at.sizes)
+        shares.append(1 - (down @ spectrum @ across) / spectrum.sum())
+    return torch.stack(shares).clamp_min(0.0)
+
+
+def _share_within(orders: int, side: float, n: int) -> torch.Tensor:
+    """Return the share of light in some orders of pixels of a side, at 2n frequencies of n pixels along an axis.
+
+    It has kinks between orders. The light, of n pixels, sees its first n Fourier coefficients, from a finer grid.
+    """
+    finer = 16
+    cycles = torch.fft.fftfreq(2 * n * finer * orders, 1 / orders, dtype=torch.float64)
+    share = (side * torch.sinc(side * cycles) ** 2).unflatten(0, (orders, -1)).sum(0)
+    return torch.fft.irfft(torch.fft.rfft(share)[: n + 1], 2 * n) / finer
+
+
+def _field_at(at, lights, colour: int, image: int, orders: int) -> tuple[torch.Tensor, int]:
     """Return the field on the plane of an image over twice the extent of the panel or more, and its samples per pixel.
 
-    `at` are the numbers of a display: its panels, stops, and the distances, the lens or the eyes where its images are.
+    `at` are the numbers of a display: its panels, stops, and the distances, the lens or the eyes where its images are;
+    `orders` how many are computed along each axis in free space.
     """
     if isinstance(at.ends, Eyes):
         axes = at.sizes, at.pitches
@@ -147,8 +196,7 @@ def _field_at(at, lights, colour: int, image: int) -> tuple[torch.Tensor, int]:
         wide = _wide(at)
         field = _both(at, lights[0], lights[1], colour, finer, wide)
     else:
-        finer = orders_through(at.iris, at.wavelengths, at.pitches)
-        wide = _wide(at)
+        finer, wide = orders, _wide(at)
         # Without a round stop the grid has no frequencies but those that pass.
         passed = _passed(at, finer, colour, at.iris, lights[0].device, wide) if isinstance(at.iris, Iris) else 1.0
         if at.mask is not None:
