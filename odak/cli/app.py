@@ -323,8 +323,7 @@ def trace(settings: TraceSettings) -> None:
     Examples::
 
         odak trace cooke_triplet
-        odak trace singlet --focus best --figures svg
-        odak trace cooke_triplet --temperature 60 --mount 23.6e-6
+        odak trace cooke_triplet --focus best --temperature 60 --mount 23.6e-6
     """
     from odak.cli.trace import run, summary
 

@@ -116,15 +116,19 @@ def checked_device(name: str, value: None) -> None: ...
 
 
 def checked_device(name: str, value) -> torch.device | None:
-    """Return a device after checking its name; None stays None."""
-    if value is None or isinstance(value, torch.device):
+    """Return a device after checking its name, and that there is one of its number; None stays None."""
+    if value is None:
         return value
     try:
-        return torch.device(value)
+        device = torch.device(value)
     except (TypeError, RuntimeError) as error:
         raise ValueError(
             f"{name} must be a torch.device or its name, such as 'cpu' or 'cuda:0'; got {value!r}"
         ) from error
+    # Torch says so where memory is asked for, which is elsewhere.
+    if device.type == "cuda" and (device.index or 0) >= (there := torch.cuda.device_count()):
+        raise ValueError(f"{name} must be on this machine, where torch finds {there} of CUDA; got {value!r}")
+    return device
 
 
 def kind_of(value) -> str:

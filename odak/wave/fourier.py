@@ -112,6 +112,14 @@ def _indices(like, count: int, axis: int):
     return xp.reshape(line, (-1, 1) if axis == -2 else (1, -1))
 
 
+def with_last(field: Array, axis: int) -> Array:
+    """Return an array with one of its last two axes, −1 or −2, as the last; applied twice, it is as before.
+
+    Batches of :func:`torch.func.vmap` have no rule for moving an axis in general.
+    """
+    return _array.namespace(field).matrix_transpose(field) if axis == -2 else field
+
+
 def to_line(field: Array, line: Line) -> Array:
     """Return Σ u·exp(−i2πf·x) at the frequencies of `line`, for samples along its axis."""
     return to_line_from_first(field, line) * phase_of_first(field, line, field.shape[line.axis])
@@ -123,11 +131,11 @@ def to_line_from_first(field: Array, line: Line) -> Array:
     n = field.shape[line.axis]
     shifted = field * phasor_of_cycles(-line.first / line.period * centred(field, n, line.axis), field.dtype)
     # Zeros are appended, and samples transformed, fastest along the last axis.
-    spectrum = xp.fft.fft(xp.moveaxis(shifted, line.axis, -1), n=line.period, axis=-1)
+    spectrum = xp.fft.fft(with_last(shifted, line.axis), n=line.period, axis=-1)
     if line.count > line.period:
         # A line longer than the period goes round once more.
         spectrum = xp.concat([spectrum] * -(-line.count // line.period), axis=-1)
-    return xp.moveaxis(spectrum[..., : line.count], -1, line.axis)
+    return with_last(spectrum[..., : line.count], line.axis)
 
 
 def phase_of_first(like: Array, line: Line, count: int) -> Array:
@@ -160,19 +168,19 @@ def from_line(spectrum: Array, line: Line, pitch: Any, count: int) -> Array:
 def _middle(periodic, count: int, axis: int):
     """Return `count` samples about sample 0 of a periodic array."""
     xp = _array.namespace(periodic)
-    along = xp.moveaxis(periodic, axis, -1)
+    along = with_last(periodic, axis)
     parts = [along[..., along.shape[-1] - count // 2 :], along[..., : count - count // 2]]
-    return xp.moveaxis(xp.concat(parts, axis=-1), -1, axis)
+    return with_last(xp.concat(parts, axis=-1), axis)
 
 
 def _folded(spectrum, line: Line) -> tuple[Any, ...]:
     """Return the spectrum with samples a period apart added, which is what its inverse transform sees of them."""
     xp = _array.namespace(spectrum)
-    along = xp.moveaxis(spectrum, line.axis, -1)
+    along = with_last(spectrum, line.axis)
     shape = (*along.shape[:-1], -line.count % line.period)
     rest = xp.zeros(shape, dtype=along.dtype, device=_array.device_of(along))
     periods = xp.reshape(xp.concat([along, rest], axis=-1), (*shape[:-1], -1, line.period))
-    return xp.moveaxis(xp.sum(periods, axis=-2), -1, line.axis), Line(line.axis, line.first, line.period, line.period)
+    return with_last(xp.sum(periods, axis=-2), line.axis), Line(line.axis, line.first, line.period, line.period)
 
 
 # Taps along an axis: the spreading error is about 10^(1 − taps) for twofold oversampling.
@@ -513,8 +521,8 @@ def _compensation_of_samples(count: int, size: int, taps: int) -> np.ndarray:
 def _wrap(field, axis: int, size: int):
     """Return a field continued by zeros to `size` along an axis, its sample n // 2 at index 0."""
     xp = _array.namespace(field)
-    along = xp.moveaxis(field, axis, -1)
+    along = with_last(field, axis)
     *batch, count = along.shape
     zeros = xp.zeros((*batch, size - count), dtype=field.dtype, device=_array.device_of(field))
     parts = [along[..., count // 2 :], zeros, along[..., : count // 2]]
-    return xp.moveaxis(xp.concat(parts, axis=-1), -1, axis)
+    return with_last(xp.concat(parts, axis=-1), axis)

@@ -442,8 +442,8 @@ def sparse_operator(matrix: Any) -> Callable[..., Any]:
             one = matrix.T.tocsr() if adjoint else matrix
             parts = (torch.from_numpy(part) for part in (one.indptr, one.indices, one.data))
             with warnings.catch_warnings(), torch.inference_mode(False):
-                # That sparse tensors are in beta.
-                warnings.filterwarnings("ignore", "Sparse CSR tensor support")
+                # That sparse tensors are in beta, and that their indices are not checked.
+                warnings.filterwarnings("ignore", "Sparse (CSR tensor support|invariant checks)")
                 held[adjoint] = torch.sparse_csr_tensor(*parts, one.shape, check_invariants=False)
         return held[adjoint]
 

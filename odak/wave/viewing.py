@@ -8,6 +8,7 @@ from odak import _array, _validate
 from odak._array import Array
 from odak._warnings import SamplingWarning, warn
 from odak.wave.elements import zernike_modes
+from odak.wave.fourier import with_last
 from odak.wave.transfer_functions import pitches
 
 _AXES = (-2, -1)
@@ -208,9 +209,9 @@ def retinal_field(field: Array, transfer: Array, lens: Array) -> Array:
 def _short(xp, response, shape):
     """Return a response without the lags that connect no two samples of a shape, on twice that shape."""
     for axis, n in zip(_AXES, shape, strict=True):
-        along = xp.moveaxis(response, axis, -1)
+        along = with_last(response, axis)
         parts = [along[..., :n], 0 * along[..., :1], along[..., along.shape[-1] - n + 1 :]]
-        response = xp.moveaxis(xp.concat(parts, axis=-1), -1, axis)
+        response = with_last(xp.concat(parts, axis=-1), axis)
     return response
 
 

@@ -319,6 +319,7 @@ BY_CALL = {
     "odak.learn.wave.Display.fields": {"phases": tensor(32, 48)},
     "odak.learn.wave.Display.forward": {"phases": tensor(32, 48)},
     "odak.learn.wave.Display.judge": {"phases": tensor(32, 48)},
+    "odak.learn.wave.Display.light_beyond": {"phases": tensor(32, 48)},
     "odak.learn.wave.Display.recorded_by": {
         "observer": Observer.camera(),
         "phases": tensor(32, 48),

@@ -331,7 +331,8 @@ def test_mixed_precision_and_resume_on_cuda(tmp_path):
     assert kinds == {torch.float16} and history.training[-1] < 0.5 * history.training[0]
     torch.use_deterministic_algorithms(False)
     path = tmp_path / "training.pt"
-    run(checkpoint=path, callback=interrupt_after(20), **options)
+    with pytest.warns(ConvergenceWarning, match="interrupted after 20 of 60 epochs"):
+        run(checkpoint=path, callback=interrupt_after(20), **options)
     resumed, _ = run(checkpoint=path, **options)
     whole, _ = run(**options)
     for name, value in whole.state_dict().items():

@@ -2,6 +2,7 @@ import pytest
 import torch
 
 from odak import DeviceWarning
+from odak.learn._tensors import checked_device
 from odak.learn.tools import get_device
 
 
@@ -45,3 +46,11 @@ def test_refused():
 @pytest.mark.cuda
 def test_the_gpu_is_taken():
     assert get_device().type == "cuda"
+
+
+def test_a_device_that_is_not_there_is_refused_by_its_number(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
+    assert checked_device("device", "cuda:0") == torch.device("cuda", 0)
+    for given in ("cuda:7", torch.device("cuda", 2)):
+        with pytest.raises(ValueError, match="device must be on this machine, where torch finds 1 of CUDA"):
+            checked_device("device", given)
