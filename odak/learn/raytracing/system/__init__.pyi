@@ -35,6 +35,7 @@ from .codev import read_seq as read_seq
 from .codev import write_seq as write_seq
 from .copies import flipped_system as flipped_system
 from .copies import scaled_system as scaled_system
+from .crystals import UniaxialMedium as UniaxialMedium
 from .design import DesignResult as DesignResult
 from .design import Pickup as Pickup
 from .design import Solve as Solve

@@ -42,6 +42,7 @@ from odak.learn.raytracing.system.analysis import (
     through_focus,
     wavefront,
 )
+from odak.learn.raytracing.system.crystals import UniaxialMedium
 from odak.learn.raytracing.system.optimise import Sensitivity, ToleranceResult
 from odak.learn.raytracing.system.paraxial import first_order, paraxial_rays, seidel_sums
 from odak.learn.raytracing.system.polarisation import polarized_trace
@@ -207,7 +208,8 @@ def _glass_name(surfaces, i: int) -> str:
 
 def _curves(system, rays) -> dict[int, np.ndarray]:
     """Return points of the rays within each graded-index medium, by the number of the surface in front of it."""
-    graded = [i for i, item in enumerate(system.surfaces) if item.gradient is not None]
+    kinds = {i: item.gradient for i, item in enumerate(system.surfaces)}
+    graded = [i for i, kind in kinds.items() if kind is not None and not isinstance(kind, UniaxialMedium)]
     if not graded:
         return {}
     paths = ray_paths(system, rays)

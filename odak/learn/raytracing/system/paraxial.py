@@ -8,6 +8,7 @@ import torch
 
 from odak import _array, _show, _validate
 from odak._array import is_readable
+from odak.learn.raytracing.system.crystals import UniaxialMedium
 from odak.learn.raytracing.system.films import PolarizingFilm
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.specification import (
@@ -402,10 +403,10 @@ def matrix(p: Prescription, index: torch.Tensor, start: int, stop: int, gap: boo
     one = torch.ones(p.batch, dtype=torch.float64, device=index.device)
     found = Matrix(one, 0 * one, 0 * one, one)
     # Indices at the vertices: a graded medium has others than its material, and different ones at its two ends.
-    graded = None if start == 0 or p.gradients is None else _graded_gap(p, index, start - 1)
+    graded = None if start == 0 or p.gradients is None else _graded_gap(p, index, start - 1, axis)
     for i in range(start, stop):
         before = index[..., i] if graded is None else graded[4][1]
-        graded = None if p.gradients is None else _graded_gap(p, index, i)
+        graded = None if p.gradients is None else _graded_gap(p, index, i, axis)
         behind = index[..., i + 1] if graded is None else graded[4][0]
         power = (behind - before) * p.shape(i).curvatures()[axis]
         if p.phases is not None and p.phases[i] is not None and p.wavelengths is not None:
@@ -419,12 +420,14 @@ def matrix(p: Prescription, index: torch.Tensor, start: int, stop: int, gap: boo
     return found
 
 
-def _graded_gap(p: Prescription, index: torch.Tensor, i: int):
+def _graded_gap(p: Prescription, index: torch.Tensor, i: int, axis: int):
     """Return the matrix elements and the end indices of a graded medium behind surface `i`, None for a plain one."""
     gradient = p.gradients[i]  # type: ignore[index]
     if gradient is None:
         return None
     _check_forward(index, i)
+    if axis == 0 and isinstance(gradient, UniaxialMedium):
+        gradient = gradient.turned()
     return gradient.paraxial(index[..., i + 1], p.thickness[..., i])
 
 

@@ -13,6 +13,7 @@ import torch
 
 from odak._array import broadcast, is_readable, namespace
 from odak._torch_private import is_transformed
+from odak.learn.raytracing.system.crystals import UniaxialMedium
 from odak.raytracing import components as vec
 from odak.raytracing import interfaces
 from odak.raytracing.batches import needs_gradient
@@ -468,6 +469,8 @@ class _Walk:
         self.status = xp.broadcast_to(status, self.path.shape)
         self.frames = Frames() if any(isinstance(order, int) for order in layout.orders) else None
         self.medium: Graded | None = None
+        # Wave normals and their indices at the end of a crystal, where rays run in other directions.
+        self.wave: tuple[Any, Any] | None = None
 
     def pass_element(self, i: int) -> None:
         """Take the rays to a surface and past it, or into the frame of a coordinate break."""
@@ -490,6 +493,9 @@ class _Walk:
             self.frames.append()
         before = self.index[..., i] if self.medium is None else self._bend(i, self.medium, shape, place)
         found = self._meet(i, shape, before)
+        if self.wave is not None:
+            (wave, before), self.wave = self.wave, None
+            self.direction = self._on_axis(layout.signs[i], self.point, wave)[1]
         self._limit(layout.limits[i])
         incoming, behind, normal = self.direction, self.index[..., i + 1], None
         if layout.actions[i] != "pass" or phase is not None:
@@ -536,8 +542,16 @@ class _Walk:
             self.medium = self.medium._replace(frame=self.medium.frame.then(place))
 
     def _bend(self, i: int, medium: "Graded", shape: Shape, place):
-        """Follow the rays through a graded medium to a surface; return the index there."""
+        """Follow the rays through a graded medium to a surface, or turn to the rays of a crystal; return the index."""
         here = medium.frame if place is None else medium.frame.then(place)
+        if isinstance(medium.gradient, UniaxialMedium):
+            if self.record is not None or self.layout.actions[i] == "reflect":
+                what = "reflects within" if self.layout.actions[i] == "reflect" else "is met by polarised rays of"
+                raise ValueError(f"surfaces[{i}] {what} a UniaxialMedium, which is not computed")
+            ray, slowness, index = medium.gradient.ray(self.direction, medium.base)
+            self.wave = here.enter(self.point, self.direction)[1], index
+            self.point, self.direction = here.enter(self.point, ray)
+            return slowness
         sign, track = self.layout.signs[i], self.record is not None
         curved = arrive(medium.gradient, medium.base, here, self.point, self.direction, shape, sign, track)
         self.point, self.direction, index, length, arrived, carried = curved
@@ -576,7 +590,8 @@ class _Walk:
         """Refract, reflect or diffract the rays; return the index on the side to which they go."""
         mirror, direction = self.layout.actions[i] == "reflect", self.direction
         behind = before if mirror else behind
-        if gradient is not None:
+        crystal = isinstance(gradient, UniaxialMedium)
+        if gradient is not None and not crystal:
             vertex = self.point if place is None else place.leave(self.point, direction)[0]
             squared = gradient.squared(*vertex, behind)[0]
             behind = torch.where(squared > 0, squared, 1.0).sqrt()
@@ -589,6 +604,12 @@ class _Walk:
             self.path = self.path + self.xp.where(self.status == HIT, extra, 0.0)
         elif mirror:
             direction, through = interfaces.reflected(direction, normal), self.xp.ones_like(self.status == HIT)
+        elif crystal:
+            ways = (
+                (direction, normal) if place is None else (place.leave(self.point, w)[1] for w in (direction, normal))
+            )
+            direction, through, behind = gradient.refracted(*ways, before, behind)
+            direction = direction if place is None else place.enter(self.point, direction)[1]
         else:
             direction, through, _ = interfaces.refracted(direction, normal, before, behind)
         self._fail(through, RayStatus.TOTAL_INTERNAL_REFLECTION)
