@@ -163,7 +163,7 @@ def light_beyond(
         spectrum = (power[:, None, None] * spectrum).sum(-3)
         # The spectrum of pixels is periodic, and that of a square on all periods sums to one over its side.
         down, across = (_share_within(count, math.sqrt(at.fill), n).to(spectrum) for n in at.sizes)
-        shares.append(1 - (down @ spectrum @ across) / spectrum.sum())
+        shares.append(1 - (down[:, None] * across * spectrum).sum() / spectrum.sum())
     return torch.stack(shares).clamp_min(0.0)
 
 
