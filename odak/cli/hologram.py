@@ -325,7 +325,8 @@ def _group(
     clock, display = saving.clock, found.display
     areas = found.images / found.brightness[:, None, None]
     images = areas if job.fill_factor else display.judge(found.phases)[1]
-    before = display.recorded_by(wave.Observer(fill=observer.fill, registered=True), saving.ideal)[0].detach()
+    fill = 1.0 if job.fill_factor else 0.0
+    before = display.recorded_by(wave.Observer(fill=fill, registered=True), saving.ideal)[0].detach()
     channels, scales, brightness, powers = _channels(job, part, volume, display.powers, images, before)
     _add_observed(job, found, channels)
     result: dict[str, Any] = {
@@ -410,9 +411,9 @@ class Framed(wave.Observer):
 
 
 def observer_of(job: Job, target: Target) -> Framed:
-    """Return who looks at the picture: a camera at any place, or points where pixels are points."""
-    points = not job.fill_factor
-    return Framed(fill=0.0 if points else 1.0, registered=points, window=target.window)
+    """Return who looks at the picture."""
+    points = job.observer == "points"
+    return Framed(fill=0.0 if points else 1.0, registered=job.observer != "camera", window=target.window)
 
 
 class Saving:

@@ -39,6 +39,7 @@ ITERATIONS_OF_LBFGS = {"fast": 4, "good": 30, "best": 400}
 ITERATIONS_OF_LEVELS = {"fast": 20, "good": 120, "best": 1000}
 # Share of the area of a pixel that emits, of the panels of the presets.
 USUAL_FILL = 0.9
+OBSERVERS = ("camera", "registered", "points")
 COMPUTED_PHASES = ("double-phase", "gs")
 INITIAL_PHASES = ("flat", "slight", "quadratic", "normal", "uniform", *COMPUTED_PHASES)
 DEFAULT_INITIAL_PHASE = {"gs": "uniform", "double-phase": "flat"}
@@ -192,6 +193,10 @@ class Job(DeviceSettings):
         Fill factor of the square pixels, the emitting share of their area. The holograms are computed for such pixels
         and an aperture that passes one diffraction order; images and report are averages over pixel areas. 0: pixels
         are points, and images are sampled at points.
+    observer : str, optional
+        Who looks at the image, for whom the methods with a step size compute it and who is reported: a camera of the
+        modulator's pitch at any place, one whose pixels are registered with those of the image, or points in the
+        middles of pixels, for one plane whose colours share no frames.
     preset : str, optional
         Commercial modulator that sets pixel pitch, resolution and bits unless these options are given.
     calibration : str, optional
@@ -258,6 +263,7 @@ class Job(DeviceSettings):
     fill_factor: float | None = option(
         None, metavar="RATIO", shown=f"{USUAL_FILL}; 0 with --tiles and other propagation types"
     )
+    observer: str | None = option(None, of=OBSERVERS, shown="camera; points with --fill-factor 0")
     preset: str | None = option(None, metavar="NAME", listed=PRESETS)
     calibration: str | None = option(None, metavar="FILE")
     lut: str | None = option(None, metavar="FILE", shown="phases spread evenly over 2 pi")
@@ -271,6 +277,7 @@ class Job(DeviceSettings):
         if self.tiles:
             self._check_tiles()
         self._set_fill_factor()
+        self._set_observer()
         self._set_initial_phase()
         self._set_optimizer()
         counts = {"lbfgs": ITERATIONS_OF_LBFGS, "levels": ITERATIONS_OF_LEVELS}.get(str(self.optimizer), ITERATIONS)
@@ -286,6 +293,16 @@ class Job(DeviceSettings):
             raise InputError(f"--fill-factor must be from 0, which stands for points, to 1, got {given}")
         if given is None and not self.tiles:
             self._set("fill_factor", USUAL_FILL if self.propagation_type == Job.propagation_type else 0.0)
+
+    def _set_observer(self) -> None:
+        """Set the usual observer, and refuse one that does not see the pixels or is not reported."""
+        points = not self.fill_factor
+        if self.observer is None:
+            self._set("observer", "points" if points else "camera")
+        elif points and self.observer != "points":
+            raise InputError(f"--observer {self.observer} needs a --fill-factor above 0, otherwise pixels are points")
+        elif self.observer == "points" and not points and (self.planes > 1 or self.method in VOLUME_METHODS):
+            raise InputError(f"--observer points cannot be used with --planes and --method {self.method}")
 
     @property
     def descends(self) -> bool:
@@ -344,6 +361,7 @@ class Job(DeviceSettings):
             f"--optimizer {self.optimizer}": self.optimizer not in (None, "adam"),
             "--grating": self.grating,
             "--fill-factor": self.fill_factor is not None,
+            "--observer": self.observer is not None,
             "--device": self.device not in ("auto", "cpu"),
         }
         for name, used in without.items():

@@ -203,6 +203,20 @@ def test_areas_are_part_of_every_report(grey_file, tmp_path):
     assert areas["psnr_db"] > points["channels"][0]["psnr_area_db"] + 3
 
 
+def test_a_pattern_is_best_for_the_observer_asked_for(grey_file, tmp_path):
+    found = {}
+    for who in ("camera", "registered", "points"):
+        run(grey_file, "--output", tmp_path / who, *SMALL, "--observer", who, "--iterations", 60, "--quiet")
+        found[who] = read_report(tmp_path / who)["channels"][0]
+    assert found["registered"]["psnr_db"] == pytest.approx(found["registered"]["psnr_area_db"], abs=0.01)
+    assert found["points"]["psnr_db"] == pytest.approx(found["points"]["psnr_points_db"], abs=0.01)
+    assert found["camera"]["psnr_db"] < found["camera"]["psnr_area_db"] + 0.3
+    assert found["registered"]["psnr_area_db"] > found["camera"]["psnr_area_db"] + 1
+    assert found["points"]["psnr_points_db"] > max(found[w]["psnr_points_db"] for w in ("camera", "registered")) + 3
+    described = read_report(tmp_path / "points")["verification"]
+    assert described["observer"] == "points in the middles of pixels" and described["pixel"]["fill_factor"] == 0.9
+
+
 @pytest.mark.parametrize("method", ["gs", "double-phase", "network"])
 def test_every_method_states_areas_and_points(method, grey_file, tmp_path):
     geometry = ["--resolution", ROWS, COLUMNS, "--distance", "3mm", "--device", "cpu", "--method", method, "--quiet"]
@@ -261,6 +275,7 @@ def test_report_holds_every_parameter_and_version(grey_file, tmp_path):
         "depth_map": None,
         "volume_depth": 4e-3,
         "fill_factor": 0.9,
+        "observer": "camera",
         "frames": None,
         "method": "sgd",
         "propagation_type": "Bandlimited Angular Spectrum",
@@ -708,6 +723,11 @@ BAD = {
         )
     },
     "fill factor": (["--fill-factor", "1.2"], "--fill-factor must be from 0"),
+    "observer of points": (["--fill-factor", "0", "--observer", "camera"], "--observer camera needs a --fill-factor"),
+    "points of planes": (
+        ["scene", "--planes", "2", "--observer", "points"],
+        "--observer points cannot be used with --planes",
+    ),
     "start of gs": (["--method", "gs", "--initial-phase", "gs"], "--initial-phase gs needs --method sgd"),
     "brightness of gs": (["--method", "gs", "--no-scale"], "--scale has no effect with --method gs"),
     "seed without noise": (["--seed", "3"], "--seed has no effect with --initial-phase gs"),
