@@ -60,6 +60,7 @@ from .csf import foveated_budget as foveated_budget
 from .csf import highest_frequency as highest_frequency
 from .csf import pupil_diameter as pupil_diameter
 from .csf import unified_pupil_diameter as unified_pupil_diameter
+from .discrimination import Metamer as Metamer
 from .discrimination import eigendistortions as eigendistortions
 from .discrimination import maximum_differentiation as maximum_differentiation
 from .discrimination import metamer as metamer
@@ -96,10 +97,14 @@ from .hdr import pu21_decode as pu21_decode
 from .hdr import pu21_encode as pu21_encode
 from .joint_statistics import synthesize_texture as synthesize_texture
 from .joint_statistics import texture_statistics as texture_statistics
+from .metamer_experiment import export_experiment as export_experiment
 from .metameric import MetamericLoss as MetamericLoss
 from .metameric import MetamericLossUniform as MetamericLossUniform
 from .metameric import MetamerMSELoss as MetamerMSELoss
 from .metameric import uniform_blur as uniform_blur
+from .pooled_model import METAMER_PAPERS as METAMER_PAPERS
+from .pooled_model import MetamerPaper as MetamerPaper
+from .pooled_model import PooledModel as PooledModel
 from .pyramids import FrequencySteerablePyramid as FrequencySteerablePyramid
 from .pyramids import SpatialSteerablePyramid as SpatialSteerablePyramid
 from .pyramids import crop_steerable_pyramid_filters as crop_steerable_pyramid_filters

@@ -7,6 +7,7 @@ from api_sweep.build import Build, tensor
 
 from odak.learn.perception import (
     FrequencySteerablePyramid,
+    Metamer,
     MetamericLoss,
     MetamericLossUniform,
     SpatialSteerablePyramid,
@@ -32,6 +33,14 @@ def _statistics(seed):
 
 def _uniform_statistics(seed):
     return Build(lambda _: MetamericLossUniform(n_pyramid_levels=2).calc_statsmaps(tensor(1, 3, 32, 32, seed=seed), 8))
+
+
+_METAMER = {"model": torch.square, "picture": tensor(1, 1, 16, 16), "samples": 2, "seed": 0}
+
+
+def _metamer_file(folder):
+    Metamer(**_METAMER).save(folder / "run.pt")
+    return folder / "run.pt"
 
 
 PAIR = {"predictions": PICTURE, "targets": OTHER}
@@ -178,6 +187,11 @@ BY_CALL = {
     f"{HERE}.unified_pupil_diameter": {"area": 400.0, "age": 30.0, "luminance": 100.0},
     f"{HERE}.synthesize_texture": {"size": [32, 32]},
     f"{HERE}.metamer": {"model": torch.square, "picture": tensor(1, 1, 16, 16)},
+    f"{HERE}.Metamer": _METAMER,
+    f"{HERE}.export_experiment": {"folder": Build(lambda folder: folder)},
+    f"{HERE}.Metamer.save": {"path": Build(lambda folder: folder / "run.pt")},
+    f"{HERE}.Metamer.resume": {"path": Build(_metamer_file)},
+    f"{HERE}.PooledModel.pool": {"picture": tensor(1, 1, 32, 32)},
     f"{HERE}.eigendistortions": {"model": torch.square, "picture": tensor(1, 1, 16, 16)},
     f"{HERE}.maximum_differentiation": {
         "held": torch.nn.functional.mse_loss,
