@@ -436,6 +436,7 @@ class Saving:
 
     def __init__(self, job: Job, target: Target, volume: Volume, paths: list[Path], count: int) -> None:
         self.job, self.paths, self.count = job, paths, count if job.iterates else 0
+        self.target, self.volume = target, volume
         self.solver, self.gain = _solver(job, target, volume, self), None
         self.name = f"{job.planes} planes" if job.planes > 1 else f"{target.wavelengths[0] * 1e9:.6g} nm"
         if _shares_frames(job) and job.planes == 1:
@@ -447,22 +448,40 @@ class Saving:
 
     def solve(self, problem: wave.Problem) -> Any:
         """Return the phases of the saved patterns, and what else was found."""
-        job, response = self.job, files.response_of(self.job)
+        job = self.job
         with report.progress(self.name, self.count, job.quiet, job.settles, partial=True) as self.clock:
+            if self.count > 1 and job.method != "gs":
+                self._show_start(problem)
             solved = self.solver.solve(problem)
             if problem.target.is_cuda:
                 torch.cuda.synchronize(problem.target.device)
         self.ideal, *others = solved if isinstance(solved, tuple) else (solved,)
-        grating = grating_phase(job.resolution, self.ideal.device) if job.grating else 0.0
-        found = self.ideal.double() + grating
-        panel, searched = problem.display.modulator, job.optimizer == "levels"
-        for path, phase in zip(self.paths, found, strict=True):
+        shown = self._saved(problem.display.modulator, self.ideal)
+        return (shown, *others) if others else shown
+
+    def _saved(self, panel: wave.Modulator, phases: torch.Tensor) -> torch.Tensor:
+        """Write the files of phases, and return the phases that these hold, without the grating."""
+        job, response = self.job, files.response_of(self.job)
+        grating = grating_phase(job.resolution, phases.device) if job.grating else 0.0
+        for path, phase in zip(self.paths, phases.double() + grating, strict=True):
             # A phase of a level is the lower end of what is rounded down to it.
+            searched = job.optimizer == "levels"
             levels = panel.levels(phase) if searched else files.quantise(wave.unit_phasor(phase), job.bits, response)
             files.save_pattern(path, levels, job.bits)
         self.stored = torch.stack([files.load_pattern(path, job.bits, response) for path in self.paths])
-        shown = (self.stored.to(self.ideal.device) - grating).to(self.ideal)
-        return (shown, *others) if others else shown
+        return (self.stored.to(phases.device) - grating).to(phases)
+
+    @torch.no_grad()
+    def _show_start(self, problem: wave.Problem) -> None:
+        """Write the patterns of the start and their image, which the iterations improve, and say how good it is."""
+        window, wanted = (slice(None), *self.target.window), self.target.intensity.to(problem.target)
+        shown = self._saved(problem.display.modulator, problem.start)
+        camera = wave.Observer(fill=problem.observer.fill, registered=True)
+        image = (problem.display.recorded_by(camera, shown)[0] * self.volume.masks).sum(0)
+        image = image * best_scale(image[window], wanted[window])
+        file = self.paths[0].with_name("reconstruction.png")
+        files.write_png(file, report.to_image(on_screen(image.cpu(), self.target.wavelengths, self.job.linear)))
+        self.clock.bar.set_postfix_str(f"{report.psnr(image[window], wanted[window]):.1f} dB in {file.name}")
 
     def searched(self, problem: wave.Problem) -> torch.Tensor:
         """Return the phases of levels, with what they gain over phases found without levels and rounded."""
@@ -589,11 +608,7 @@ def _channels(
     bright = [float(best_scale((light * part)[window].reshape(1, -1), whole)) for part in sharp]
     scales = [brightness * light for brightness in bright] if _shares_frames(job) else best
     channels = [
-        {
-            **report.measure(
-                wanted[c], target.window, sharp[0][c], sharp[1][c], (float(scales[0][c]), float(scales[1][c]))
-            )
-        }
+        report.measure(wanted[c], target.window, sharp[0][c], sharp[1][c], (float(scales[0][c]), float(scales[1][c])))
         for c in range(len(wanted))
     ]
     return channels, scales[0].to(stacks[0].dtype), bright[0], powers

@@ -544,9 +544,7 @@ class Clock:
         if self.ticks == 1:
             self.first = time.perf_counter()
         if self._value is not None and (self._value.is_cpu or self.ticks % GAINED_OVER == 0):
-            self.loss = float(self._value)
-            self.bar.set_postfix_str(f"{-10 * math.log10(max(self.loss, 1e-30)):.1f} dB, loss {self.loss:.4g}")
-            self._losses.append(self.loss)
+            self._losses.append(self._show(self._value))
         if self.settles and len(self._losses) > GAINED_OVER:
             self.settled = self._losses[-1] > (1 - LEAST_GAIN) * self._losses[-1 - GAINED_OVER]
         return self.settled
@@ -555,8 +553,12 @@ class Clock:
         """Store the time of the last iteration and its loss."""
         self.last = time.perf_counter()
         if self._value is not None:
-            self.loss = float(self._value)
-            self.bar.set_postfix_str(f"{-10 * math.log10(max(self.loss, 1e-30)):.1f} dB, loss {self.loss:.4g}")
+            self._show(self._value)
+
+    def _show(self, value: torch.Tensor) -> float:
+        self.loss = float(value)
+        self.bar.set_postfix_str(f"{-10 * math.log10(max(self.loss, 1e-30)):.1f} dB, loss {self.loss:.4g}")
+        return self.loss
 
     def reached(self, iterations: int) -> str:
         """Return in words where the iterations ended."""

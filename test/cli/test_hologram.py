@@ -358,6 +358,27 @@ def test_control_c_writes_the_best_so_far(grey_file, tmp_path, monkeypatch):
     assert read_report(tmp_path)["psnr_db"] > made["channels"][0]["psnr_db"]
 
 
+def test_a_first_picture_is_there_before_the_first_iteration(picture, grey_file, tmp_path, monkeypatch):
+    """The pattern of the start and its image, whose quality the bar states; both are improved."""
+    found, tick = [], report.Clock.tick
+
+    def looks(clock, *values):
+        if clock.ticks == 0:
+            found.extend(pixels(tmp_path / name) for name in ("hologram_532nm.png", "reconstruction.png"))
+        return tick(clock, *values)
+
+    monkeypatch.setattr(report.Clock, "tick", looks)
+    said = run(grey_file, "-o", tmp_path, *SMALL, *POINTS)
+    intensity = angular_spectrum_intensity(found[0] * (2 * np.pi / 256), 532e-9, 8e-6, 3e-3)
+    target = picture / 255
+    scale = np.sum(intensity * target) / np.sum(intensity**2)
+    assert np.abs(found[1] / 255 - np.clip(scale * intensity, 0, 1)).max() < 0.02
+    first = float(re.search(r"([\d.]+) dB in reconstruction.png", said.stderr)[1])
+    assert first == pytest.approx(psnr_of(intensity, target), abs=0.1)
+    assert read_report(tmp_path)["psnr_db"] > first + 1
+    assert not np.array_equal(pixels(tmp_path / "reconstruction.png"), found[1])
+
+
 def test_more_iterations_show_the_picture_better(grey_file, tmp_path):
     quality = []
     for count in ("1", "25"):

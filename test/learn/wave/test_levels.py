@@ -125,11 +125,11 @@ def test_tables_colours_planes_and_phase_scales():
         assert float(searched.psnr.mean()) > float(start.psnr.mean()) + 0.5
         problem = Problem(display, target, torch.nn.functional.mse_loss, searched.phases, quick(9))
         search = levels._Search(problem, searched.phases, 0.5, 6)
-        change = 1e-3 * torch.randn(search._light.shape, generator=draw, dtype=search._light.dtype)
+        change = search._slope * (0.02 / search._slope.abs().max())
         with torch.no_grad():
             ends = [float(problem.loss_of_lights((search._light + sign * change,))) for sign in (1, -1)]
         predicted = float(levels._product(search._slope, change).sum())
-        assert (ends[0] - ends[1]) / 2 == pytest.approx(predicted, rel=0.03, abs=3e-7)
+        assert (ends[0] - ends[1]) / 2 == pytest.approx(predicted, rel=0.03)
     assert set(np.round(tabled.modulator.shown(searched.phases).unique().numpy(), 4)) <= set(np.round(table.numpy(), 4))
 
 
