@@ -12,7 +12,7 @@ import numpy as np
 
 from odak import _show, _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.instruments.focus import astigmatism_by_focus, distance_with_uncertainty, focused
+from odak.instruments.focus import astigmatism_by_focus, distance_with_uncertainty, error_by_wavefront, focused
 from odak.instruments.illumination import illumination_with_uncertainty
 from odak.instruments.mapping import Lens, Registration, ray_matrix
 from odak.instruments.phase_response import (
@@ -57,8 +57,6 @@ UNITS = {
 SPREAD_OF_RESPONSE = 0.01
 # Residual of a first registration behind a lens in pixels, above which its spots were not found.
 LARGEST_RESIDUAL = 10.0
-# Factor that makes standard deviations of the errors of the distance of wide modulators.
-OF_STEERED = 4.0
 # Share of the last change of the wavefront that is taken as its error.
 REST = 0.2
 # Uncertainties above which calibrate_table warns: rad, pixel, rad.
@@ -371,7 +369,7 @@ def _calibrated(table: OpticalTable, rounds: int, regions: Sequence[int] | None,
     regional, change = None, math.inf
     wide = not behind_lens and is_wide(table)
     for turn in range(2 * rounds):
-        if turn >= rounds + wide and change < UNSETTLED:
+        if turn >= rounds and change < UNSETTLED:
             break
         if turn == 0 or not wide:
             grids = FIRST_GRIDS if turn == 0 else GRIDS
@@ -394,7 +392,10 @@ def _calibrated(table: OpticalTable, rounds: int, regions: Sequence[int] | None,
             # The errors of the regions are partly independent.
             uncertainty = {"phases": 2 * float(np.linalg.norm(shares * doubts)), "regional_phases": float(doubts.max())}
         if wide:
-            table, doubt, of_distance = steered(table, turn == 0, 1 if turn == 0 else 2)
+            if turn:
+                sharpest, of_focus = focused(table)
+                table = replace(table, distance=sharpest.distance)
+            table, doubt = steered(table, turn == 0, 1 if turn == 0 else 2)
             registration = table.registration
         else:
             table, doubt = _with_aberration(table, turn)
@@ -403,17 +404,12 @@ def _calibrated(table: OpticalTable, rounds: int, regions: Sequence[int] | None,
     # below are those that make standard deviations of the errors on 50 independent tables.
     response_error = 0.4 * uncertainty.get("regional_phases", 0.0)
     uncertainty["wavefront"] = math.hypot(1.5 * doubt, REST * change, SMALLEST_ERROR, response_error)
-    if wide:
-        uncertainty["distance"] = OF_STEERED * of_distance
-    elif not behind_lens:
-        if rounds == 1:
-            table = replace(table, distance=distance_with_uncertainty(table, NEAR, captures=1)[0])
-        table, doubt = focused(table)
-        # A lens has the wavefront π/λ·(x² + y²)/f.
-        y, x = pixel_axes(modulator)
-        defocus = 0.2 * uncertainty["wavefront"] / (x**2 + y**2).std() * wavelength / np.pi
-        defocus *= ray_matrix(table.distance)[1] ** 2
-        uncertainty["distance"] = math.hypot(doubt, defocus)
+    if not behind_lens:
+        if not wide:
+            if rounds == 1:
+                table = replace(table, distance=distance_with_uncertainty(table, NEAR, captures=1)[0])
+            table, of_focus = focused(table)
+        uncertainty["distance"] = math.hypot(of_focus, error_by_wavefront(table, uncertainty["wavefront"]))
     if not wide:
         registration = registered(table, captures=LAST_GRIDS, start=registration)
     far = 0.35 * math.hypot(*modulator.shape) * modulator.pitch

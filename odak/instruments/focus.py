@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter
+from scipy.stats import t as student
 
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.instruments.exposures import exposed, set_exposure
+from odak.instruments.mapping import ray_matrix
 from odak.instruments.phase_response import nearest_levels, without_lens
 from odak.instruments.protocols import Camera, Modulator
 from odak.instruments.spots import (
@@ -41,10 +43,15 @@ DEEP = math.pi / EVEN_SQUARE
 # The centre of a cube and the middles of its edges; and how often a search for the summit goes on from where it was.
 DESIGN = np.array(sorted(itertools.product((-1, 0, 1), repeat=3), key=lambda place: np.abs(place).sum()))
 DESIGN, LARGEST_SEARCH = DESIGN[np.isin(np.abs(DESIGN).sum(1), (0, 2))], 3
+# Share of a normal distribution below one standard deviation.
+ONE_SIGMA = 0.8413
 # Factor by which the focus of all pixels is brighter than those of lenslets, about.
 FOCUSED = 100.0
 # Error of the sharpest focus in units of the depth of focus, without aberration and noise.
 FOCUS = 0.01
+# Share of the error of a wavefront without defocus that the sharpest focus takes for one: of the eleven terms of third
+# and fourth order and of astigmatism, spherical aberration alone has its symmetry.
+COUPLED = 0.2
 
 
 @_validate.takes_fields("modulator camera wavelength distance phases registration", table=OpticalTable)
@@ -191,7 +198,9 @@ def _summit(values: np.ndarray) -> tuple[np.ndarray, float]:
         )
     back = np.linalg.inv(bend)
     slopes = (DESIGN[:, 0] ** 2).sum()
-    deviation = math.sqrt((left @ left) / (left.size - system.shape[1]) / slopes)
+    free = left.size - system.shape[1]
+    # The scatter of few residuals is often too small: Student's distribution.
+    deviation = float(student.ppf(ONE_SIGMA, free)) * math.sqrt((left @ left) / free / slopes)
     return np.clip(-back @ found[1:4], -2, 2), deviation * float(np.linalg.norm(back[0]))
 
 
@@ -210,6 +219,13 @@ def _depth_of_focus(modulator: Modulator, wavelength: float, distance: float, wi
     share = _share_on_axis(modulator, wavelength, distance, width)
     squares = x**2 + y**2
     return wavelength / (EVEN_SQUARE * math.sqrt((share * (squares - (share * squares).sum()) ** 2).sum()))
+
+
+def error_by_wavefront(table: OpticalTable, error: float) -> float:
+    """Return the error in metres that one of the wavefront in radians, which has no defocus, causes in the distance."""
+    modulator, _, wavelength, distance = parts_of(table)
+    _, metres = ray_matrix(distance)
+    return COUPLED * error / DEEP * _depth_of_focus(modulator, wavelength, metres, np.inf) * metres**2
 
 
 def _sharpness(frame: np.ndarray) -> float:

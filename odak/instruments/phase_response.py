@@ -37,6 +37,8 @@ EXPLAINED = 0.5
 BRIGHT, BRIGHTER = 2.0, 4.0
 # Share of the brightest pixel that the darkest ones have by ambient light, above which it is named.
 AMBIENT = 0.5
+# Share of pixels that are not saturated at least; longer exposures leave about three quarters as a rule.
+FEWEST_FINE = 0.02
 # Factor by which light is focused, about, for a first exposure.
 FOCUSED = 300.0
 
@@ -239,7 +241,8 @@ def phases_with_uncertainty(
                 modulator.show(np.where(fixed, pattern, level))
                 taken = camera.capture(count)
                 frames.append(count * np.where(taken < SATURATED * camera.top, taken, np.nan).mean(0))
-            even = np.stack(frames) / _drift(np.stack(frames), turns)[:, None, None]
+            even = _without_ambient(np.stack(frames))
+            even /= _drift(even, turns)[:, None, None]
             found.append(np.stack([even[turns == number].mean(0) for number in range(len(levels))]))
         return found
 
@@ -443,11 +446,26 @@ def _of_all_levels(levels: np.ndarray, phases: np.ndarray, top: int) -> np.ndarr
     return CubicSpline(angles[levels], phases, bc_type="clamped")(angles)
 
 
+def _without_ambient(frames: np.ndarray) -> np.ndarray:
+    """Return frames ``[n, rows, columns]`` less their means, which change with light that lies evenly on the camera.
+
+    Means of interference depend on the phase as single pixels do.
+    """
+    fine = np.isfinite(frames).all(0)
+    if fine.mean() < FEWEST_FINE:
+        raise RuntimeError(
+            f"{1 - fine.mean():.0%} of the camera's pixels are saturated in a capture, where few were expected: "
+            "ambient light or the laser became brighter; keep the light steady and measure again"
+        )
+    return frames - frames[:, fine].mean(-1)[:, None, None]
+
+
 def _drift(frames: np.ndarray, turns: np.ndarray) -> np.ndarray:
-    """Return the light at the times of frames ``[n, rows, columns]`` by that of the first level, 1 on average."""
+    """Return the light at the times of frames ``[n, rows, columns]``, 1 on average, by those of the first level."""
     times = np.flatnonzero(turns == 0)
     first = frames[times]
-    light = first[:, np.isfinite(first).all(0)].sum(-1)
+    first = first[:, np.isfinite(first).all(0)]
+    light = first @ first.mean(0)
     line = np.polynomial.Polynomial.fit(times, light / light.mean(), 1)
     missed = np.abs(light / light.mean() - line(times)).max()
     clear = np.ptp(line(times)) > CLEAR * missed
@@ -485,6 +503,8 @@ def _displacements(seen: np.ndarray, down: np.ndarray, across: np.ndarray) -> np
     moved, still, left_over = np.zeros((len(seen), 2)), seen, []
     for _ in range(ALIGNMENTS):
         values, vectors = np.linalg.eigh(still @ still.T)
+        # The slopes of three images along two axes are six more: what is left is noise, which all components have.
+        noise = (len(values) - 3) * values[1 : max(len(values) - 9, 2)].mean()
         left_over.append(values[:-3].sum())
         three = vectors[:, -3:] @ vectors[:, -3:].T
         slopes = np.stack([three @ down, three @ across], axis=1)
@@ -493,7 +513,8 @@ def _displacements(seen: np.ndarray, down: np.ndarray, across: np.ndarray) -> np
         moved += np.linalg.solve(normal, np.einsum("nip,np->ni", slopes, left)[..., None])[..., 0]
         still = seen - np.einsum("ni,nip->np", moved, slopes)
     # A response that varies over the panel deviates from such sums too, and is no displacement.
-    return moved if left_over[-1] < EXPLAINED * left_over[0] else 0 * moved
+    first, last = np.array(left_over)[[0, -1]] - noise
+    return moved if last < EXPLAINED * first else 0 * moved
 
 
 def _halved(frames: np.ndarray) -> list[np.ndarray]:
@@ -711,7 +732,7 @@ def regions_with_uncertainty(
         for row, (weight, place) in enumerate(zip(weights, places, strict=True)):
             lines = [np.flatnonzero(place.any(axis)) for axis in (1, 0)]
             window = tuple(slice(line[0], line[-1] + 1) for line in lines)
-            still = weight[window] * _still(np.stack([frame[window] for frame in frames]))
+            still = weight[window] * _still(_without_ambient(np.stack([frame[window] for frame in frames])))
             found, others[row, column] = _phases_of_interference(still[:, place[window]])
             found = found * (1 if whole[-1] >= whole[0] else -1)
             like = whole * (found @ whole[levels]) / (whole[levels] @ whole[levels])

@@ -27,8 +27,9 @@ LEAST, MOST = 0.2, 0.95
 ALIKE = 0.5
 # Change of the levels that shows what a change of all phases does.
 SCALED = 7 / 8
-# Deviations from frame to frame of phases and light as shares, and of places in pixels; and drifts, that are named.
-NAMED, DRIFTED = (0.02, 0.01, 0.05), (0.05, 0.05, 0.3)
+# Deviations from frame to frame of phases and light as shares, and of places in pixels; drifts; and a change of ambient
+# light as a share of the brightest pixel of the reference, that are named.
+NAMED, DRIFTED, AMBIENT = (0.02, 0.01, 0.05), (0.05, 0.05, 0.3), 0.01
 # Derivative of a line of pixels, right to about 0.4 cycles per pixel, where speckles have details.
 SLOPES = np.array([(-1.0) ** n / n * np.sinc(n / 7) if n else 0.0 for n in range(-6, 7)])
 # Rounds in which displacements of frames of the reference are found.
@@ -37,16 +38,17 @@ ROUNDS = 3
 RARE = 1e-4
 # Standard deviations of a slope above which it is a drift.
 CLEAR = 5.0
-# Errors of results by unit deviations of phases, light and places from frame to frame: standard deviations on
-# independent tables, of the distance as a defocus in radians. Those of the illumination are in what its captures
-# deviate from their model.
+# Errors of results by unit deviations of phases, light and places from frame to frame, and of the square of that of
+# places: standard deviations on independent tables, of the distance as a defocus in radians. Captures of phases are
+# moved back, which leaves an error of second order. Those of the illumination are in what its captures deviate from
+# their model.
 ERRORS = {
-    "phases": (3.8, 0.55, 0.07),
-    "regional_phases": (8.4, 1.1, 0.14),
-    "registration": (8.0, 0.0, 0.85),
-    "wavefront": (1.3, 0.0, 0.0),
-    "distance": (2.0, 0.0, 0.0),
-    "amplitude": (0.0, 0.0, 0.0),
+    "phases": (3.8, 0.55, 0.0, 0.45),
+    "regional_phases": (8.4, 1.1, 0.14, 0.0),
+    "registration": (8.0, 0.0, 0.85, 0.0),
+    "wavefront": (1.3, 0.0, 0.0, 0.0),
+    "distance": (2.0, 0.0, 0.0, 0.0),
+    "amplitude": (0.0, 0.0, 0.0, 0.0),
 }
 
 
@@ -54,16 +56,18 @@ ERRORS = {
 class Steadiness:
     """Deviations of phases (share), light (share) and places (pixels) from frame to frame, and their drifts.
 
-    Deviations that are not `sure` may be noise of the camera: they widen uncertainties and are not named.
+    Deviations that are not `sure` may be noise of the camera: they widen uncertainties and are not named. `ambient` is
+    the largest change of light that lies evenly on the camera, as a share of the brightest pixel of the reference.
     """
 
     deviations: np.ndarray
     drifts: np.ndarray
     sure: np.ndarray
+    ambient: float = 0.0
 
     def error(self, name: str, table: OpticalTable) -> float:
         """Return the standard deviation of the error of a result that the deviations cause."""
-        error = float(np.linalg.norm(np.array(ERRORS[name]) * self.deviations))
+        error = float(np.linalg.norm(np.array(ERRORS[name]) * [*self.deviations, self.deviations[-1] ** 2]))
         if name == "distance":
             y, x = pixel_axes(table.modulator)
             # A lens has the wavefront π/λ·(x² + y²)/f.
@@ -71,7 +75,14 @@ class Steadiness:
         return error
 
     def name(self) -> None:
-        """Warn of what deviates or drifts much."""
+        """Warn of what deviates, drifts or changes much."""
+        if self.ambient > AMBIENT:
+            warn(
+                f"ambient light, or the black level of the camera, changed by {self.ambient:.1%} of the brightest "
+                "pixel in the course of the measurement; an even change is corrected, and its noise remains: keep "
+                "lamps and monitors off, or shield the camera",
+                AccuracyWarning,
+            )
         light = "the light varies by {:.1%}: let the laser warm up, or stabilise its power"
         texts = (
             "the phases of the modulator flicker by {:.1%}: use its steadiest sequence, or longer exposures",
@@ -204,7 +215,9 @@ class Watched:
         # Photons make bright pixels noisier than others, and few bright ones follow the fit: the residuals of each are
         # divided by what the others leave to it (MacKinnon and White, Journal of Econometrics 29, 305, 1985, HC3).
         alone = np.clip(1 - (system * back.T).sum(-1), 0.01, None)
-        noise = back[:4] ** 2 @ (((changes - system @ values) ** 2).sum(-1) / (len(frames) - 1) / alone**2)
+        *noise, of_ambient = back**2 @ (((changes - system @ values) ** 2).sum(-1) / (len(frames) - 1) / alone**2)
+        noise, ambient = np.array(noise), float(np.ptp(values[4]))
+        ambient = ambient / mean.max() if ambient > CLEAR * math.sqrt(of_ambient) else 0.0
         values = np.column_stack([values[:2].T, moved])
         times = np.array(self.times, float) - np.mean(self.times)
         spread, drifts = values.std(0, ddof=1), np.zeros(4)
@@ -222,7 +235,7 @@ class Watched:
         spread = np.where(spread**2 > most * noise, np.sqrt(np.clip(spread**2 - noise, 0, None)), 0)
         along = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0.5, 0.5]])
         drifts = np.array([*drifts[:2], np.hypot(*drifts[2:])])
-        return Steadiness(np.sqrt(along @ spread**2), drifts, np.array([*sure[:2], sure[2:].any()]))
+        return Steadiness(np.sqrt(along @ spread**2), drifts, np.array([*sure[:2], sure[2:].any()]), ambient)
 
 
 def watched(

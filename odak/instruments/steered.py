@@ -29,6 +29,7 @@ from odak.instruments.spots import (
     without,
 )
 from odak.instruments.tables import OpticalTable, parts_of
+from odak.instruments.wavefronts import lit
 
 # Half the width of a modulator in units of what a pixel reaches above which it is wide.
 WIDE = 1.2
@@ -73,10 +74,11 @@ def linear_part(table: OpticalTable, registration: Registration) -> Registration
     return Registration(homography, 0.0, registration.shape)
 
 
-def steered(table: OpticalTable, first: bool, captures: int = 1) -> tuple[OpticalTable, float, float]:
-    """Return a table with registration, wavefront and distance by steered lenslets, from what is known of them roughly.
+def steered(table: OpticalTable, first: bool, captures: int = 1) -> tuple[OpticalTable, float]:
+    """Return a table with registration and wavefront by steered lenslets, from what is known of them roughly.
 
-    The other results are the uncertainties of the wavefront in radians and of the distance in metres.
+    At `first` the distance is found too, which the scale of the registration is told apart from by the steering alone:
+    later, a focus tells it better. The other result is the uncertainty of the wavefront in radians.
     """
     modulator, camera, wavelength, distance, phases, registration = parts_of(table, "phases", "registration")
     farthest = reached(wavelength, distance, modulator.pitch)
@@ -103,7 +105,7 @@ def steered(table: OpticalTable, first: bool, captures: int = 1) -> tuple[Optica
     offsets = STEERED * farthest * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
     points: Any
     seen: Any
-    points, seen, amplitude = [], [], 1.0 if table.amplitude is None else table.amplitude
+    points, seen, amplitude = [], [], table.amplitude
     for offset in offsets:
         targets = middles + offset
         across, down = targets[cell, 0], targets[cell, 1]
@@ -119,21 +121,23 @@ def steered(table: OpticalTable, first: bool, captures: int = 1) -> tuple[Optica
         if first:
             places = np.stack([brightest_near(frame, place, reach) for place in places])
         seen.append(np.stack([centroid(frame, place, window) for place in places]))
+        if amplitude is None:
+            # Light of lenslets beside a spot displaces it, by as much as the one is brighter than the other.
+            amplitude = lit(modulator, frame, seen[0], middles, window)
         ideal = ideal_capture(modulator, phase, amplitude, wavelength, distance, registration)
         expected = np.stack([centroid(ideal, place, window) for place in registration.camera_pixels(targets)])
         points.append(registration.plane_points(expected))
     points, seen = np.concatenate(points), np.concatenate(seen)
     there = (seen > WINDOW * pixel) & (seen < np.array(camera.shape[::-1]) - 1 - WINDOW * pixel)
     used = there.all(-1)
-    system = np.concatenate(
-        [np.concatenate([tilts, np.broadcast_to(o[:, None], (*tilts.shape[:2], 1))], -1) for o in offsets]
-    )
+    columns = [[tilts, *[np.broadcast_to(o[:, None], (*tilts.shape[:2], 1))] * first] for o in offsets]
+    system = np.concatenate([np.concatenate(parts, -1) for parts in columns])
     begin = np.concatenate([registration.homography.ravel()[:8], [registration.distortion], np.zeros(system.shape[-1])])
     scale = np.array(
         [camera.pitch] * 2 + [10 * camera.pitch] + [camera.pitch] * 2 + [10 * camera.pitch, 1e-6, 1e-6, 0.1]
     )
     # Parameters in units of their size: of modes, in radians.
-    scale = np.concatenate([scale, np.ones(len(modes)), [1e-3]])
+    scale = np.concatenate([scale, np.ones(len(modes)), [1e-3] * first])
 
     def mapping(parameters: np.ndarray) -> Registration:
         homography = np.append(parameters[:8], 1.0).reshape(3, 3)
@@ -150,9 +154,11 @@ def steered(table: OpticalTable, first: bool, captures: int = 1) -> tuple[Optica
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * (missed @ missed) / max(missed.size - len(fit.x), 1)
     variance = np.einsum("ki,ij,kj->k", jacobian[:, :9], covariance[:9, :9], jacobian[:, :9])
     uncertainty = LARGEST * math.sqrt(variance.reshape(-1, 2).sum(-1).max())
-    pure = modes.reshape(len(modes), -1)
-    doubt = math.sqrt(np.einsum("ij,ip,jp->", covariance[9:-1, 9:-1], pure, pure, optimize=True) / pure.shape[1])
-    wavefront = wavefront + np.tensordot(fit.x[9:-1], modes, axes=1)
+    pure, of_modes = modes.reshape(len(modes), -1), slice(9, 9 + len(modes))
+    doubt = math.sqrt(
+        np.einsum("ij,ip,jp->", covariance[of_modes, of_modes], pure, pure, optimize=True) / pure.shape[1]
+    )
+    wavefront = wavefront + np.tensordot(fit.x[of_modes], modes, axes=1)
     registration = Registration(found.homography, found.distortion, found.shape, residual, uncertainty)
-    known = {"registration": registration, "wavefront": wavefront, "distance": distance * (1 + fit.x[-1])}
-    return replace(table, **known), doubt, 1e-3 * math.sqrt(covariance[-1, -1]) * distance
+    distance = distance * (1 + fit.x[-1]) if first else distance
+    return replace(table, registration=registration, wavefront=wavefront, distance=distance), doubt

@@ -226,8 +226,8 @@ def wavefront_with_uncertainty(
             frame += seen / captures
         frame[dark] = np.quantile(frame, 0.02)
         seen = np.stack([centroid(frame, place, reach) for place in places])
-        lit = _lit(modulator, frame, seen, middles, reach) if table.amplitude is None else table.amplitude
-        ideal = np.where(dark, 0, ideal_capture(modulator, phase, lit, wavelength, distance, registration))
+        bright = lit(modulator, frame, seen, middles, reach) if table.amplitude is None else table.amplitude
+        ideal = np.where(dark, 0, ideal_capture(modulator, phase, bright, wavelength, distance, registration))
         wanted = np.stack([centroid(ideal, place, reach) for place in places])
         moved = registration.plane_points(seen) - registration.plane_points(wanted)
         change, gradient, coefficients = fitted(moved, system)
@@ -245,7 +245,7 @@ def wavefront_with_uncertainty(
     return wavefront - wavefront.mean(), math.sqrt(variance)
 
 
-def _lit(modulator: Modulator, frame: np.ndarray, spots: np.ndarray, places: np.ndarray, reach: int) -> np.ndarray:
+def lit(modulator: Modulator, frame: np.ndarray, spots: np.ndarray, places: np.ndarray, reach: int) -> np.ndarray:
     """Return the amplitude at each pixel, estimated from the light of spots (column, row) of lenslets at x, y."""
     frame = frame - np.quantile(frame, 0.02)
     corners = np.clip(np.rint(spots).astype(int) - reach, 0, None)

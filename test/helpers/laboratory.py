@@ -44,6 +44,8 @@ class Laboratory:
         # in 100 captures of the light as a share, and of the image in pixels.
         self.flicker, self.wander, self.vibration, self.unsteady = 0.0, 0.0, 0.0, np.random.default_rng([seed, 1])
         self.dimming = self.sliding = 0.0
+        # Ambient light that is switched on after so many captures.
+        self.lamp, self.dark_captures = 0.0, 0
 
     def errors(self, found):
         """Return the errors of a calibration of a table whose wavefront has no tilt and no defocus.
@@ -213,7 +215,8 @@ class Camera:
             table.power = power * (1 + table.wander * table.unsteady.normal() - table.dimming * passed)
             table.offset = offset + self.pitch * moved
             table.waves.clear()
-        electrons = self.table.light(row, column, rows, columns) * self.exposure * 1e4
+        lamp = table.lamp * (self.taken > table.dark_captures)
+        electrons = (table.light(row, column, rows, columns) + lamp) * self.exposure * 1e4
         table.offset, table.power = offset, power
         electrons = np.minimum(electrons, 10 * WELL)
         noise = self.table.noise.standard_normal((count, *electrons.shape), dtype=np.float32)

@@ -142,9 +142,9 @@ def test_uncertainties_contain_the_errors_and_are_of_their_size(calibrated):
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_two_of_three_errors_lie_within_one_sigma():
-    """On independent tables. Of 16 errors 7 to 15 do so in 97 of 100 cases where it is 68 % of all."""
+    """On independent tables from which nothing was set. Of 16 errors 7 to 15 do so in 97 of 100 cases if 68 % do."""
     within = dict.fromkeys(UNCERTAIN, 0)
-    for seed in range(200, 216):
+    for seed in range(500, 516):
         table, nominal = random_table(seed)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AccuracyWarning)
@@ -152,10 +152,11 @@ def test_two_of_three_errors_lie_within_one_sigma():
         errors = table.errors(found)
         errors["distance"] *= table.distance
         # One in 20 is of the reference; cameras of 8 bits capture patterns of the illumination twice.
-        assert table.camera.taken < 150
+        assert table.camera.taken < 160
         for name in UNCERTAIN:
             within[name] += abs(errors[name]) < found.uncertainty[name]
-    assert all(7 <= count <= 15 for count in within.values()), within
+    assert all(count >= 7 for count in within.values()), within
+    assert sum(within.values()) <= 70, within
 
 
 @pytest.mark.xdist_group("calibrated")

@@ -44,7 +44,7 @@ def phases_of(seed, **unsteady):
 
 def test_a_steady_table_is_silent_within_116_captures():
     table, _, texts = calibrated(201)
-    assert not [text for text in texts if "steady" in text or "drifts" in text]
+    assert not [text for text in texts if "steady" in text or "drifts" in text or "ambient" in text]
     assert table.camera.taken <= 116
 
 
@@ -79,6 +79,30 @@ def test_a_drift_of_the_light_is_named_and_corrected():
     (text,) = (text for text in texts if "drifts" in text)
     assert 8 < float(re.search(r"the light changed by -([\d.]+)%", text)[1]) < 16
     assert table.errors(found)["phases"] < 4e-3
+
+
+@pytest.mark.parametrize("after", [12, 20])
+def test_a_lamp_that_is_switched_on_is_named_by_its_size_and_corrected(after):
+    """While levels are shown; without correction it was taken for what the level changes."""
+    error, text = phases_of(201, lamp=1.0, dark_captures=after)
+    assert error < 5e-3
+    assert 15 < float(re.search(r"ambient light, .*, changed by ([\d.]+)% of the brightest", text)[1]) < 30
+
+
+def test_a_lamp_that_blinds_the_camera_is_an_error_by_name():
+    with pytest.raises(RuntimeError, match=r"of the camera's pixels are saturated in a capture"):
+        phases_of(201, lamp=5.0, dark_captures=12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("after", [45, 75, 100])
+def test_a_lamp_that_is_switched_on_changes_no_calibration(after):
+    """As bright as the panel is lit; the table has the same errors without it."""
+    table, found, texts = calibrated(201, lamp=1.0, dark_captures=after)
+    bounds = {"phases": 3e-3, "registration": 0.1, "wavefront": 0.03, "distance": 1e-3, "amplitude": 0.01}
+    assert all(abs(error) < bounds[name] for name, error in table.errors(found).items())
+    (text,) = (text for text in texts if "ambient" in text)
+    assert 15 < float(re.search(r"changed by ([\d.]+)%", text)[1]) < 30
 
 
 @pytest.mark.slow

@@ -22,6 +22,8 @@ GEOMETRIES = [(pitch, distance) for pitch in (3.74, 6.4, 8.0) for distance in (5
             pytest.param(4, *sizes, bits, marks=pytest.mark.slow)
             for sizes, bits in zip(GEOMETRIES, (8, 10, 12) * 3, strict=True)
         ),
+        # 540 x 960 pixels at 50 and at 100 mm.
+        *(pytest.param(2, 8.0, distance, 10, marks=pytest.mark.slow) for distance in (100, 200)),
         pytest.param(1, 8.0, 100, 10, marks=[pytest.mark.slow, pytest.mark.timeout(3600)]),
     ],
 )
