@@ -12,7 +12,7 @@ from html import unescape
 from pathlib import Path
 
 from odak._find import SYNONYMS, spellings, stem
-from odak._moved import OTHER_WORDS
+from odak._moved import other_words
 
 _WORD = re.compile(r"[A-Z]?[a-z]{2,}|[A-Z]{2,}")
 
@@ -43,8 +43,10 @@ def with_more_words(docs):
         if spelt:
             entry["text"] += f"<p>{' '.join(sorted(spelt - titled))}</p>"
         more = {word for one in titled for word in (*spellings(one), *forms[stem(one)], *groups[stem(one)])}
-        name = next((name for name in unescape(re.sub(r"<[^>]*>", " ", entry["title"])).split() if name in OTHER_WORDS), "")
-        more |= _words(OTHER_WORDS.get(name, "")) | {word for one in more for word in spellings(one)}
+        name = next(
+            (name for name in unescape(re.sub(r"<[^>]*>", " ", entry["title"])).split() if name in other_words()), ""
+        )
+        more |= _words(other_words().get(name, "")) | {word for one in more for word in spellings(one)}
         if more - titled:
             entry["tags"] = [" ".join(sorted(more - titled))]
     return docs

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from odak._lazy import _homes, _read_stub
-from odak._moved import OTHER_WORDS
+from odak._moved import other_words
 
 # Beginnings of words in British and in American spelling: readers use either, and so do names and texts.
 _SPELLINGS = (
@@ -151,7 +151,7 @@ def _index() -> list[tuple[Finding, dict[str, float]]]:
         # Constants and second names have no line; the packages of displays serve the one above.
         if not line or places[0].startswith(("odak.learn.wave.displays", "odak.learn.wave.holograms")):
             continue
-        texts = ((f"{line} {places[0].rpartition('.')[2]}", 2.0), (OTHER_WORDS.get(name, ""), 4.0), (name, 5.0))
+        texts = ((f"{line} {places[0].rpartition('.')[2]}", 2.0), (other_words().get(name, ""), 4.0), (name, 5.0))
         words = {word: weight for text, weight in texts for word in _words(text)}
         if ".older." in module:  # what has a successor comes after it
             words = {word: 0.5 * weight for word, weight in words.items()}

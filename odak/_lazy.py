@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from odak._moved import MOVED_MODULES, MOVED_NAMES, OTHER_WORDS
+from odak._moved import MOVED_MODULES, MOVED_NAMES, other_words
 
 _IMPORT_FROM = opcode.opmap["IMPORT_FROM"]
 
@@ -107,7 +107,8 @@ def _import_of(name: str, package: str) -> str:
     import difflib
 
     homes = _homes()
-    near = [name] if name in homes else [key for key, words in OTHER_WORDS.items() if name.casefold() in words.split()]
+    named = [key for key, words in other_words().items() if name.casefold() in words.split()]
+    near = [name] if name in homes else named
     if near and "." in near[0]:
         return f". Did you mean: from {near[0]} import {name}?"
     near = near or [other for other in homes if other.casefold() == name.casefold()]

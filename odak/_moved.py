@@ -1,5 +1,8 @@
 """Tables of earlier module paths and names, which stay importable."""
 
+import functools
+from pathlib import Path
+
 # Modules by the paths that their names had before: a word is a module beside them, one with a dot a path below odak. A
 # word may stand with several, which share its names.
 FORMER_MODULES: dict[str, str] = {
@@ -126,59 +129,12 @@ MOVED_NAMES: dict[str, dict[str, str]] = {
     "odak.wave": {"save_image": "odak.tools", "zero_pad": "odak.tools"},
 }
 
-# Words by which other libraries and earlier releases call a public name, in small letters. A key with a dot is a module
-# that has the names itself.
-OTHER_WORDS: dict[str, str] = {
-    "Display": "slm fourierslm",
-    "Free": "freespacepropagation",
-    "LPIPS": "learnedperceptualimagepatchsimilarity",
-    "MSSSIM": "ms_ssim multi_scale_ssim",
-    "Modulator": "amplitudemodulator spatiallightmodulator",
-    "ThinLens": "thin_lens",
-    "airy_beam": "airy",
-    "bessel_beam": "bessel",
-    "calculate_phase": "phase",
-    "circular_aperture": "circaperture circle circular_mask",
-    "complex_3d_gaussians": "gaussians",
-    "convert_color": "rgb_to_lab xyz_to_srgb srgb_to_xyz srgb_to_oklab rgb2lab rgb2xyz",
-    "delta_e": "delta_e_cie1976 deltae",
-    "double_phase_hologram": "dpac double_phase double_phase_amplitude_coding double_phase_encoding",
-    "encircled_energy": "ee encircledenergy",
-    "fresnel_zone_plate": "zoneplate zone_plate",
-    "gaussian_beam": "gaussbeam",
-    "gerchberg_saxton": "gs",
-    "huygens_point_spread_function": "huygenspsf",
-    "lens_phase": "quadratic_phase thin_lens_phase",
-    "load_image": "imread read_image open_image",
-    "measure_wavefront": "wavefront_calibrate",
-    "modulation_transfer_function": "mtf fftmtf geometricmtf mtf_from_psf",
-    "odak.contrib.commands": "assign_color assign_texture clear_material create_circle create_plane "
-    "create_plane_from_meshes delete_object execute_queued_functions intersect_a_ray parse_function_call_safely "
-    "reflect_ray run_in_main_thread set_location set_render_type set_rotation validate_and_queue_command "
-    "whisper2blender",
-    "odak.log": "create_logger filename_logger",
-    "optical_bench": "opticalsystem",
-    "optical_system": "optic opticalmodel sequentialmodel",
-    "optimise": "minimize optimizationproblem optimizergeneric cgh hologram",
-    "point_spread_function": "psf fftpsf",
-    "propagate_beam": "asm angular_spectrum_method angularspectrum asm_prop asm_propagate exact_propagate fresnel "
-    "forvard free_space fresnelpropagation propagate propagate_to_z transfer_propagate rs wpm",
-    "propagate_to_tilted_plane": "propagate_to_plane",
-    "propagate_to_window": "lensfresnel interpol transform_propagate focus_fixed_sampling czt",
-    "ray_fan": "rayfan",
-    "read_zmx": "load_zemax_file load_zemax read_zemax zmxread",
-    "rgb_to_gray": "rgb_to_grayscale rgb2gray to_grayscale",
-    "rgb_to_hsv": "rgb2hsv",
-    "save_image": "imwrite imsave write_image",
-    "spot_diagram": "spotdiagram",
-    "spot_hologram": "spothologram",
-    "stochastic_gradient_descent": "sgd",
-    "strehl_ratio": "strehl",
-    "surface": "standardsurface spherical_surface",
-    "tolerance": "tolerancing montecarlo",
-    "unwrap_phase": "phaseunwrap phase_unwrap unwrap",
-    "weighted_gerchberg_saxton": "wgs gsw",
-    "xyz_to_cam16_ucs": "xyz_to_cam16ucs cam16_ucs",
-    "zernike_phase": "zernike zernikes",
-    "zernike_polynomial": "zernike_nm noll_zernike",
-}
+
+@functools.cache
+def other_words() -> dict[str, str]:
+    """Return the words, in small letters, by which other libraries and earlier releases call each public name.
+
+    A key with a dot is a module that has the names itself.
+    """
+    text = Path(__file__).with_name("assets").joinpath("other_words.txt").read_text(encoding="utf-8")
+    return dict(line.split(": ", 1) for line in text.splitlines())

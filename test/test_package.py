@@ -16,7 +16,7 @@ import structure
 
 import odak
 from odak import _lazy
-from odak._moved import OTHER_WORDS
+from odak._moved import other_words
 
 ROOT = pathlib.Path(odak.__file__).parent
 MODULES = structure.modules()
@@ -268,9 +268,9 @@ def test_the_import_of_a_name_that_a_package_lacks_is_proposed(package, name, pr
 
 def test_words_of_other_libraries_stand_for_one_public_name_each():
     homes = _lazy._homes()
-    words = [word for listed in OTHER_WORDS.values() for word in listed.split()]
+    words = [word for listed in other_words().values() for word in listed.split()]
     assert len(words) == len(set(words)) and not set(words) & {name.casefold() for name in homes}
-    for key, listed in OTHER_WORDS.items():
+    for key, listed in other_words().items():
         if "." in key:
             assert all(hasattr(importlib.import_module(key), word) for word in listed.split())
         else:

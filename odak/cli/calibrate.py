@@ -17,7 +17,7 @@ from odak._lengths import parse_length
 from odak.cli.files import REPORT, SILENT, Notices, announce, claim, claiming, writable_folder, write_json
 from odak.cli.job import is_length
 from odak.cli.options import InputError
-from odak.cli.report import collected_warnings, versions
+from odak.cli.report import collected_warnings, definitions, versions
 from odak.cli.settings import CalibrateSettings, InstrumentsSettings, TableSettings
 from odak.instruments import Calibration, Lens
 from odak.instruments.calibration import UNITS
@@ -34,21 +34,6 @@ from odak.instruments.wavefronts import wavefront_with_uncertainty
 from odak.tools.paths import replacing
 
 SIMULATED, RESULTS = "simulated", "calibration"
-DEFINITIONS = {
-    "lengths": "In metres; phases in radians; times in seconds; angles in degrees.",
-    "uncertainty": "One sigma: two of three errors are smaller; of one step, as if others were exact.",
-    "residual_pixels": "Root mean square distance of the spots from the mapping of the camera, in its pixels.",
-    "wavefront_rms_waves": "Root mean square of the aberration in wavelengths, without tilt and defocus.",
-    "illumination_min": "Smallest amplitude on the modulator over the largest.",
-    "exposure": "Exposure at which the brightest pixel of a spot reaches 60 % of the range.",
-    "settling_time": "After it, a phase misses a new one by less than 0.02 rad.",
-    "angle": "Of the polariser, at which most light is modulated; contrast: over that at 90 degrees to it.",
-}
-
-CHECKED = {
-    "passed": "True where the instrument is as its protocol says, False where not, null where it was not tested.",
-    "remedy": "What to do about what was found.",
-}
 
 
 class Table(NamedTuple):
@@ -240,7 +225,7 @@ def run(job: CalibrateSettings, notices: Notices = SILENT) -> dict:
         "figure": f"{step}.png",
         "warnings": texts,
         "versions": versions(),
-        "definitions": DEFINITIONS,
+        "definitions": definitions("calibrate"),
     }
     write_json(folder / REPORT, report)
     return report
@@ -565,7 +550,7 @@ def check_driver(job: InstrumentsSettings, notices: Notices = SILENT) -> dict[st
         "checks": [dataclasses.asdict(finding) for finding in found],
         "warnings": texts,
         "versions": versions(),
-        "definitions": CHECKED,
+        "definitions": definitions("instruments"),
     }
     write_json(folder / REPORT, report)
     return report

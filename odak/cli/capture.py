@@ -29,19 +29,6 @@ from odak.instruments.calibration import predicted_capture
 from odak.tools.file import read_levels
 
 CAPTURES = "captures.h5"
-DEFINITIONS = {
-    "capture": "Mean of the captures of a pattern in counts; in the pictures of 0 to 1, its largest value being 1.",
-    "prediction": "Intensity that the pattern sends to the middles of the camera's pixels, with response, aberration, "
-    "illumination, distance and registration of the calibration, or nominal ones; fitted to the capture by a factor "
-    "and an offset.",
-    "correlation": "Of the capture and the prediction over all pixels of the camera; 1 where they agree.",
-    "relative_error": "Root mean square of (capture − prediction) over the root mean square of (capture − offset).",
-    "brightest_share": "Largest mean count over the range of the camera.",
-    "noise_share": "Root mean square of the noise of the mean capture, from the differences between captures, over "
-    "the root mean square of (capture − offset): the relative_error of a perfect prediction. None for a "
-    "single capture.",
-    "lengths": "In metres; times in seconds.",
-}
 
 
 @claiming
@@ -106,7 +93,7 @@ def run(job: CaptureSettings, notices: Notices = SILENT) -> dict:
         "calibration": None if calibration is None else str(calibration),
         "warnings": texts,
         "versions": sheets.versions(),
-        "definitions": DEFINITIONS,
+        "definitions": sheets.definitions("capture"),
     }
     write_json(folder / REPORT, report)
     return report

@@ -11,24 +11,12 @@ import torch
 from odak.cli import files
 from odak.cli.job import image_path, pitch_pair
 from odak.cli.options import InputError
-from odak.cli.report import find_device, picture_panel, progress, psnr, sheet, versions
+from odak.cli.report import definitions, find_device, picture_panel, progress, psnr, sheet, versions
 from odak.cli.settings import EyeboxSettings
 from odak.cli.target import light_of, on_screen
 from odak.learn import wave
 from odak.learn.wave.pictures import fitting_size, on_frame
 from odak.learn.wave.training import best_scale
-
-DEFINITIONS = {
-    "target": "Light of the picture's luminance, 1 in white, resized and black around it; with --linear stored values. "
-    "Pictures in views.png are stored values of light on a screen.",
-    "views": "For each place of the pupil, in reading order: its middle (y, x) in metres, the picture, and the peak "
-    "signal-to-noise ratio in decibels of what an eye there sees of the saved patterns, over the whole frame, at one "
-    "brightness for all places: of means over the areas of pixels, whose light is computed by transforms to the plane "
-    "of the pupil and back.",
-    "psnr_db": "That of all views together.",
-    "share": "Share of the light of the pixels that enters the pupil.",
-    "light_box": "Height and width in metres of the area that the light of the pixels reaches at the pupil.",
-}
 
 
 @files.claiming
@@ -106,7 +94,7 @@ def run(job: EyeboxSettings, notices: files.Notices = files.SILENT) -> dict:
         "files": names,
         "parameters": given,
         "versions": versions(),
-        "definitions": DEFINITIONS,
+        "definitions": definitions("eyebox"),
     }
     return files.write_report(folder, report, mark, written)
 

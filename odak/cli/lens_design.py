@@ -15,7 +15,7 @@ from odak._warnings import ArgumentWarning, warn
 from odak.cli import files
 from odak.cli.files import writable_folder
 from odak.cli.options import InputError, option_name
-from odak.cli.report import finite, versions
+from odak.cli.report import definitions, finite, versions
 from odak.cli.settings import LENS_LENGTHS, DesignSettings
 from odak.cli.trace import read_glasses, read_system
 from odak.learn.raytracing.system import (
@@ -52,18 +52,6 @@ LAYOUTS = {
     6: (CROWN, CROWN, FLINT, "stop", FLINT, CROWN, CROWN),
 }
 RINGS = 8
-DEFINITIONS = {
-    "lengths": "In the unit of the lens; angles in degrees.",
-    "rms_spot": "Root mean square distance of the rays from their centroid in the image plane, per field: all "
-    "wavelengths together, equally weighted, no ray vignetted; aimed at the paraxial pupil, or with --aim real so that "
-    "they pass the stop at the same points for all fields.",
-    "start": "The same for the lens that the design began with, at the aperture and the fields of the design; null "
-    "where rays are lost. A SYSTEM is scaled to the focal length asked for; demands begin with flat plates.",
-    "distortion": "Chief ray's image height at the reference wavelength over the paraxial one, less 1.",
-    "elements": "Diameter of the beam of all fields, thickness on the axis and at the rim of that beam.",
-    "merit": "Half the sum of the squares of spots and of excesses over limits, at each step of the last run; of "
-    "demands, the root mean square of the spots after each stage, with its shares of aperture and field.",
-}
 
 
 def materials_of(job: DesignSettings) -> list[str]:
@@ -136,7 +124,7 @@ def run(job: DesignSettings, notices: files.Notices = files.SILENT) -> dict:
         "merit": merit,
         "seconds": time.perf_counter() - begun,
         "versions": versions(),
-        "definitions": DEFINITIONS,
+        "definitions": definitions("design"),
     }
     drawing = _drawing(lens)
     save_system(lens, folder / "lens.json")

@@ -9,7 +9,7 @@ from tqdm import tqdm
 from odak.cli import files, report
 from odak.cli.job import image_path
 from odak.cli.options import InputError
-from odak.cli.report import decibels, find_device, versions
+from odak.cli.report import decibels, definitions, find_device, versions
 from odak.cli.settings import MetamerSettings
 from odak.cli.target import read_picture
 
@@ -17,18 +17,6 @@ STAGES = 3
 # Side of the patches whose texture is compared, levels of their pyramid, and the least size of pooling within them.
 PATCH, PATCH_LEVELS, PATCH_POOLING = 128, 4, 2.0
 NAMES = ("metamer.png", "pooling_map.png", "comparison.png")
-DEFINITIONS = {
-    "psnr_db": "Peak signal-to-noise ratio of metamer.png to the picture, in decibels; null if they are equal. A "
-    "metamer differs from the picture where the eye does not see it, so that a low value is no fault.",
-    "loss": "Metameric loss of metamer.png: the squared difference of the statistics that the eye perceives.",
-    "noise_loss": "The same of the picture with white noise of the same PSNR, for comparison.",
-    "texture_distance": "Mean squared difference between the texture statistics of metamer.png and the picture's "
-    "(Portilla and Simoncelli, mean of channels), in squares of 128 pixels away from the gaze; null if there are none.",
-    "noise_texture_distance": "The same of the picture with white noise of the same PSNR.",
-    "largest_pooling": "Width in pixels of the largest region over which the eye pools.",
-    "gaze": "Fixated point, 0 to 1 from the left and from the top.",
-    "lengths": "Width of the picture and distance of the eye in metres.",
-}
 
 
 @files.claiming
@@ -105,7 +93,7 @@ def run(job: MetamerSettings, notices: files.Notices = files.SILENT) -> dict:
     found |= dict(zip(("texture_distance", "noise_texture_distance"), textures, strict=True))
     given = {"command": "metamer", "picture": str(path), "parameters": parameters}
     return files.write_report(
-        folder, {**found, **given, "versions": versions(), "definitions": DEFINITIONS}, mark, NAMES
+        folder, {**found, **given, "versions": versions(), "definitions": definitions("metamer")}, mark, NAMES
     )
 
 

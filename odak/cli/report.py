@@ -4,6 +4,7 @@ Its pictures are reconstructions, and captioned panels with scales for compariso
 """
 
 import functools
+import json
 import math
 import platform
 import sys
@@ -12,7 +13,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from importlib import metadata
+from importlib import metadata, resources
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,49 +31,6 @@ from odak.tools.file import file_depth
 LIT = 0.1
 # Nothing is gained any more where the loss falls by less than this share (0.1 dB) over so many iterations.
 LEAST_GAIN, GAINED_OVER = 0.023, 10
-DEFINITIONS = {
-    "target": "Light T of the picture for each source, 1 in white (D65): its stored values are decoded as "
-    "picture.light says, its colours are mixtures of the sources, and those of picture.outside_gamut of the pixels, "
-    "which no mixture shows, are less saturated; resized (bicubic) to the largest size that fits the resolution with "
-    "its aspect ratio kept, black around it. One source, and --grey: the luminance. With --linear the stored values.",
-    "psnr_encoded_db": "10*log10(1/mean((a - b)^2)) over the picture's window, a and b being the sRGB values that "
-    "stand for the light of s*I and of T on a screen, as in reconstruction.png; with --linear the light itself.",
-    "reconstruction": "Intensity I = |u|^2 of the light that the saved pattern, quantised and read back from its file, "
-    "sends to the distance: unit amplitude on the modulator (see verification.modulator), padded to twice its size, "
-    "propagated by the method in verification.propagation_type.",
-    "scale": "s = <I, T>/<I, I> over the picture's window, per channel: the brightness at which I is closest to T. "
-    "With the methods multiplane and multi-color: brightness times the sum of the squares of source_amplitudes.",
-    "brightness": "Methods multiplane and multi-color: the one factor of the intensities of all colours, as the "
-    "sources give them, at which the picture is closest to T over its window; no colour is rescaled by itself.",
-    "psnr_db": "How a camera of the modulator's pitch sees the image at the least favourable place of its pixels: the "
-    "least over shifts by quarters of a pixel along both axes of 10*log10(1/mean((s*C - D)^2)), C and D being the "
-    "means over its pixels of I and of T, a picture of squares, in the picture's window without its outermost pixels, "
-    "at one brightness. With points (verification.observer), several planes, shared frames and tiles: "
-    "10*log10(1/mean((s*I - T)^2)) over the window. Overall, the mean of the squares is over all channels.",
-    "psnr_area_db": "10*log10(1/mean((s*I - T)^2)) over the picture's window, with I averaged over the area of each "
-    "pixel: for a registered camera, whose pixels coincide with those of the image. Points: of pixels without gaps.",
-    "psnr_points_db": "That of I at the middles of pixels, which no sensor sees, over the whole frame.",
-    "psnr_camera_db": "Of a plane by itself: as psnr_db on one plane, against the plane's own target.",
-    "psnr_frame_db": "10*log10(1/mean((s*I - T)^2)) over the whole frame, black borders included, with the same s.",
-    "psnr_before_quantisation_db": "The same over the window, of the hologram before it was quantised, by the model of "
-    "the optimisation and with its own s.",
-    "gain_over_rounding_db": "With --optimizer levels: the decibels by which the loss of the levels that were found is "
-    "below that of the phases from which the search starts, rounded to levels.",
-    "ssim": "Mean structural similarity of s*I and T over the picture's window (Wang et al. 2004: Gaussian window 11 x "
-    "11, sigma 1.5, K1 0.01, K2 0.03, peak 1); overall, the mean over channels.",
-    "efficiency": "Energy of I over the whole frame, divided by the number of pixels: what a flat pattern (unit "
-    "amplitude) sends into its order, with gaps the share verification.pixel.fill_factor^2 of the light on the panel.",
-    "efficiency_lit": f"As efficiency, where T is at least {LIT} of its maximum.",
-    "planes": "With several planes, I is taken from the plane that each pixel belongs to by the depth map, and "
-    "psnr_db, ssim, scale and efficiency above belong to this image. Each plane by itself is held against its own "
-    "target, the picture blurred outside the plane: over the picture's window (psnr_db, ssim) and over the pixels that "
-    "belong to the plane (psnr_in_focus_db), all with the scale of the colour.",
-    "source_amplitudes": "Amplitude of each wavelength's source in each frame. I is the sum over frames, divided by "
-    "the sum of their squares: what a source of that light would give, spread evenly.",
-    "reached": "Where the iterations ended: all of --quality or --iterations done, nothing gained any more (less than "
-    "0.1 dB of the loss in ten iterations), or interrupted by Ctrl-C: the best patterns so far are written.",
-    "seconds_per_iteration": "Mean over all iterations but the first, which builds the kernel.",
-}
 
 
 def measure(
@@ -100,7 +58,7 @@ def measure(
     Returns
     -------
     dict
-        Numbers as `DEFINITIONS` has them.
+        Numbers as :func:`definitions` has them.
     """
     from odak.learn.wave.training import best_scale
 
@@ -186,8 +144,15 @@ def parameters_of(job: Job, target: Target, names: list[str], device: torch.devi
         },
         "device": device_name(device),
         "versions": versions(),
-        "definitions": DEFINITIONS,
+        "definitions": definitions("hologram")
+        | {"efficiency_lit": f"As efficiency, where T is at least {LIT} of its maximum."},
     }
+
+
+def definitions(command: str) -> dict[str, str]:
+    """Return what the numbers in the report of a command mean, by their names, from `odak/assets/definitions.json`."""
+    text = resources.files("odak").joinpath("assets/definitions.json").read_text(encoding="utf-8")
+    return json.loads(text)[command]
 
 
 def versions() -> dict[str, str]:

@@ -5,6 +5,7 @@ import html
 import io
 import os
 from collections.abc import Callable, Sequence
+from importlib import resources
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -40,32 +41,6 @@ CAPTIONS = {
 }
 # Names of numbers as they are written elsewhere.
 WRITTEN = {"psnr": "PSNR", "ssim": "SSIM", "db": "(dB)", "rms": "RMS", "mtf": "MTF"}
-_PAGE = """\
-<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
-<title>{title}</title>
-<style>
-body {{ font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 76rem; padding: 0 1rem; color: #202020; }}
-body {{ overflow-wrap: anywhere; }} h1 {{ font-size: 1.6rem; line-height: 1.2; margin: 0 0 0.5rem; }}
-img {{ max-width: 100%; height: auto; }} figure {{ margin: 1rem 0 2rem; }}
-figcaption, small {{ color: #5a5a5a; font-size: 0.9rem; }} small {{ display: block; max-width: 60rem; }}
-figure.first img {{ max-height: 75vh; }}
-table {{ border-collapse: collapse; }} td {{ padding: 0.2rem 1.5rem 0.2rem 0; vertical-align: top; }}
-[role=note] {{ border-left: 4px solid #b35806; background: #fff4e5; padding: 0.5rem 1rem; margin: 0.5rem 0; }}
-details {{ margin: 1rem 0; }} summary {{ cursor: pointer; font-weight: 600; }}
-.plotly-graph-div {{ height: 560px !important; }}
-@media (max-width: 45em) {{
-  body {{ margin: 1rem auto; }} .plotly-graph-div {{ height: 380px !important; }}
-  figure.sheet {{ overflow-x: auto; }} figure.sheet img {{ max-width: none; width: 56rem; }}
-}}
-@media (prefers-color-scheme: dark) {{
-  body {{ background: #16181c; color: #e6e6e6; }} figcaption, small {{ color: #b0b0b0; }}
-  [role=note] {{ background: #3a2a14; }} .drawn img, .plotly-graph-div {{ background: white; }}
-}}
-</style></head><body><h1>{title}</h1>
-{body}
-</body></html>
-"""
 
 
 def run(path: str, page: Path) -> Path:
@@ -123,7 +98,8 @@ def run(path: str, page: Path) -> Path:
     else:
         accepted = ", ".join([*PICTURES, ".npy", ".pt", *LENSES])
         raise InputError(f"FILE must be a folder of results, or end in {accepted}; got {str(source)!r}")
-    text = _PAGE.format(title=html.escape(title), body=body)
+    template = resources.files("odak").joinpath("assets/page.html").read_text(encoding="utf-8")
+    text = template.format(title=html.escape(title), body=body)
     writable_folder(page.parent)
     with replacing(str(page)) as stream:
         # Names of files may hold bytes that are no UTF-8, and texts of reports halves of characters.

@@ -77,12 +77,7 @@ def run(job: SimulateSettings, notices: files.Notices = files.SILENT) -> dict:
         "steps": steps,
         "warnings": texts,
         "versions": report.versions(),
-        "definitions": {
-            "power": "Sum of the intensity over the samples times their area.",
-            "share_of_source": "Power over that behind the last source.",
-            "lost": "Shares of the power in front: beyond the band of the method, at apertures, beside the window.",
-            "peak_position": "Metres from the centre of the field, sample n // 2, rows and columns.",
-        },
+        "definitions": report.definitions("simulate"),
     }
     return files.write_report(folder, summary, mark, names)
 

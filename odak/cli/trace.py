@@ -10,7 +10,7 @@ from odak._call_forms import did_you_mean
 from odak.cli import files
 from odak.cli.files import writable_folder
 from odak.cli.options import InputError
-from odak.cli.report import finite, versions
+from odak.cli.report import definitions, finite, versions
 from odak.cli.settings import ToleranceSettings, TraceSettings
 from odak.learn.raytracing.system import (
     FieldQuality,
@@ -48,38 +48,6 @@ from odak.learn.raytracing.system.sketches import field_label
 from odak.learn.raytracing.system.system_files import SEALED, load_materials
 from odak.raytracing.intersections import RayStatus
 from odak.tools.paths import replacing
-
-DEFINITIONS = {
-    "lengths": "In the system's unit; angles in degrees; wavefronts in wavelengths.",
-    "rms_spot": "Root mean square distance of the rays from their centroid in the image plane over the area of the "
-    "pupil, per field: all wavelengths together, with the weights of the system.",
-    "best_focus": "Distance along z from the image surface as drawn to the plane in which the mean over the fields of "
-    "the mean square spots is least.",
-    "largest_spot": "Largest distance from the centroid, of the rays of the rings.",
-    "distortion": "Chief ray's image height at the reference wavelength over the paraxial one, less 1; where a "
-    "field reaches 90 degrees, over f·θ.",
-    "wavefront_rms": "Standard deviation of the path to the reference sphere over the area of the pupil, at the "
-    "reference wavelength.",
-    "strehl": "Peak of the diffraction image at the reference wavelength over the peak of the same pupil without "
-    "aberrations.",
-    "modulation": "Modulation transfer at the reference wavelength and modulation_frequencies, in cycles per unit of "
-    "length, of gratings along x (tangential) and along y; from rays for fields with more than 2 waves RMS.",
-    "passed": "Share of the area of the pupil that no aperture blocks.",
-    "quadrature": "Rings of the Gaussian quadrature of rms_spot, wavefront_rms, strehl and passed, and the largest "
-    "change of these from half as many rings: relative for the first two, absolute for the others.",
-    "statuses": "How many rays of the rings, of all wavelengths, ended how.",
-    "temperature": "In degrees Celsius; null as drawn. The system is that at the temperature, in a mount that expands "
-    "by mount per kelvin.",
-}
-
-TOLERANCES = {
-    "lengths": "In the system's unit.",
-    "perturbations": "Of ISO 10110-11, or scaled to the yield: half widths of uniform distributions, standard "
-    "deviations of normal ones.",
-    "yield": "Share of the lenses whose spots (root mean square) are at most the limit at all fields.",
-    "rms_quantiles": "Of the root mean square of the spots over the fields: the share of the lenses that is below.",
-    "sensitivity": "The same with one number off by its size, too large and too small.",
-}
 
 
 def read_glasses(paths: Sequence[Path]) -> None:
@@ -232,7 +200,7 @@ def describe(system, rings: int, aim: str, quality: FieldQuality) -> dict:
         "modulation_frequencies": frequencies,
         "fields": fields,
         "versions": versions(),
-        "definitions": DEFINITIONS,
+        "definitions": definitions("trace"),
     }
 
 
@@ -324,6 +292,6 @@ def run_tolerance(job: ToleranceSettings, notices: files.Notices = files.SILENT)
         },
         "ignored": ignored,
         "versions": versions(),
-        "definitions": TOLERANCES,
+        "definitions": definitions("tolerance"),
     }
     return files.write_report(folder, report | {"figures": names[:-1]}, mark, names)

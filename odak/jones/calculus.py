@@ -228,12 +228,7 @@ def diattenuator(
     return matrix_on_axes(xp, first, second, angle, dtype)
 
 
-@_validate.takes_units(
-    degrees=(
-        "retardance",
-        "angle",
-    )
-)
+@_validate.takes_units(degrees=("retardance", "angle"))
 def retarder(
     retardance: complex | Array,
     angle: complex | Array = 0.0,

@@ -4,11 +4,13 @@ The description, in TOML or JSON, holds a table ``bench`` (wavelength, resolutio
 which the field passes in order. Lengths are numbers of metres, or texts with a unit such as ``"15cm"``.
 """
 
+import copy
 import json
 import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,93 +30,16 @@ from odak.wave.sampling import Weaker, sampled_axes, warn_beyond_nyquist, warn_o
 from odak.wave.transfer_functions import pitches
 
 BENCH, ELEMENTS = "bench", "elements"
-MOST_SAMPLES = 16384
-
-
-class Parameter(NamedTuple):
-    """A parameter of the bench or of an element: its type, its default, and its meaning."""
-
-    kind: str  # length, positive length, pitch, number, name, file, method, pair of lengths, pair of counts, angle
-    default: Any
-    meaning: str
-
-
-REQUIRED = object()
-_OFFSET = Parameter("pair of lengths", (0.0, 0.0), "Position of the centre (rows, columns).")
-BENCH_PARAMETERS = {
-    "wavelength": Parameter("positive length", REQUIRED, "Wavelength of the light."),
-    "resolution": Parameter("pair of counts", REQUIRED, "Rows and columns of the field."),
-    "pixel_pitch": Parameter("pitch", REQUIRED, "Distance between samples of the field."),
+# The schema of the files says which parameters there are, of which kinds, and what they are where they are left out.
+_SCHEMA: dict[str, Any] = json.loads(
+    resources.files("odak").joinpath("assets/bench_schema.json").read_text(encoding="utf-8")
+)
+_SCHEMA["$defs"]["method"]["enum"] = list(PROPAGATION_TYPES)
+KINDS: dict[str, dict[str, Any]] = {
+    one["properties"]["kind"]["const"]: one for one in _SCHEMA["properties"][ELEMENTS]["items"]["oneOf"]
 }
-KINDS: dict[str, dict[str, Parameter]] = {
-    "plane_wave": {
-        "amplitude": Parameter("number", 1.0, "Amplitude."),
-        "tilt": Parameter("pair of angles", (0.0, 0.0), "Angles to the axis in degrees (rows, columns)."),
-    },
-    "gaussian_beam": {
-        "waist": Parameter("positive length", REQUIRED, "Radius of the waist, where the amplitude is 1/e."),
-        "distance": Parameter("length", 0.0, "Distance behind the waist."),
-        "power": Parameter("number", 1.0, "Power of the beam."),
-        "offset": _OFFSET,
-    },
-    "point_source": {
-        "distance": Parameter("positive length", REQUIRED, "Distance from the point to the field."),
-        "amplitude": Parameter("number", 1.0, "Amplitude on the axis."),
-        "offset": _OFFSET,
-    },
-    "circular_aperture": {
-        "diameter": Parameter("positive length", REQUIRED, "Diameter of the opening."),
-        "offset": _OFFSET,
-    },
-    "rectangular_aperture": {
-        "size": Parameter("pair of lengths", REQUIRED, "Height and width of the opening."),
-        "offset": _OFFSET,
-    },
-    "lens": {
-        "focal_length": Parameter("length", REQUIRED, "Focal length; positive converges."),
-        "diameter": Parameter("positive length", None, "Diameter; without it, the lens is as large as the field."),
-        "offset": _OFFSET,
-    },
-    "slm": {
-        "pattern": Parameter("file", REQUIRED, "Grey picture of the phase, pixel by pixel: 0 is 0, white + 1 is 2 pi."),
-    },
-    "mask": {
-        "picture": Parameter("file", REQUIRED, "Grey picture of the transmitted intensity, 0 to 1, pixel by pixel."),
-    },
-    "propagate": {
-        "distance": Parameter("length", REQUIRED, "Distance; negative goes back."),
-        "method": Parameter("method", "auto", "Propagation method."),
-        "pixel_pitch": Parameter("pitch", None, "Distance between samples behind; without it, that in front."),
-        "resolution": Parameter("pair of counts", None, "Rows and columns behind; without it, those in front."),
-    },
-    "record": {
-        "name": Parameter("name", REQUIRED, "Name of the files that hold the field at this place."),
-    },
-}
+MOST_SAMPLES: int = _SCHEMA["$defs"]["pair_of_counts"]["items"]["maximum"]
 SOURCES = ("plane_wave", "gaussian_beam", "point_source")
-_TYPES: dict[str, dict[Any, Any]] = {
-    "length": {"type": ["number", "string"], "description": "metres, or a number with a unit"},
-    "positive length": {"type": ["number", "string"], "description": "metres, or a number with a unit; positive"},
-    "pitch": {
-        "oneOf": [
-            {"type": ["number", "string"]},
-            {"type": "array", "items": {"type": ["number", "string"]}, "minItems": 2, "maxItems": 2},
-        ],
-        "description": "metres, or a number with a unit; positive; one, or a pair (rows, columns)",
-    },
-    "number": {"type": "number"},
-    "name": {"type": "string", "pattern": "^[A-Za-z0-9][A-Za-z0-9_-]*$"},
-    "file": {"type": "string"},
-    "method": {"enum": list(PROPAGATION_TYPES)},
-    "pair of lengths": {"type": "array", "items": {"type": ["number", "string"]}, "minItems": 2, "maxItems": 2},
-    "pair of counts": {
-        "type": "array",
-        "items": {"type": "integer", "minimum": 1, "maximum": MOST_SAMPLES},
-        "minItems": 2,
-        "maxItems": 2,
-    },
-    "pair of angles": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
-}
 
 
 class BenchStep(NamedTuple):
@@ -252,34 +177,7 @@ def bench_schema() -> dict[str, Any]:
     >>> [one["properties"]["kind"]["const"] for one in elements][:3]
     ['plane_wave', 'gaussian_beam', 'point_source']
     """
-
-    def described(parameters: dict[str, Parameter], **more: dict[Any, Any]) -> dict[Any, Any]:
-        properties = {
-            name: {**_TYPES[parameter.kind], "title": parameter.meaning} for name, parameter in parameters.items()
-        }
-        required = [name for name, parameter in parameters.items() if parameter.default is REQUIRED]
-        return {
-            "type": "object",
-            "properties": {**more, **properties},
-            "required": [*more, *required],
-            "additionalProperties": False,
-        }
-
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "Optical bench of odak simulate",
-        "type": "object",
-        "properties": {
-            BENCH: described(BENCH_PARAMETERS),
-            ELEMENTS: {
-                "type": "array",
-                "minItems": 1,
-                "items": {"oneOf": [described(parameters, kind={"const": kind}) for kind, parameters in KINDS.items()]},
-            },
-        },
-        "required": [BENCH, ELEMENTS],
-        "additionalProperties": False,
-    }
+    return copy.deepcopy(_SCHEMA)
 
 
 def read_config(path: Path) -> dict[Any, Any]:
@@ -329,7 +227,7 @@ def checked(config: Any, folder: Path) -> tuple[dict[Any, Any], list[dict[Any, A
         raise ValueError(f"{BENCH} must be a table, got {type(config[BENCH]).__name__}")
     if not isinstance(config[ELEMENTS], list) or not config[ELEMENTS]:
         raise ValueError(f"{ELEMENTS} must be a list of at least one element")
-    bench = _filled(BENCH, config[BENCH], BENCH_PARAMETERS, folder)
+    bench = _filled(BENCH, config[BENCH], _SCHEMA["properties"][BENCH], folder)
     elements = []
     passed = False
     recorded: set[str] = set()
@@ -370,14 +268,17 @@ def _check_names(where: str, given: dict[Any, Any], known, required) -> None:
         raise ValueError(f"{where} needs {', '.join(missing)}")
 
 
-def _filled(where: str, given: dict[Any, Any], parameters: dict[str, Parameter], folder: Path) -> dict[Any, Any]:
-    _check_names(where, given, parameters, [name for name, one in parameters.items() if one.default is REQUIRED])
+def _filled(where: str, given: dict[Any, Any], schema: dict[str, Any], folder: Path) -> dict[Any, Any]:
+    """Return the values of a table, checked and with the defaults of its schema."""
+    parameters = {name: one for name, one in schema["properties"].items() if name != "kind"}
+    _check_names(where, given, parameters, [name for name in schema["required"] if name != "kind"])
     values = {}
     for name, parameter in parameters.items():
+        kind = parameter["$ref"].rpartition("/")[2].replace("_", " ")
         try:
-            values[name] = _value(parameter.kind, given[name], folder) if name in given else parameter.default
+            values[name] = _value(kind, given[name], folder) if name in given else parameter.get("default")
         except (TypeError, ValueError) as error:
-            raise ValueError(f"{where}: {name} must be {_wanted(parameter.kind)}, got {given[name]!r:.80}") from error
+            raise ValueError(f"{where}: {name} must be {_wanted(kind)}, got {given[name]!r:.80}") from error
     return values
 
 
@@ -389,7 +290,7 @@ def _wanted(kind: str) -> str:
         "number": "a finite number",
         "name": "a name of letters, digits, '-' and '_'",
         "file": "the path of a picture that exists",
-        "method": f"one of {', '.join(_TYPES['method']['enum'])}",
+        "method": f"one of {', '.join(PROPAGATION_TYPES)}",
         "pair of lengths": "two lengths [rows, columns]",
         "pair of counts": f"two whole numbers [rows, columns] from 1 to {MOST_SAMPLES}",
         "pair of angles": "two angles in degrees [rows, columns], below 90",
@@ -428,7 +329,7 @@ def _value(kind: str, value: Any, folder: Path) -> Any:
             raise ValueError
         return str(path)
     if kind == "method":
-        return _validate.one_of(kind, value, _TYPES["method"]["enum"])
+        return _validate.one_of(kind, value, PROPAGATION_TYPES)
     if not value or not value.isascii() or not value.replace("-", "").replace("_", "").isalnum() or value[0] in "-_":
         raise ValueError
     return value

@@ -157,12 +157,7 @@ def birefringent_plate(
     return matrix_on_axes(xp, along, across, angle, xp.complex128 if double else xp.complex64)
 
 
-@_validate.takes_units(
-    degrees=(
-        "retardance",
-        "angle",
-    )
-)
+@_validate.takes_units(degrees=("retardance", "angle"))
 def q_plate(
     shape: Sequence[int],
     charge: float,
