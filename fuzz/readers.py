@@ -258,6 +258,18 @@ def _captures(path):
     load_captures(path)
 
 
+def _correction(path):
+    from odak.instruments import load_correction
+
+    load_correction(path, cycle=256)
+
+
+def _look_up_table(path):
+    from odak.instruments import load_look_up_table
+
+    load_look_up_table(path)
+
+
 def _command(path):
     from odak.tools import large_language_model
     from odak.visualize.blender import server
@@ -381,6 +393,12 @@ READERS = {
     ),
     "captures": Reader(
         seed_files.capture_seeds, _captures, (b"TREE", b"SNOD", b"HEAP", b"OHDR", b"FRHP"), mutations.in_hdf5
+    ),
+    "maker": Reader(
+        seed_files.maker_seeds,
+        every(_correction, _look_up_table),
+        (b";", b",,", b"\t", b"#", b"nan", b"1e999", b"Y/X,0,1\n", b"BM"),
+        megabytes=IMAGE_MEGABYTES,
     ),
     "command": Reader(
         seed_files.command_seeds,

@@ -349,6 +349,18 @@ def capture_seeds(folder):
         yield ".h5", content(path)
 
 
+def maker_seeds(folder):
+    """Yield corrections and look-up tables of makers of modulators."""
+    from PIL import Image
+
+    yield ".csv", b"Y/X,0,1,2\n0,0,128,256\n1,512,64,0\n"
+    yield ".lut", b"0 2047\n1 1983\n2 1920\n"
+    yield ".txt", "\ufeff0;1;2;\n3;4;5;\n".encode()
+    image = io.BytesIO()
+    Image.fromarray(np.arange(12, dtype=np.uint8).reshape(3, 4)).save(image, "BMP")
+    yield ".bmp", image.getvalue()
+
+
 def command_seeds(folder):
     """Yield commands as texts, and an answer of a language model."""
     yield ".txt", b"render('picture.png', exit=True)"

@@ -26,6 +26,8 @@ from .feedback import SpotFeedback as SpotFeedback
 from .feedback import equalise_spots as equalise_spots
 from .focus import measure_distance as measure_distance
 from .illumination import measure_illumination as measure_illumination
+from .maker_files import load_correction as load_correction
+from .maker_files import load_look_up_table as load_look_up_table
 from .makers import HoloeyeModulator as HoloeyeModulator
 from .makers import MeadowlarkModulator as MeadowlarkModulator
 from .makers import RaspberryPiCamera as RaspberryPiCamera

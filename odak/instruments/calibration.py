@@ -292,7 +292,7 @@ def calibrate_table(
         Number of measurements of the registration and the wavefront; up to twice as many as long as the wavefront
         changes by more than a twentieth of a wavelength. With two, a calibration without a lens takes about 110
         captures, and 130 with cameras of fewer than 10 bits; of modulators wider than what a pixel reaches,
-        λ·distance/pitch, up to 300.
+        λ·distance/pitch, up to 500.
     regions : sequence of int, optional
         Rows and columns of regions whose phase response is measured too, after the second registration, and used in
         the later steps; a response that varies over the modulator acts as an aberration and shifts the image. The
