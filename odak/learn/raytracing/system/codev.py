@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from odak import _validate
 from odak.catalog.materials import MICROMETRES, Material, material, model_glass, tabulated
 from odak.learn.raytracing.system.paraxial import first_order
 from odak.learn.raytracing.system.specification import AIR, MIRROR, SystemAperture
@@ -27,19 +26,26 @@ from odak.learn.raytracing.system.system_files import (
     ZmxReport,
     aperture_of_working,
     catalogued,
+    differing,
     fields_of_image_heights,
+    heights_of_angles,
+    image_of,
     lens_text,
     named_errors,
+    opened,
     own_surfaces,
+    own_tilt,
     pairs,
     plain,
-    told_impossible,
+    reported,
+    usual_pupil,
     within,
 )
 from odak.raytracing.apertures import Aperture, CircularAperture, EllipticAperture, RectangularAperture
 from odak.raytracing.interfaces import RadialPhase
 from odak.raytracing.surfaces import Biconic, Conic, EvenAsphere, PolynomialFreeform, Shape, Toroid
 from odak.tools.paths import _text, write_file
+from odak.tools.transformation import rotation_matrix
 
 LENGTHS = {"M": 1.0, "MM": 1.0, "C": 10.0, "CM": 10.0, "I": 25.4, "IN": 25.4}
 # Coefficients of r⁴, r⁶, … by their letters.
@@ -369,8 +375,7 @@ def read_seq(
     >>> round(float(first_order(again).focal_length - first_order(lens).focal_length), 6)
     0.0
     """
-    path = Path(_text("path", path))
-    _validate.instance("glasses", glasses, (Mapping, type(None)), "a dictionary")
+    path, stand_ins = opened(path, glasses)
     reader = _Reader([], [])
     with named_errors(path.name):
         for number, words in _commands(path):
@@ -380,10 +385,9 @@ def read_seq(
                 f"a lens must have an object (SO), at least one surface (S) and an image (SI), got "
                 f"{len(reader.surfaces)} surfaces{'' if reader.ended else ' without SI'}"
             )
-        found = _built(reader, dict(glasses or {}), path)
+        found = _built(reader, stand_ins, path)
     remedy = "" if reader.by_radius else ": without a command RDM the file states curvatures; are they radii?"
-    told_impossible(found, remedy, reader.notes)
-    return found, ZmxReport(tuple(reader.ignored), tuple(reader.notes))
+    return reported(found, reader.ignored, reader.notes, remedy)
 
 
 def _built(reader: _Reader, glasses: dict, path: Path) -> optical_system:
@@ -399,7 +403,6 @@ def _built(reader: _Reader, glasses: dict, path: Path) -> optical_system:
     scale = LENGTHS[unit]
     waves = [value * 1e-6 for value in numbers("WL")] or [587.5618e-6]
     reference = int(numbers("REF")[0]) - 1 if head.get("REF") else len(waves) // 2
-    weights = numbers("WTW")
     context = Context(scale, {**reader.glasses, **glasses}, [], waves, reader.ignored, notes)
     items: list[surface] = []
     places: dict[int, int] = {}
@@ -424,9 +427,7 @@ def _built(reader: _Reader, glasses: dict, path: Path) -> optical_system:
         notes.append("no STO: the first surface is taken as the stop")
     names: dict[str, Any] = {"unit": "mm", "source": path.name, "wavelengths": waves, "reference": reference}
     names |= {"name": " ".join(word.lstrip("'") for word in head.get("TIT", [])) or path.stem, "image": image}
-    names["object_distance"] = distance
-    if len(weights) == len(waves) and len(set(weights)) > 1:
-        names["wavelength_weights"] = weights
+    names |= {"object_distance": distance, "wavelength_weights": differing(numbers("WTW"), len(waves))}
 
     def system(size, form, **others):
         return optical_system(list(items), SystemAperture(size, form), **names, **others)
@@ -435,8 +436,7 @@ def _built(reader: _Reader, glasses: dict, path: Path) -> optical_system:
     found = system(size, form)
     points = _points(found, head, numbers, scale, notes)
     factors = _factors(numbers, len(points))
-    own = numbers("WTF")
-    field_weights = own if len(own) == len(points) and len(set(own)) > 1 else None
+    field_weights = differing(numbers("WTF"), len(points))
     zooms = _settings(reader, places, points, math.isinf(distance), numbers, context)
     return system(size, form, fields=points, vignetting_factors=factors, field_weights=field_weights, settings=zooms)
 
@@ -510,7 +510,7 @@ def _append(number: int, entry: _Surface, items: list, places: dict, context: Co
     own = entry.back == "DAR" and not along and not bool(made.tilt.any())
     if own:
         made.shift.copy_(made.shift.new_tensor(shift))
-        made.tilt = made.tilt.new_tensor(_own_tilt(tilt))
+        made.tilt = made.tilt.new_tensor(own_tilt(tilt))
     elif turned and entry.back != "REV":
         items.append(coordinate_break(shift, tilt))
     places[number] = len(items)
@@ -540,15 +540,9 @@ def _inverse(shift, tilt) -> tuple[tuple, tuple]:
     return tuple(-value for value in shift), tuple(-value for value in tilt)
 
 
-def _rotation(tilt, order: str = "xyz") -> np.ndarray:
-    """Return the matrix of rotations in degrees about x, the new y and the new z; of "yxz" about y, x, then z."""
-    parts = {}
-    for axis, angle in zip("xyz", map(math.radians, tilt), strict=True):
-        s, c = math.sin(angle), math.cos(angle)
-        parts[axis] = {"x": [[1, 0, 0], [0, c, -s], [0, s, c]], "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]]}.get(
-            axis, [[c, -s, 0], [s, c, 0], [0, 0, 1]]
-        )
-    return np.linalg.multi_dot([np.asarray(parts[axis], dtype=float) for axis in order])
+def _rotation(tilt, mode: str = "ZYX") -> np.ndarray:
+    """Return the matrix of rotations in degrees about x, y and z, the first letter of the mode first."""
+    return rotation_matrix(np.asarray(tilt, dtype=float), mode)
 
 
 def _angles(matrix: np.ndarray) -> tuple[float, float, float]:
@@ -558,19 +552,10 @@ def _angles(matrix: np.ndarray) -> tuple[float, float, float]:
     return math.degrees(a), math.degrees(b), math.degrees(c)
 
 
-def _own_tilt(tilt) -> tuple[float, float, float]:
-    """Return the tilt of a :class:`surface` that equals rotations about x, the new y and the new z."""
-    if not tilt[2] and not (tilt[0] and tilt[1]):
-        return tilt
-    m = _rotation(tilt)
-    found = math.asin(max(-1.0, min(1.0, -m[1, 2]))), math.atan2(m[0, 2], m[2, 2]), math.atan2(m[1, 0], m[1, 1])
-    return tuple(map(math.degrees, found))  # type: ignore[return-value]
-
-
 def _from_own_tilt(tilt) -> tuple[float, float, float]:
     """Return rotations about x, the new y and the new z that equal the tilt of a :class:`surface`."""
     a, b, c = (*tilt, 0.0)[:3]
-    return (a, b, c) if not c and not (a and b) else _angles(_rotation((a, b, c), "yxz"))
+    return (a, b, c) if not c and not (a and b) else _angles(_rotation((a, b, c), "ZXY"))
 
 
 def _bent(tilt) -> tuple[float, float, float]:
@@ -741,10 +726,9 @@ def _image(entry: _Surface, context: Context) -> surface | None:
     if along or entry.back or turn or entry.phase:
         raise ValueError(f"ZDE, {entry.back or 'DIF'} or XTO of the image surface are not understood")
     limit, apertures = _limits(entry, context.scale)
-    bare = isinstance(shape, Conic) and not isinstance(shape, EvenAsphere) and not shape.curvature
-    if bare and limit is None and not apertures and not any(shift) and not any(tilt):
-        return None
-    return surface(shape=shape, semi_diameter=limit, aperture=apertures or None, shift=shift, tilt=_own_tilt(tilt))
+    return image_of(
+        surface(shape=shape, semi_diameter=limit, aperture=apertures or None, shift=shift, tilt=own_tilt(tilt))
+    )
 
 
 def _aperture(head, numbers, scale: float, system, notes: list) -> tuple[float, str]:
@@ -760,10 +744,7 @@ def _aperture(head, numbers, scale: float, system, notes: list) -> tuple[float, 
     if numbers("NA"):
         size = numbers("NA")[0]
         return (aperture_of_working(system, 0.5 / math.tan(math.asin(size))), "NA") if near else (size, "NA")
-    size = abs(float(first_order(system(1.0, "EPD")).focal_length)) / 10
-    size = size if math.isfinite(size) and size else 1.0
-    notes.append(f"no aperture (EPD, FNO, NA, NAO): an entrance pupil of {size:g} mm, a tenth of the focal length")
-    return size, "EPD"
+    return usual_pupil(system(1.0, "EPD"), "no aperture (EPD, FNO, NA, NAO)", notes)
 
 
 def _points(system, head, numbers, scale: float, notes: list) -> list[tuple[float, float]]:
@@ -776,9 +757,7 @@ def _points(system, head, numbers, scale: float, notes: list) -> list[tuple[floa
     kind = kinds[0]
     points = pairs(numbers(f"X{kind}"), numbers(f"Y{kind}"))
     if kind == "AN" and not system.at_infinity and any(map(any, points)):
-        reach = system.object_distance + float(first_order(system).entrance_pupil_distance)
-        notes.append("fields are angles from the entrance pupil, turned into object heights")
-        return [(-reach * math.tan(math.radians(a)), -reach * math.tan(math.radians(b))) for a, b in points]
+        return heights_of_angles(system, points, notes)
     if kind == "OB" and system.at_infinity and any(map(any, points)):
         raise ValueError("XOB and YOB, heights in the object, need a near object")
     if kind in ("IM", "RI"):

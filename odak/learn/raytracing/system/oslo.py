@@ -12,7 +12,6 @@ from typing import Any
 
 import torch
 
-from odak import _validate
 from odak.catalog.materials import MICROMETRES, tabulated
 from odak.learn.raytracing.system.codev import glass_by_name
 from odak.learn.raytracing.system.paraxial import first_order
@@ -22,10 +21,14 @@ from odak.learn.raytracing.system.system_files import (
     FAR,
     Context,
     ZmxReport,
+    differing,
+    image_of,
     lens_text,
     named_errors,
+    opened,
     own_surfaces,
-    told_impossible,
+    reported,
+    usual_pupil,
     within,
 )
 from odak.raytracing.interfaces import IdealLens
@@ -85,17 +88,15 @@ def read_len(
     >>> round(float(first_order(again).focal_length - first_order(lens).focal_length), 6)
     0.0
     """
-    path = Path(_text("path", path))
-    _validate.instance("glasses", glasses, (Mapping, type(None)), "a dictionary")
+    path, stand_ins = opened(path, glasses)
     ignored: list[str] = []
     with named_errors(path.name):
         head, surfaces = _commands(path, ignored)
         if len(surfaces) < 3:
             raise ValueError(f"a lens must have an object, a surface and an image, got {len(surfaces)} surfaces")
         notes: list[str] = []
-        found = _built(head, surfaces, dict(glasses or {}), path, ignored, notes)
-    told_impossible(found, notes=notes)
-    return found, ZmxReport(tuple(ignored), tuple(notes))
+        found = _built(head, surfaces, stand_ins, path, ignored, notes)
+    return reported(found, ignored, notes)
 
 
 def _commands(path: Path, ignored: list[str]) -> tuple[dict, list[dict]]:
@@ -181,7 +182,6 @@ def _built(head: dict, entries: list[dict], glasses: dict, path: Path, ignored: 
     if not scale > 0:
         raise ValueError(f"UNI, millimetres of a unit, must be positive, got {scale:g}")
     waves = [value * 1e-3 for value in head.get("WV", WAVES)]
-    weights = head.get("WW", [])
     context = Context(scale, glasses, [], waves, ignored, notes)
     distance = entries[0].get("TH", 1e20) * scale
     distance = distance if distance < FAR else math.inf
@@ -190,19 +190,16 @@ def _built(head: dict, entries: list[dict], glasses: dict, path: Path, ignored: 
     items = [_surface(i, entry, context) for i, entry in enumerate(entries[1:-1], start=1)]
     image = _surface(len(entries) - 1, {key: value for key, value in entries[-1].items() if key != "TH"}, context)
     defocus = entries[-1].get("TH", 0.0) * scale
-    flat = image.own_shape is None and not bool(image.curvature) and image.semi_diameter is None
     names: dict[str, Any] = {"unit": "mm", "name": head.get("name") or path.stem, "source": path.name}
-    names |= {"wavelengths": waves, "reference": 0, "object_distance": distance, "image": None if flat else image}
-    if len(weights) == len(waves) and len(set(weights)) > 1:
-        names["wavelength_weights"] = weights
+    names |= {"wavelengths": waves, "reference": 0, "object_distance": distance, "image": image_of(image)}
+    names["wavelength_weights"] = differing(head.get("WW", []), len(waves))
     solved = [i for i, entry in enumerate(entries[1:-1]) if entry.get("PY")]
     if any(i != len(items) - 1 for i in solved):
         raise ValueError(f"surface {solved[0] + 1}: PY, a solve, is understood behind the last surface only")
     size, form = _aperture(head, math.isfinite(distance))
     size = size * scale if form == "EPD" else size
     if size is None or not size:
-        size, form = max(abs(float(first_order(optical_system(items, 1.0, **names)).focal_length)), 1e-9) / 10, "EPD"
-        notes.append(f"no aperture (EBR, NAO, FNO): an entrance pupil of {size:g} mm, a tenth of the focal length")
+        size, form = usual_pupil(optical_system(items, 1.0, **names), "no aperture (EBR, NAO, FNO)", notes)
     if form == "first":
         # The radius of the axial beam at the first surface.
         form, size = "NA", math.sin(math.atan(size * scale / 2 / distance))

@@ -45,6 +45,7 @@ from odak.raytracing.surfaces import (
     Shape,
 )
 from odak.tools.paths import _text, write_file
+from odak.tools.transformation import rotation_matrix
 
 FOLDER = Path(__file__).resolve().parents[3] / "catalog" / "data"
 MAXIMUM_BYTES = 4 << 20
@@ -531,18 +532,60 @@ def _decoded(data: bytes, name: str) -> str:
         return data.decode("latin-1")
 
 
+def opened(path: str | os.PathLike[str], glasses: Mapping[Any, Any] | None) -> tuple[Path, dict[Any, Any]]:
+    """Return the arguments of a reader of lens files, checked."""
+    _validate.instance("glasses", glasses, (Mapping, type(None)), "a dictionary")
+    return Path(_text("path", path)), dict(glasses or {})
+
+
+def reported(
+    system: optical_system, ignored: list[str], notes: list[str], remedy: str = ""
+) -> tuple[optical_system, ZmxReport]:
+    """Return what a reader of lens files returns; a system that cannot be meant is warned of."""
+    told_impossible(system, remedy, notes)
+    return system, ZmxReport(tuple(ignored), tuple(notes))
+
+
+def differing(weights: list[float], count: int) -> list[float] | None:
+    """Return weights of a file, None where they are all the same or not `count`."""
+    return weights if len(weights) == count and len(set(weights)) > 1 else None
+
+
+def usual_pupil(system: optical_system, missing: str, notes: list[str]) -> tuple[float, str]:
+    """Return the aperture of a file that states none: an entrance pupil of a tenth of the focal length, in a note."""
+    size = abs(float(first_order(system).focal_length)) / 10
+    size = size if math.isfinite(size) and size else 1.0
+    notes.append(f"{missing}: an entrance pupil of {size:g} mm, a tenth of the focal length, is taken")
+    return size, "EPD"
+
+
+def heights_of_angles(system: optical_system, points, notes: list[str]) -> list[tuple[float, float]]:
+    """Return the object heights that are seen under angles from the entrance pupil, with a note."""
+    reach = system.object_distance + float(first_order(system).entrance_pupil_distance)
+    if not math.isfinite(reach) or system.telecentric:
+        raise ValueError("fields by angles, of a near object, must be seen from a pupil that is not at infinity")
+    notes.append("fields are angles from the entrance pupil, turned into object heights")
+    return [(-reach * math.tan(math.radians(a)), -reach * math.tan(math.radians(b))) for a, b in points]
+
+
+def image_of(found: surface) -> surface | None:
+    """Return the image surface of a file, None where it is a plane across the axis that limits no rays."""
+    flat = found.own_shape is None and not bool(found.curvature) and not bool(found.coefficients.any())
+    return None if flat and found.limit is None and not found.is_off_axis else found
+
+
 def pairs(x, y) -> list[tuple[float, float]]:
     """Return pairs of two lists, the shorter one filled up with zeros."""
     count = max(len(x), len(y))
     return list(zip(*(value + [0.0] * (count - len(value)) for value in (x, y)), strict=True))
 
 
-def about_fixed_axes(about_x: float, about_y: float) -> tuple[float, float, float]:
-    """Return the tilt of a :class:`surface` that equals rotations in degrees about x, then about the new y axis."""
-    if not (about_x and about_y):
-        return about_x, about_y, 0.0
-    (sa, ca), (sb, cb) = ((math.sin(v), math.cos(v)) for v in map(math.radians, (about_x, about_y)))
-    found = math.asin(sa * cb), math.atan2(sb, ca * cb), math.atan2(sa * sb, ca)
+def own_tilt(tilt: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return the tilt of a surface of its own that acts as rotations Rx·Ry·Rz of these degrees."""
+    if not tilt[2] and not (tilt[0] and tilt[1]):
+        return tilt
+    m = rotation_matrix(np.asarray(tilt, dtype=float), "ZYX")
+    found = math.asin(max(-1.0, min(1.0, -m[1, 2]))), math.atan2(m[0, 2], m[2, 2]), math.atan2(m[1, 0], m[1, 1])
     return tuple(map(math.degrees, found))  # type: ignore[return-value]
 
 

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from odak import _validate
 from odak.catalog.materials import MICROMETRES, Material, glass_makers, material, model_glass, nearest_materials
 from odak.learn.raytracing.system.operands import clear_heights
 from odak.learn.raytracing.system.paraxial import first_order, matrix, signed_indices
@@ -29,17 +28,22 @@ from odak.learn.raytracing.system.system_files import (
     FAR,
     Context,
     ZmxReport,
-    about_fixed_axes,
     aperture_of_working,
     catalogued,
+    differing,
     fields_of_image_heights,
+    heights_of_angles,
+    image_of,
     lens_text,
     model_numbers,
     named_errors,
+    opened,
     own_surfaces,
+    own_tilt,
     pairs,
     plain,
-    told_impossible,
+    reported,
+    usual_pupil,
     within,
 )
 from odak.learn.raytracing.system.zooms import configurations
@@ -199,8 +203,6 @@ _INERT_KEYS = frozenset(
 _PLACEHOLDER = (1.5, 40.0)
 # Thickness in millimetres up to which a layer is one of cement.
 THIN = 0.1
-# Of files that state no aperture and no semi-diameters.
-DEFAULT_F_NUMBER = 10.0
 
 
 def read_zmx(
@@ -257,12 +259,11 @@ def read_zmx(
     >>> round(float(first_order(again).focal_length - first_order(lens).focal_length), 6)
     0.0
     """
-    path = Path(_text("path", path))
-    _validate.instance("glasses", glasses, (Mapping, type(None)), "a dictionary")
+    path, stand_ins = opened(path, glasses)
     general, surfaces = read_lines(path)
     notes: list[str] = []
     ignored: list[str] = []
-    try:
+    with named_errors(path.name):
         for line in general:
             if line.key not in _GENERAL_KEYS | _OPERANDS and not (line.key == "VANN" and not any(_numbers(line))):
                 ignored.append(_named(line))
@@ -276,7 +277,7 @@ def read_zmx(
         words = [word.lower() for word in head["GCAT"].words] if "GCAT" in head else []
         makers = list(dict.fromkeys(maker for word in words for maker in glass_makers() if maker in word))
         waves, weights, reference = _wavelengths(general, head, notes)
-        context = Context(LENGTHS[unit], dict(glasses or {}), makers, waves, ignored, notes)
+        context = Context(LENGTHS[unit], stand_ins, makers, waves, ignored, notes)
         built = [_surface(number, surfaces, context) for number in range(1, len(surfaces) - 1)]
         image = _image(len(surfaces) - 1, surfaces, context)
         distance = _object_distance(head, surfaces[0], context)
@@ -312,12 +313,7 @@ def read_zmx(
         }
         own["settings"] = _settings(general, head, surfaces, form, context)
         found = system(size, form, telecentric=telecentric, fields=points, **own)
-    except ValueError as error:
-        raise ValueError(f"{path.name}: {error}") from error
-    except ArithmeticError as error:
-        raise ValueError(f"{path.name}: a number is out of range: {error}") from error
-    told_impossible(found, notes=notes)
-    return found, ZmxReport(tuple(ignored), tuple(notes))
+    return reported(found, ignored, notes)
 
 
 def _completed(head, surfaces, notes: list) -> tuple[list, bool]:
@@ -588,7 +584,7 @@ def _surface(number: int, surfaces, context: Context) -> surface:
             semi_diameter=limit,
             aperture=apertures or None,
             shift=(own.get(1, 0.0) * scale, own.get(2, 0.0) * scale),
-            tilt=about_fixed_axes(own.get(3, 0.0), own.get(4, 0.0)),
+            tilt=own_tilt((own.get(3, 0.0), own.get(4, 0.0), 0.0)),
             stop=any(line.key == "STOP" for line in lines),
         )
 
@@ -931,8 +927,7 @@ def _image(number: int, surfaces, context: Context) -> surface | None:
     if is_break(found) or found.phase is not None:
         kind = "COORDBRK" if is_break(found) else type(found.phase).__name__
         raise ValueError(f"surface {number}, the image, must be a surface without diffraction, got {kind}")
-    flat = found.own_shape is None and found.curvature == 0 and not bool(found.coefficients.any())
-    return None if flat and found.limit is None else found
+    return image_of(found)
 
 
 def _wavelengths(general, head, notes: list) -> tuple[list[float], list[float] | None, int]:
@@ -949,7 +944,7 @@ def _wavelengths(general, head, notes: list) -> tuple[list[float], list[float] |
     weights = [line.value(2) if len(line.words) > 2 else 1.0 for line in lines[:number]]
     if not lines:
         weights = [value for line in general if line.key == "WWGT" for value in _numbers(line)][:number]
-    weights = weights if len(weights) == len(waves[:number]) and len(set(weights)) > 1 else None
+    weights = differing(weights, len(waves[:number]))
     waves = [value * 1e-3 for value in waves[:number]] or [587.5618e-6]
     reference = head["PWAV"].whole() - 1 if "PWAV" in head else len(waves) // 2
     return waves, weights, min(max(reference, 0), len(waves) - 1)
@@ -968,8 +963,7 @@ def _factors(head, count: int, notes: list) -> list[list[float]] | None:
 
 def _field_weights(head, count: int) -> list[float] | None:
     """Return the weights of the fields where they differ."""
-    weights = _numbers(head.get("FWGN", head.get("FWGT")))[:count]
-    return weights if len(weights) == count and len(set(weights)) > 1 else None
+    return differing(_numbers(head.get("FWGN", head.get("FWGT")))[:count], count)
 
 
 def _field_points(head, system, context: Context) -> list[tuple[float, float]]:
@@ -989,11 +983,7 @@ def _field_points(head, system, context: Context) -> list[tuple[float, float]]:
         ]
         notes.append("fields are theodolite angles, turned into angles along x and y")
     if kind in (0, 4) and not far and any(map(any, points)):
-        reach = system.object_distance + float(first_order(system).entrance_pupil_distance)
-        if not math.isfinite(reach) or system.telecentric:
-            raise ValueError("FTYP 0, angles, of a near object must be seen from a pupil that is not at infinity")
-        points = [(-reach * math.tan(math.radians(a)), -reach * math.tan(math.radians(b))) for a, b in points]
-        notes.append("fields are angles from the entrance pupil, turned into object heights")
+        points = heights_of_angles(system, points, notes)
     if kind in (2, 3):
         notes.append(f"fields are image heights ({'real' if kind == 3 else 'paraxial'}), turned into object fields")
         aim = "real" if "RAIM" in head and len(head["RAIM"].words) > 1 and head["RAIM"].value(1) else "paraxial"
@@ -1055,10 +1045,7 @@ def _aperture(head, surfaces, context: Context, system) -> tuple[float, str]:
         return 2 * size, "stop"
     if given:
         raise ValueError("FLOA takes the aperture from the stop, whose semi-diameter (DIAM) is not given")
-    size = abs(float(first_order(system(1.0, "stop")).focal_length)) / DEFAULT_F_NUMBER
-    size = size if math.isfinite(size) and size else 1.0
-    context.notes.append(f"{what}: an entrance pupil of {size:g} mm, a tenth of the focal length, is taken")
-    return size, "EPD"
+    return usual_pupil(system(1.0, "stop"), what, context.notes)
 
 
 def _widest_stop(system, sizes) -> float:
