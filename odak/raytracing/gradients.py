@@ -260,7 +260,7 @@ def _error(stages, length, scale):
     return abs(length) * xp.where(whole > 0, fifth / xp.where(whole > 0, whole, 1.0) ** 0.5, 0.0)
 
 
-def integrate(field: Callable, state: Any, scale: Any, remaining: Callable, after: Callable | None = None) -> Path:
+def integrate(field: Callable, state: Any, scale: Any, remaining: Callable) -> Path:
     """Integrate states to the end of their paths, with steps of adaptive length for each ray.
 
     Parameters
@@ -274,9 +274,6 @@ def integrate(field: Callable, state: Any, scale: Any, remaining: Callable, afte
     remaining : callable
         Takes states and t; returns an estimate of the interval of t that remains, and whether the end is reached.
         An estimate of NaN stops the ray.
-    after : callable, optional
-        Called with the states before each step, the derivatives at its stages, and its lengths, 0 for rays whose step
-        was rejected.
 
     Returns
     -------
@@ -296,8 +293,6 @@ def integrate(field: Callable, state: Any, scale: Any, remaining: Callable, afte
         found, stages = step(field, state, length)
         error = _error([*stages, field(found)], length, scale)
         good = ~done & (error <= 1)
-        if after is not None:
-            after(state, stages, xp.where(good, length, 0.0))
         state = xp.where(good, found, state)
         time = xp.where(good, time + length, time)
         usable = xp.isfinite(error)

@@ -1,9 +1,9 @@
 """Sequences of surfaces for blocks of rays: their numbers, their frames, and the trace in operations of the core.
 
-A medium of graded index between two surfaces has an adjoint of constant memory. Forward, rays are integrated to the
-next surface and only their ends are kept. Backward, the ray is integrated from its end to its start together with the
-derivatives of the result by its state, da/dt = −(∂f/∂y)ᵀa; the derivatives by the medium's numbers are the integrals
-of aᵀ∂f/∂θ (Chen et al., Advances in Neural Information Processing Systems 31, 2018).
+A medium of graded index between two surfaces keeps no graph. Forward, rays are integrated to the next surface and only
+their ends are kept. Backward, some rays at a time are integrated again, in as many steps of equal length, through which
+autograd goes (Chen et al., Advances in Neural Information Processing Systems 31, 2018, compare it with the adjoint
+equation).
 """
 
 from collections.abc import Callable
@@ -17,9 +17,12 @@ from odak.learn.raytracing.system.crystals import UniaxialMedium
 from odak.raytracing import components as vec
 from odak.raytracing import interfaces
 from odak.raytracing.batches import needs_gradient
-from odak.raytracing.gradients import Gradient, integrate, ray_equation, stage, step, tableau, to_surface
+from odak.raytracing.gradients import Gradient, ray_equation, step, to_surface
 from odak.raytracing.intersections import RayStatus
 from odak.raytracing.surfaces import Conic, EvenAsphere, Plane, Shape, intersection
+
+# Steps of rays that are held at a time while paths are differentiated.
+FLOWING = 1 << 15
 
 
 def arrive(gradient: Gradient, base, frame, point, direction, shape: Shape, sign: int, track: bool = False) -> tuple:
@@ -170,82 +173,38 @@ def _short_step(field, state, length):
 
 
 class _Flow(torch.autograd.Function):
-    """States after given times: the forward result is given, the backward pass integrates the adjoint equation."""
+    """States after given times: the forward result is given, the backward pass takes as many steps of equal length."""
 
     @staticmethod
     def forward(ctx, kind, steps, end, time, start, base, *parameters):
         ctx.kind, ctx.steps = kind, steps
-        ctx.save_for_backward(end, time, start, base, *parameters)
+        ctx.save_for_backward(time, start, base, *parameters)
         return end.clone()
 
     @staticmethod
     def backward(ctx, gradient):
-        end, time, start, base, *parameters = ctx.saved_tensors
-        needed = ctx.needs_input_grad[4:]
-        if torch.is_grad_enabled():
-            found = _differentiable_gradients(ctx, time, start, base, parameters, gradient, needed)
-        else:
-            found = _adjoint(ctx.kind, end, time, base, parameters, gradient, needed)
-        return None, None, None, None, *found
+        time, start, *numbers = ctx.saved_tensors
+        needed, graph = ctx.needs_input_grad[4:], torch.is_grad_enabled()
+        size = time.shape[-1] if graph or numbers[0].shape[-1] > 1 else max(64, FLOWING // ctx.steps)
+        parts = [
+            _flow_gradients(ctx, ends, (first, *numbers), weight, needed, graph)
+            for ends, first, weight in zip(*(value.split(size, -1) for value in (time, start, gradient)), strict=True)
+        ]
+        starts, *others = zip(*parts, strict=True)
+        totals = (sum(part) if need else None for part, need in zip(others, needed[1:], strict=True))
+        return None, None, None, None, torch.cat(starts, -1) if needed[0] else None, *totals
 
 
-def _differentiable_gradients(ctx, time, start, base, parameters, gradient, needed) -> list[Any]:
-    """Return the gradients as differentiable tensors: by autograd through as many steps of equal length."""
-    inputs = [value.view_as(value) for value in (start, base, *parameters)]
-    field, state = ray_equation(ctx.kind(*inputs[2:]), inputs[1]), inputs[0]
-    for _ in range(ctx.steps):
-        state, _ = step(field, state, time / ctx.steps)
-    wanted = [value for value, need in zip(inputs, needed, strict=True) if need]
-    found = iter(torch.autograd.grad(state, wanted, gradient, create_graph=True, allow_unused=True))
+def _flow_gradients(ctx, time, inputs, gradient, needed, graph: bool) -> list[torch.Tensor | None]:
+    """Return the gradients of start, base index and parameters, of some of the rays."""
+    with torch.enable_grad():
+        inputs = [value.view_as(value) if graph else value.detach().requires_grad_() for value in inputs]
+        field, state = ray_equation(ctx.kind(*inputs[2:]), inputs[1]), inputs[0]
+        for _ in range(ctx.steps):
+            state, _ = step(field, state, time / ctx.steps)
+        wanted = [value for value, need in zip(inputs, needed, strict=True) if need]
+        found = iter(torch.autograd.grad(state, wanted, gradient, create_graph=graph, materialize_grads=True))
     return [next(found) if need else None for need in needed]
-
-
-def _adjoint(kind, end, time, base, parameters, gradient, needed) -> list[Any]:
-    """Return the gradients of start, base index and parameters."""
-    numbers = [value.detach() for value in (base, *parameters)]
-    totals = [torch.zeros_like(value) for value in numbers]
-    weight = gradient[6]
-
-    def product(state, place, given):
-        """Return aᵀf without the part that depends on the direction alone, and the derivatives of n²."""
-        value, *slopes = kind(*given[1:]).squared(*place, given[0])
-        return weight * value + sum(state[i + 9] * slope / 2 for i, slope in enumerate(slopes)), slopes
-
-    def field(state):
-        with torch.enable_grad():
-            place = [value.detach().requires_grad_() for value in state[:3]]
-            total, slopes = product(state, place, numbers)
-            found = torch.autograd.grad(total.sum(), place, allow_unused=True)
-        change = [torch.zeros_like(p) if f is None else f for p, f in zip(place, found, strict=True)]
-        # Backwards in t: the ray retraces its path.
-        back = [-value for value in state[3:6]] + [-slope.detach() / 2 for slope in slopes]
-        return torch.stack([*broadcast(*back, *change, *state[6:9])])
-
-    def collect(state, stages, lengths):
-        """Add the contribution of a step to the derivatives by the numbers."""
-        for row, share in enumerate(tableau().B):
-            if share:
-                here = stage(state, lengths, stages, row)
-                with torch.enable_grad():
-                    given = [value.requires_grad_() for value in map(torch.Tensor.detach, numbers)]
-                    total, _ = product(here, list(here[:3]), given)
-                    found = torch.autograd.grad(total, given, lengths * float(share), allow_unused=True)
-                for whole, change in zip(totals, found, strict=True):
-                    if change is not None:
-                        whole += change
-
-    def remaining(state, now):
-        rest = time - now
-        return rest, rest.abs() <= 4 * torch.finfo(rest.dtype).eps * time.abs()
-
-    state = torch.cat([end[:6], gradient[:6]])
-    size = [state[i : i + 3].abs().amax(0) for i in range(0, 12, 3)]
-    largest = float(torch.stack(size[2:]).max()) if size[2].numel() else 0.0
-    size[2:] = [value.clamp(min=1e-6 * largest) for value in size[2:]]
-    scale = torch.stack([value + 1e-300 for value in size for _ in range(3)])
-    found = integrate(field, state, scale, remaining, collect if any(needed[1:]) else None)
-    start = torch.cat([found.state[6:12], gradient[6:7]])
-    return [value if need else None for value, need in zip((start, *totals), needed, strict=True)]
 
 
 # Shapes with parameters in `curvature`, `conic` and `coefficients`; other shapes list their parameters separately.

@@ -23,6 +23,7 @@ from odak.learn.raytracing.system import (
     optical_system,
     ray_paths,
     seidel_sums,
+    sequence,
     surface,
     system_from_dict,
     system_to_dict,
@@ -135,14 +136,14 @@ def _varied():
     return lens, values, [f"lens.{held[id(value)]}" for value in values]
 
 
-def test_gradients_by_the_adjoint():
+def test_gradients_through_a_medium():
     """By the ray, the medium, the base index, and the surfaces at both ends, against finite differences."""
     lens, values, names = _varied()
     assert torch.autograd.gradcheck(_landing(lens, names), (RAYS.clone().requires_grad_(), *values), fast_mode=True)
 
 
 @pytest.mark.slow
-def test_second_derivatives_through_the_adjoint():
+def test_second_derivatives_through_a_medium():
     lens, values, names = _varied()
     ray = RAYS[:1].clone().requires_grad_()
     assert torch.autograd.gradgradcheck(_landing(lens, names), (ray, *values), fast_mode=True)
@@ -365,3 +366,19 @@ def test_third_order_sums_of_graded_media_are_differentiable():
     own = FunctionGradient.of(lambda x, y, z, base, parameters: base + 0 * x)
     with pytest.raises(ValueError, match=r"surfaces\[0\] must have a radial or an axial gradient"):
         seidel_sums(optical_system([surface(30.0, material=1.6, gradient=own, thickness=4.0), surface()], 4.0))
+
+
+def test_gradients_of_parts_of_the_rays_add_up(monkeypatch):
+    def gradients():
+        system = optical_system(
+            [surface(radius=50.0, thickness=5.0, material=1.6, gradient=RadialGradient([-5e-3, 1e-6]), stop=True)], 10.0
+        )
+        numbers = [system.surfaces[0].vary(name) for name in ("curvature", "thickness", "coefficients")]
+        traced = trace(system, launch(system, "rings", 6))
+        return torch.autograd.grad(traced.x.square().sum() + traced.path.sum(), numbers)
+
+    whole = gradients()
+    monkeypatch.setattr(sequence, "FLOWING", 1)
+    for part, of_all in zip(gradients(), whole, strict=True):
+        torch.testing.assert_close(part, of_all, rtol=1e-10, atol=0)
+        assert bool(of_all.any())
