@@ -561,7 +561,7 @@ def usual_pupil(system: optical_system, missing: str, notes: list[str]) -> tuple
 
 def heights_of_angles(system: optical_system, points, notes: list[str]) -> list[tuple[float, float]]:
     """Return the object heights that are seen under angles from the entrance pupil, with a note."""
-    reach = system.object_distance + float(first_order(system).entrance_pupil_distance)
+    reach = float(system.object_distance) + float(first_order(system).entrance_pupil_distance)
     if not math.isfinite(reach) or system.telecentric:
         raise ValueError("fields by angles, of a near object, must be seen from a pupil that is not at infinity")
     notes.append("fields are angles from the entrance pupil, turned into object heights")

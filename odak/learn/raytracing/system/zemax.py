@@ -155,30 +155,6 @@ def read_lines(path) -> tuple[list[Line], list[list[Line]]]:
 
 
 LENGTHS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "METER": 1000.0, "M": 1000.0}
-# Types of surfaces, and which of their numbers PARM are used.
-TYPES: dict[str, Sequence[int]] = {
-    "STANDARD": (),
-    "EVENASPH": range(1, 9),
-    "ODDASPHE": range(1, 9),
-    "XASPHERE": (),
-    "XOSPHERE": (),
-    "TOROIDAL": range(1, 9),
-    "BICONICX": (1, 2),
-    "TILTSURF": (1, 2),
-    "XPOLYNOM": (),
-    "QED_TYPE": (),
-    "SZERNSAG": range(9),
-    "FZERNSAG": range(9),
-    "IRREGULA": range(1, 9),
-    "COORDBRK": range(1, 7),
-    "DGRATING": (1, 2),
-    "BINARY_1": range(9),
-    "BINARY_2": range(9),
-    "PARAXIAL": (1, 2),
-    "GRINSUR1": (1, 2, 3),
-    "GRINSUR2": range(1, 9),
-    "GRINSUR3": range(1, 9),
-}
 # Keys that are understood, of the whole system and of surfaces.
 _GENERAL = (
     "VERS MODE NAME NOTE UNIT GCAT WAVM WAVL WWGT PWAV FTYP XFLN YFLN XFLD YFLD ENPD FNUM OBNA FLOA AUTH IWDP STUD "
@@ -549,14 +525,14 @@ def _surface(number: int, surfaces, context: Context) -> surface:
     """Return one surface; entries without effect go to the report."""
     lines, scale = surfaces[number], context.scale
     kind = next((line.words[0] for line in lines if line.key == "TYPE" and line.words), "STANDARD").upper()
-    if kind not in TYPES:
-        raise ValueError(f"surface {number}: TYPE must be one of {', '.join(TYPES)}, got {kind!r}")
+    if kind not in KINDS:
+        raise ValueError(f"surface {number}: TYPE must be one of {', '.join(KINDS)}, got {kind!r}")
     held = _parameters(lines, "XDAT")
     extended = 3 + int(held.get(2, 0.0)) if kind == "QED_TYPE" else 2 + int(held.get(1, 0.0))
     for line in lines:
         used = line.key in _SURFACE_KEYS
         if line.key in ("PARM", "XDAT") and len(line.words) > 1 and line.value(1):
-            used = line.whole() in TYPES[kind] if line.key == "PARM" else line.whole() <= extended
+            used = line.whole() in KINDS[kind].parameters if line.key == "PARM" else line.whole() <= extended
         if not (used or line.automatic):
             context.ignored.append(_named(line, number))
     thickness = _of(lines, "DISZ", 0.0) * scale
@@ -631,7 +607,7 @@ def _form(number: int, kind: str, lines, scale: float) -> tuple[Shape, Phase | N
     last = max((i for i, value in p.items() if value), default=0)
     if kind in ("EVENASPH", "ODDASPHE") and last > 8:
         raise ValueError(f"surface {number}: PARM must be 1 to 8, got {last}")
-    made = _SHAPES[kind](_Entries(number, kind, lines, scale, curvature, conic, p, extra, norm, strong))
+    made = KINDS[kind].make(_Entries(number, kind, lines, scale, curvature, conic, p, extra, norm, strong))
     return made if isinstance(made, tuple) else (made, None)
 
 
@@ -723,20 +699,35 @@ def _irregular(e: _Entries) -> Shape:
     return PolynomialFreeform(e.curvature, e.conic, terms, reach)
 
 
-_SHAPES: dict[str, Callable[[_Entries], Shape | tuple[Shape, Phase | None]]] = {
-    **dict.fromkeys(("STANDARD", "GRINSUR1", "GRINSUR2", "GRINSUR3"), _conic),
-    **dict.fromkeys(("EVENASPH", "ODDASPHE"), _asphere),
-    **dict.fromkeys(("XASPHERE", "XOSPHERE"), _extended_asphere),
-    **dict.fromkeys(("BINARY_1", "BINARY_2"), _diffractive),
-    **dict.fromkeys(("SZERNSAG", "FZERNSAG"), _zernike),
-    "TOROIDAL": _toroid,
-    "BICONICX": _biconic,
-    "TILTSURF": _tilted,
-    "XPOLYNOM": _polynomial,
-    "QED_TYPE": _forbes,
-    "IRREGULA": _irregular,
-    "DGRATING": _grating,
-    "PARAXIAL": _paraxial,
+class _Kind(NamedTuple):
+    """What makes the shape and the phase of a surface type, and which of its entries PARM are used."""
+
+    make: Callable[[_Entries], Shape | tuple[Shape, Phase | None]]
+    parameters: Sequence[int] = ()
+
+
+KINDS = {
+    "STANDARD": _Kind(_conic),
+    "EVENASPH": _Kind(_asphere, range(1, 9)),
+    "ODDASPHE": _Kind(_asphere, range(1, 9)),
+    "XASPHERE": _Kind(_extended_asphere),
+    "XOSPHERE": _Kind(_extended_asphere),
+    "TOROIDAL": _Kind(_toroid, range(1, 9)),
+    "BICONICX": _Kind(_biconic, (1, 2)),
+    "TILTSURF": _Kind(_tilted, (1, 2)),
+    "XPOLYNOM": _Kind(_polynomial),
+    "QED_TYPE": _Kind(_forbes),
+    "SZERNSAG": _Kind(_zernike, range(9)),
+    "FZERNSAG": _Kind(_zernike, range(9)),
+    "IRREGULA": _Kind(_irregular, range(1, 9)),
+    "COORDBRK": _Kind(_conic, range(1, 7)),
+    "DGRATING": _Kind(_grating, (1, 2)),
+    "BINARY_1": _Kind(_diffractive, range(9)),
+    "BINARY_2": _Kind(_diffractive, range(9)),
+    "PARAXIAL": _Kind(_paraxial, (1, 2)),
+    "GRINSUR1": _Kind(_conic, (1, 2, 3)),
+    "GRINSUR2": _Kind(_conic, range(1, 9)),
+    "GRINSUR3": _Kind(_conic, range(1, 9)),
 }
 
 
