@@ -135,7 +135,7 @@ REASONS = {
         raytracing/system/eye: accommodation_response
         raytracing/system/optimise: _linearly_compensated _seeing_limits least_squares tolerances_for_yield
         raytracing/system/pupils: _by_chart _chief_rays _continuation _differences _past_ends _search _solve solve_pairs
-        raytracing/system/sequence: _adjoint axis_signs
+        raytracing/system/sequence: axis_signs
         raytracing/system/waves: _peak resolved strehl_ratio
         wave/display_models: _match_brightness _numbers match_gaps misfit
         wave/holograms/solvers/levels: _proposed step
