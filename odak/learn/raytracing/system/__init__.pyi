@@ -75,6 +75,7 @@ from .films import JonesFilm as JonesFilm
 from .films import PolarizerFilm as PolarizerFilm
 from .films import PolarizingFilm as PolarizingFilm
 from .films import RetarderFilm as RetarderFilm
+from .films import TableFilm as TableFilm
 from .image_simulation import PointSpreadMap as PointSpreadMap
 from .image_simulation import demosaic as demosaic
 from .image_simulation import expose_sensor as expose_sensor

@@ -333,12 +333,7 @@ class JonesFilm(PolarizingFilm):
     fixed: ClassVar[tuple[str, ...]] = ("wavelengths", "angles")
 
     def __post_init__(self) -> None:
-        for name in ("wavelengths", "angles"):
-            grid = tuple(float(v) for v in _validate.several(name, getattr(self, name)))
-            if any(b <= a for a, b in pairwise(grid)):
-                raise ValueError(f"{name} must rise, got {grid!r:.80}")
-            object.__setattr__(self, name, grid)
-        sizes = (len(self.wavelengths), len(self.angles))
+        sizes = _checked_grids(self)
         wanted = (*((max(size, 1) for size in sizes) if any(sizes) else ()), 2, 2)
         for name in ("transmission", "reflection"):
             value = getattr(self, name)
@@ -374,19 +369,122 @@ class JonesFilm(PolarizingFilm):
         held: list[Any] = [self.transmission, self.reflection]
         if held[0].ndim == 2:
             return FilmMatrices(*held)
+        return FilmMatrices(*_interpolated(self, held, x, y, wavelength))
+
+
+@dataclass(frozen=True)
+class TableFilm(PolarizingFilm):
+    """A coating of measured or supplied transmittances and reflectances over wavelength and angle of incidence.
+
+    Parameters
+    ----------
+    transmittance : array
+        Shares of the power ``[W, A]`` of any polarisation, or ``[W, A, 2]`` of light along s and along p; 1 in place of
+        the length of a sequence below that is left out.
+    reflectance : array, optional
+        Of the same form; by default nothing is reflected. It holds from both sides.
+    wavelengths : sequence of float
+        Of the table, rising, in the system's unit, ``[W]``.
+    angles : sequence of float
+        Angles in air in degrees, rising, ``[A]``.
+
+    Raises
+    ------
+    ValueError
+        If a share is negative, more light comes out than goes in, or a ray lies outside the table.
+
+    Notes
+    -----
+    Powers are interpolated linearly. Phases are not in such a table: s and p pass in phase, so that the retardance of
+    the coating is left out. A :class:`JonesFilm` has phases.
+
+    Examples
+    --------
+    A beam splitter that passes a third of s and two thirds of p at 45°:
+
+    >>> import numpy as np
+    >>> from odak.learn.raytracing.system import TableFilm
+    >>> film = TableFilm([[[1 / 3, 2 / 3]]], [[[2 / 3, 1 / 3]]])
+    >>> sine = np.array([0.5**0.5])
+    >>> np.round(np.abs(film.matrices(sine, 0 * sine, 550e-6).transmission[0]) ** 2, 3)
+    array([[0.667, 0.   ],
+           [0.   , 0.333]])
+    """
+
+    transmittance: Sequence[Sequence[float]] | Array
+    reflectance: Sequence[Sequence[float]] | Array | None = None
+    wavelengths: Sequence[float] = ()
+    angles: Sequence[float] = ()
+    fixed: ClassVar[tuple[str, ...]] = ("wavelengths", "angles")
+    ranks: ClassVar[Mapping[str, int]] = {"transmittance": 3, "reflectance": 3}
+
+    def __post_init__(self) -> None:
+        rows, columns = (max(size, 1) for size in _checked_grids(self))
+        for name in ("transmittance", "reflectance"):
+            value: Any = getattr(self, name)
+            if value is None:
+                value = 0 * self.transmittance  # type: ignore[operator]  # an array by now
+            value = value if is_array(value) else np.asarray(value, dtype=float)
+            xp = namespace(value)
+            if value.ndim == 2:
+                value = xp.stack([value, value], axis=-1)
+            if tuple(value.shape) != (rows, columns, 2):
+                raise ValueError(f"{name} must be {[rows, columns]} or {[rows, columns, 2]}, got {list(value.shape)}")
+            object.__setattr__(self, name, xp.astype(value, xp.float64, copy=False))
+        held = [np.asarray(value) for value in (self.transmittance, self.reflectance) if _is_known(value)]
+        if any(not (value >= 0).all() for value in held):
+            raise ValueError("transmittance and reflectance must be at least 0")
+        most = float(np.sum(np.stack(held), axis=0).max()) if held else 0.0
+        if most > 1 + 1e-9:
+            raise ValueError(f"transmittance and reflectance must not gain power, got {most:.6g} times as much")
+
+    @property
+    def reflects(self) -> bool:
+        """Whether it reflects light, as a mirror must."""
+        held: Any = self.reflectance
+        return not _is_known(held) or bool((held != 0).any())
+
+    def matrices(self, x: Array, y: Array, wavelength: Array | float, unit: str = "mm") -> FilmMatrices:
+        """Return the Jones matrices of rays by x, y, wavelength and unit, see :meth:`PolarizingFilm.matrices`."""
         xp = namespace(x)
         squared = x * x + y * y
-        flat = squared > 0
-        sine = xp.where(flat, xp.where(flat, squared, 1.0) ** 0.5, 0.0)
-        rest = xp.where(squared < 1 - GRAZING, 1 - squared, GRAZING) ** 0.5
-        angle = xp.atan2(sine, rest) / DEGREE
-        rows = _between(xp, "wavelengths", self.wavelengths, wavelength + 0 * x)
-        columns = _between(xp, "angles", self.angles, angle)
+        tilted = squared > 0
+        sine = xp.where(tilted, squared, 1.0) ** 0.5
+        # The plane of incidence, in which p lies; any plane for rays along the normal.
+        plane = xp.where(tilted, x / sine, 1.0), xp.where(tilted, y / sine, 0.0)
         found = []
-        for table in held:
-            parts = [(a * b)[..., None, None] * table[i, j] for i, a in rows for j, b in columns]
-            found.append(sum(parts[1:], parts[0]))
+        for powers in _interpolated(self, [self.transmittance, self.reflectance], x, y, wavelength):
+            bright = powers > 0
+            s, p = (part for part in xp.unstack(xp.where(bright, xp.where(bright, powers, 1.0) ** 0.5, 0.0), axis=-1))
+            found.append(_on_axes(plane, p, s))
         return FilmMatrices(*found)
+
+
+def _checked_grids(film: Any) -> tuple[int, int]:
+    """Set the wavelengths and angles of a table as tuples after checking that they rise; return their numbers."""
+    for name in ("wavelengths", "angles"):
+        grid = tuple(float(v) for v in _validate.several(name, getattr(film, name)))
+        if any(b <= a for a, b in pairwise(grid)):
+            raise ValueError(f"{name} must rise, got {grid!r:.80}")
+        object.__setattr__(film, name, grid)
+    return len(film.wavelengths), len(film.angles)
+
+
+def _interpolated(film: Any, tables: list[Any], x: Any, y: Any, wavelength: Any) -> list[Any]:
+    """Return the entries ``[..., …]`` of tables ``[W, A, …]`` for rays."""
+    xp = namespace(x)
+    squared = x * x + y * y
+    flat = squared > 0
+    sine = xp.where(flat, xp.where(flat, squared, 1.0) ** 0.5, 0.0)
+    rest = xp.where(squared < 1 - GRAZING, 1 - squared, GRAZING) ** 0.5
+    rows = _between(xp, "wavelengths", film.wavelengths, wavelength + 0 * x)
+    columns = _between(xp, "angles", film.angles, xp.atan2(sine, rest) / DEGREE)
+    found = []
+    for table in tables:
+        tail = (...,) + (None,) * (table.ndim - 2)
+        parts = [(a * b)[tail] * table[i, j] for i, a in rows for j, b in columns]
+        found.append(sum(parts[1:], parts[0]))
+    return found
 
 
 def _is_known(value: Any) -> bool:
@@ -402,7 +500,7 @@ def _between(xp: Any, name: str, grid: Sequence[float], value: Any) -> list[tupl
     slack = 1e-9 * (abs(grid[0]) + abs(grid[-1]))
     if is_readable(value) and bool(((value < grid[0] - slack) | (value > grid[-1] + slack)).any()):
         raise ValueError(
-            f"{name} of a table of Jones matrices reach from {grid[0]:g} to {grid[-1]:g}, got rays from "
+            f"{name} of a table of a film reach from {grid[0]:g} to {grid[-1]:g}, got rays from "
             f"{float(value.min()):g} to {float(value.max()):g}"
         )
     if len(grid) == 1:

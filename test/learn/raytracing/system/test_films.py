@@ -15,6 +15,7 @@ from odak.learn.raytracing.system import (
     JonesFilm,
     PolarizerFilm,
     RetarderFilm,
+    TableFilm,
     coordinate_break,
     flipped_system,
     ghost_system,
@@ -411,3 +412,51 @@ def test_a_pellicle_between_equal_media_counts():
     """A film of glass in air reflects, though the medium is the same on both sides."""
     pellicle = row(Coating((1.5,), [WAVE / 4 / 1.5]))
     assert share(pellicle) == pytest.approx(1 - ((1 - 1.5**2) / (1 + 1.5**2)) ** 2, abs=1e-12)
+
+
+def fresnel_table(index, angles):
+    """Transmittances [A, 2] of s and p at a bare face, by Fresnel's formulas."""
+    theta = np.radians(angles)
+    inside = np.arcsin(np.sin(theta) / index)
+    with np.errstate(invalid="ignore"):
+        s = (np.sin(theta - inside) / np.sin(theta + inside)) ** 2
+        p = (np.tan(theta - inside) / np.tan(theta + inside)) ** 2
+    s[theta == 0] = p[theta == 0] = ((index - 1) / (index + 1)) ** 2
+    return 1 - np.stack([s, p], -1)
+
+
+@pytest.mark.parametrize("ray", [(0.0, 0.0), (0.0, 0.5), (0.4, 0.0), (-0.45, 0.5)])
+def test_a_table_of_a_bare_face_acts_as_the_face(ray):
+    """Fresnel's powers of s and p as a table: throughputs of all linear states, the rest reflected."""
+    angles = np.linspace(0, 89, 8901)
+    passed = fresnel_table(1.5, angles)[None]
+    film = TableFilm(passed, 1 - passed, angles=angles.tolist())
+    bare = optical_system([surface(material=1.5, thickness=1.0)], 1.0, wavelengths=WAVE)
+    for azimuth in (0.0, 35.0, 90.0):
+        state = (math.cos(math.radians(azimuth)), math.sin(math.radians(azimuth)))
+        expected = share(bare, state, along_z(*ray))
+        assert share(row(film), state, along_z(*ray)) == pytest.approx(expected, abs=2e-7), azimuth
+        back = share(row(film, mirror=(0,)), state, along_z(*ray))
+        assert back == pytest.approx(1 - expected, abs=2e-7)
+
+
+def test_tables_of_films_are_interpolated_checked_and_written():
+    film = TableFilm([[0.2, 0.4], [0.6, 1.0]], wavelengths=[500e-6, 600e-6], angles=[0.0, 60.0])
+    system = row(film)
+    assert share(system) == pytest.approx(0.4, abs=1e-12) and not film.reflects
+    assert share(system, ray=along_z(0.5)) == pytest.approx((0.4 + 0.7) / 2, abs=1e-12)
+    again = system_from_dict(json.loads(json.dumps(system_to_dict(system))))
+    assert share(again, ray=along_z(0.5)) == share(system, ray=along_z(0.5))
+    numbers = torch.tensor([[[0.2, 0.4]]], dtype=F64, requires_grad=True)
+    x = torch.tensor([0.3], dtype=F64)
+    powers = TableFilm(numbers).matrices(x, 0 * x, WAVE).transmission.abs().square().sum()
+    assert torch.autograd.grad(powers, numbers)[0].flatten().tolist() == pytest.approx([1.0, 1.0])
+    for table, words in (
+        ([[0.7]], "must not gain power, got 1.3"),
+        ([[-0.1]], "must be at least 0"),
+        ([[0.5, 0.5]], r"transmittance must be \[1, 1\] or"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            TableFilm(table, [[0.6]])
+    with pytest.raises(ValueError, match="angles of a table of a film reach from 0 to 60"):
+        share(system, ray=along_z(0.9))
