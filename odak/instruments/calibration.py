@@ -57,6 +57,8 @@ UNITS = {
 SPREAD_OF_RESPONSE = 0.01
 # Residual of a first registration behind a lens in pixels, above which its spots were not found.
 LARGEST_RESIDUAL = 10.0
+# Factor that makes standard deviations of the errors of the distance of wide modulators.
+OF_STEERED = 4.0
 # Share of the last change of the wavefront that is taken as its error.
 REST = 0.2
 # Uncertainties above which calibrate_table warns: rad, pixel, rad.
@@ -369,7 +371,7 @@ def _calibrated(table: OpticalTable, rounds: int, regions: Sequence[int] | None,
     regional, change = None, math.inf
     wide = not behind_lens and is_wide(table)
     for turn in range(2 * rounds):
-        if turn >= rounds and change < UNSETTLED:
+        if turn >= rounds + wide and change < UNSETTLED:
             break
         if turn == 0 or not wide:
             grids = FIRST_GRIDS if turn == 0 else GRIDS
@@ -392,10 +394,7 @@ def _calibrated(table: OpticalTable, rounds: int, regions: Sequence[int] | None,
             # The errors of the regions are partly independent.
             uncertainty = {"phases": 2 * float(np.linalg.norm(shares * doubts)), "regional_phases": float(doubts.max())}
         if wide:
-            if turn:
-                sharpest, of_focus = focused(table)
-                table = replace(table, distance=sharpest.distance)
-            table, doubt = steered(table, turn == 0, 1 if turn == 0 else 2)
+            table, doubt, of_distance = steered(table, turn == 0, 1 if turn == 0 else 2)
             registration = table.registration
         else:
             table, doubt = _with_aberration(table, turn)
@@ -404,11 +403,12 @@ def _calibrated(table: OpticalTable, rounds: int, regions: Sequence[int] | None,
     # below are those that make standard deviations of the errors on 50 independent tables.
     response_error = 0.4 * uncertainty.get("regional_phases", 0.0)
     uncertainty["wavefront"] = math.hypot(1.5 * doubt, REST * change, SMALLEST_ERROR, response_error)
-    if not behind_lens:
-        if not wide:
-            if rounds == 1:
-                table = replace(table, distance=distance_with_uncertainty(table, NEAR, captures=1)[0])
-            table, of_focus = focused(table)
+    if wide:
+        uncertainty["distance"] = OF_STEERED * of_distance
+    elif not behind_lens:
+        if rounds == 1:
+            table = replace(table, distance=distance_with_uncertainty(table, NEAR, captures=1)[0])
+        table, of_focus = focused(table)
         uncertainty["distance"] = math.hypot(of_focus, error_by_wavefront(table, uncertainty["wavefront"]))
     if not wide:
         registration = registered(table, captures=LAST_GRIDS, start=registration)

@@ -74,11 +74,10 @@ def linear_part(table: OpticalTable, registration: Registration) -> Registration
     return Registration(homography, 0.0, registration.shape)
 
 
-def steered(table: OpticalTable, first: bool, captures: int = 1) -> tuple[OpticalTable, float]:
-    """Return a table with registration and wavefront by steered lenslets, from what is known of them roughly.
+def steered(table: OpticalTable, first: bool, captures: int = 1) -> tuple[OpticalTable, float, float]:
+    """Return a table with registration, wavefront and distance by steered lenslets, from what is known of them roughly.
 
-    At `first` the distance is found too, which the scale of the registration is told apart from by the steering alone:
-    later, a focus tells it better. The other result is the uncertainty of the wavefront in radians.
+    The other results are the uncertainties of the wavefront in radians and of the distance in metres.
     """
     modulator, camera, wavelength, distance, phases, registration = parts_of(table, "phases", "registration")
     farthest = reached(wavelength, distance, modulator.pitch)
@@ -130,14 +129,15 @@ def steered(table: OpticalTable, first: bool, captures: int = 1) -> tuple[Optica
     points, seen = np.concatenate(points), np.concatenate(seen)
     there = (seen > WINDOW * pixel) & (seen < np.array(camera.shape[::-1]) - 1 - WINDOW * pixel)
     used = there.all(-1)
-    columns = [[tilts, *[np.broadcast_to(o[:, None], (*tilts.shape[:2], 1))] * first] for o in offsets]
-    system = np.concatenate([np.concatenate(parts, -1) for parts in columns])
+    system = np.concatenate(
+        [np.concatenate([tilts, np.broadcast_to(o[:, None], (*tilts.shape[:2], 1))], -1) for o in offsets]
+    )
     begin = np.concatenate([registration.homography.ravel()[:8], [registration.distortion], np.zeros(system.shape[-1])])
     scale = np.array(
         [camera.pitch] * 2 + [10 * camera.pitch] + [camera.pitch] * 2 + [10 * camera.pitch, 1e-6, 1e-6, 0.1]
     )
     # Parameters in units of their size: of modes, in radians.
-    scale = np.concatenate([scale, np.ones(len(modes)), [1e-3] * first])
+    scale = np.concatenate([scale, np.ones(len(modes)), [1e-3]])
 
     def mapping(parameters: np.ndarray) -> Registration:
         homography = np.append(parameters[:8], 1.0).reshape(3, 3)
@@ -154,11 +154,9 @@ def steered(table: OpticalTable, first: bool, captures: int = 1) -> tuple[Optica
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * (missed @ missed) / max(missed.size - len(fit.x), 1)
     variance = np.einsum("ki,ij,kj->k", jacobian[:, :9], covariance[:9, :9], jacobian[:, :9])
     uncertainty = LARGEST * math.sqrt(variance.reshape(-1, 2).sum(-1).max())
-    pure, of_modes = modes.reshape(len(modes), -1), slice(9, 9 + len(modes))
-    doubt = math.sqrt(
-        np.einsum("ij,ip,jp->", covariance[of_modes, of_modes], pure, pure, optimize=True) / pure.shape[1]
-    )
-    wavefront = wavefront + np.tensordot(fit.x[of_modes], modes, axes=1)
+    pure = modes.reshape(len(modes), -1)
+    doubt = math.sqrt(np.einsum("ij,ip,jp->", covariance[9:-1, 9:-1], pure, pure, optimize=True) / pure.shape[1])
+    wavefront = wavefront + np.tensordot(fit.x[9:-1], modes, axes=1)
     registration = Registration(found.homography, found.distortion, found.shape, residual, uncertainty)
-    distance = distance * (1 + fit.x[-1]) if first else distance
-    return replace(table, registration=registration, wavefront=wavefront, distance=distance), doubt
+    known = {"registration": registration, "wavefront": wavefront, "distance": distance * (1 + fit.x[-1])}
+    return replace(table, **known), doubt, 1e-3 * math.sqrt(covariance[-1, -1]) * distance
