@@ -114,7 +114,7 @@ def test_a_picture_that_fails_ends_the_list():
         ({"devices": "cuda"}, "devices must be a sequence of devices or 'distributed', got 'cuda'"),
         ({"devices": 3}, "devices must be a sequence of devices, got int"),
         ({"devices": []}, "devices must name at least one device"),
-        ({"devices": ["cuda:99"]}, "devices must be on this machine, where torch finds .* got cuda:99"),
+        ({"devices": ["cuda:99"]}, "devices must be on this machine, where torch finds .* got 'cuda:99'"),
         ({"devices": ["cpu", "gpu"]}, "devices must be a torch.device or its name"),
         ({"devices": "distributed"}, "init_process_group first"),
         ({"devices": ["cpu"], "solver": "gerchberg-saxton"}, "devices must be None for one picture by Alternating"),
