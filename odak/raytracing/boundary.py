@@ -128,8 +128,8 @@ def fresnel_coefficients(ray: Array, normal: Array, n1: float | Array, n2: compl
     --------
     >>> from odak.raytracing import fresnel_coefficients
     >>> ray = [[0, 0, 0], [0, 0, 1]]
-    >>> fresnel_coefficients(ray, ray, 1.0, 1.5).reflectance_s.round(6)
-    array([0.04])
+    >>> [round(value, 6) for value in fresnel_coefficients(ray, ray, 1.0, 1.5).reflectance_s.reshape(-1).tolist()]
+    [0.04]
     """
     batches = _batches(ray=ray, normal=normal)
     ray, normal = namespace(*batches).broadcast_arrays(*batches)
@@ -186,9 +186,8 @@ def get_triangle_normal(triangle: Array, triangle_center: Array | None = None) -
     Examples
     --------
     >>> from odak.raytracing import get_triangle_normal
-    >>> get_triangle_normal([[0, 0, 0], [3, 0, 0], [0, 3, 0]])
-    array([[1., 1., 0.],
-           [0., 0., 1.]])
+    >>> get_triangle_normal([[0, 0, 0], [3, 0, 0], [0, 3, 0]]).tolist()
+    [[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     """
     given = {} if triangle_center is None else {"triangle_center": triangle_center}
     triangle, *center = _validate.reals(triangle=triangle, **given)

@@ -31,10 +31,8 @@ def define_plane(point: Sequence[float] | Array, angles: Sequence[float] | Array
     Examples
     --------
     >>> from odak.raytracing import define_plane
-    >>> define_plane([0, 0, 5])
-    array([[10., 10.,  5.],
-           [ 0., 10.,  5.],
-           [ 0.,  0.,  5.]])
+    >>> define_plane([0, 0, 5]).tolist()
+    [[10.0, 10.0, 5.0], [0.0, 10.0, 5.0], [0.0, 0.0, 5.0]]
     """
     point, angles = _validate.reals(point=point, angles=angles)
     matrix = rotation_matrix(arguments.vector("angles", angles))

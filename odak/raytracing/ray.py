@@ -146,7 +146,7 @@ def create_ray_from_all_pairs(x0y0z0: Array, x1y1z1: Array) -> Array:
     Examples
     --------
     >>> from odak.raytracing import create_ray_from_all_pairs
-    >>> create_ray_from_all_pairs([[0, 0, 0], [1, 0, 0]], [[0, 0, 1], [0, 0, 2], [0, 0, 3]]).shape
+    >>> tuple(create_ray_from_all_pairs([[0, 0, 0], [1, 0, 0]], [[0, 0, 1], [0, 0, 2], [0, 0, 3]]).shape)
     (6, 2, 3)
     """
     start, end = _validate.reals(x0y0z0=x0y0z0, x1y1z1=x1y1z1)
@@ -204,9 +204,8 @@ def get_points_along_a_ray_segment(ray: Array, distances: Array) -> Array:
     Examples
     --------
     >>> from odak.raytracing import get_points_along_a_ray_segment
-    >>> get_points_along_a_ray_segment([[0, 0, 0], [0, 0, 1]], [1.0, 2.0])
-    array([[0., 0., 1.],
-           [0., 0., 2.]])
+    >>> get_points_along_a_ray_segment([[0, 0, 0], [0, 0, 1]], [1.0, 2.0]).tolist()
+    [[0.0, 0.0, 1.0], [0.0, 0.0, 2.0]]
     """
     ray, distances = _validate.reals(ray=ray, distances=distances)
     ray, distances = arguments.rays("ray", ray), namespace(ray).reshape(distances, (-1, 1))

@@ -169,10 +169,7 @@ class PLY_object:
         points = np.stack(
             [np.broadcast_to(x, z.shape), np.broadcast_to(y[:, None] if y.ndim == 1 else y, z.shape), z], axis=-1
         )
-        number = np.arange(z.size).reshape(z.shape)
-        here, right, below, across = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
-        faces = np.stack([here, right, across, here, across, below], axis=-1).reshape(-1, 3)
-        points = points.reshape(-1, 3)
+        faces, points = _arrays.grid_faces(*z.shape), points.reshape(-1, 3)
         good = np.isfinite(points).all(-1)
         renumbered = np.cumsum(good) - 1
         self._append(points[good], renumbered[faces[good[faces].all(-1)]], color, smooth=True)

@@ -8,7 +8,7 @@ import torch
 from odak import _show, _validate
 from odak._array import is_readable
 from odak._attributes import Prepared
-from odak.learn._face import face_of
+from odak.learn._face import face_of, torch_face
 from odak.learn._tensors import checked_device, reals_of
 from odak.learn.raytracing.primitives import batched, define_plane
 from odak.raytracing import arguments, intersections
@@ -39,22 +39,7 @@ def _picked(rays, normals, distance, hit) -> tuple[torch.Tensor, torch.Tensor, t
 
 
 if not TYPE_CHECKING:
-
-    @face_of(core.fresnel_coefficients, tensors=("ray", "normal"))
-    def fresnel_coefficients(function, **given):
-        """Return the Fresnel coefficients of rays at surfaces, for the amplitude and for the power.
-
-        Examples
-        --------
-        At normal incidence glass reflects ((n − 1)/(n + 1))²:
-
-        >>> import torch
-        >>> from odak.learn.raytracing import fresnel_coefficients
-        >>> ray = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-        >>> round(fresnel_coefficients(ray, ray, 1.0, 1.5).reflectance_s.item(), 4)
-        0.04
-        """
-        return function(**given)
+    fresnel_coefficients = torch_face(core.fresnel_coefficients, tensors=("ray", "normal"))
 
     @face_of(core.get_cylinder_normal, tensors=("point", "cylinder"))
     def get_cylinder_normal(function, **given):
@@ -92,18 +77,7 @@ if not TYPE_CHECKING:
         """
         return batched(function(**given), 2)
 
-    @face_of(core.get_triangle_normal, tensors=("triangle", "triangle_center"))
-    def get_triangle_normal(function, **given):
-        """Return the unit normals of triangles by the right-hand rule, as rays from their centres.
-
-        Examples
-        --------
-        >>> import torch
-        >>> from odak.learn.raytracing import get_triangle_normal
-        >>> get_triangle_normal(torch.tensor([[0.0, 0, 0], [3, 0, 0], [0, 3, 0]])).tolist()
-        [[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-        """
-        return function(**given)
+    get_triangle_normal = torch_face(core.get_triangle_normal, tensors=("triangle", "triangle_center"))
 
     @face_of(core.reflect, tensors=("input_ray", "normal"))
     def reflect(_, input_ray, normal):

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from odak import _validate
-from odak.learn._face import face_of
+from odak.learn._face import face_of, torch_face
 from odak.learn._tensors import reals_of
 from odak.raytracing import arguments
 from odak.raytracing import primitives as core
@@ -46,31 +46,9 @@ if not TYPE_CHECKING:
         """
         return batched(function(**given), 1)
 
-    @face_of(core.center_of_triangle, tensors=("triangle",))
-    def center_of_triangle(function, **given):
-        """Return the mean of the corners of triangles.
+    center_of_triangle = torch_face(core.center_of_triangle, tensors=("triangle",))
 
-        Examples
-        --------
-        >>> import torch
-        >>> from odak.learn.raytracing import center_of_triangle
-        >>> center_of_triangle(torch.tensor([[0.0, 0, 0], [3, 0, 0], [0, 6, 0]])).tolist()
-        [[1.0, 2.0, 0.0]]
-        """
-        return function(**given)
-
-    @face_of(core.cylinder_function, tensors=("point", "cylinder"))
-    def cylinder_function(function, **given):
-        """Return the squared distance to the axis of a cylinder minus the squared radius.
-
-        Examples
-        --------
-        >>> import torch
-        >>> from odak.learn.raytracing import cylinder_function, define_cylinder
-        >>> cylinder_function(torch.tensor([[0.0, 0, 9], [3, 0, 9]]), define_cylinder(torch.zeros(3), 2.0)).tolist()
-        [-4.0, 5.0]
-        """
-        return function(**given)
+    cylinder_function = torch_face(core.cylinder_function, tensors=("point", "cylinder"))
 
     @face_of(core.define_circle, tensors=("center", "radius", "angles"))
     def define_circle(core, center, radius, angles):
@@ -104,18 +82,7 @@ if not TYPE_CHECKING:
         """
         return batched(function(**given), 1)
 
-    @face_of(core.define_plane, tensors=("point", "angles"))
-    def define_plane(function, **given):
-        """Return three points of a plane through `point`, tilted.
-
-        Examples
-        --------
-        >>> import torch
-        >>> from odak.learn.raytracing import define_plane
-        >>> define_plane(torch.tensor([0.0, 0.0, 5.0]))[:, 2].tolist()
-        [5.0, 5.0, 5.0]
-        """
-        return function(**given)
+    define_plane = torch_face(core.define_plane, tensors=("point", "angles"))
 
     @face_of(core.define_sphere, tensors=("center", "radius"), defaults={"center": None, "radius": None})
     def define_sphere(function, center=None, radius=None):
@@ -142,18 +109,7 @@ if not TYPE_CHECKING:
         """
         return arguments.batch(function(_ORIGIN if center is None else center, 1.0 if radius is None else radius), 1)
 
-    @face_of(core.sphere_function, tensors=("point", "sphere"))
-    def sphere_function(function, **given):
-        """Return |p − c|² − r², which is zero on a sphere and negative inside.
-
-        Examples
-        --------
-        >>> import torch
-        >>> from odak.learn.raytracing import sphere_function
-        >>> sphere_function(torch.tensor([[0.0, 0, 0], [3, 0, 0]]), torch.tensor([0.0, 0, 0, 2])).tolist()
-        [-4.0, 5.0]
-        """
-        return function(**given)
+    sphere_function = torch_face(core.sphere_function, tensors=("point", "sphere"))
 
 
 def define_plane_mesh(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from odak import _validate
-from odak.learn._face import face_of
+from odak.learn._face import face_of, torch_face
 from odak.learn._tensors import checked_generator, reals_of
 from odak.learn.raytracing.primitives import batched
 from odak.raytracing import arguments
@@ -40,18 +40,7 @@ if not TYPE_CHECKING:
         """
         return batched(function(**given), 1)
 
-    @face_of(core.create_ray_from_all_pairs, tensors=("x0y0z0", "x1y1z1"))
-    def create_ray_from_all_pairs(function, **given):
-        """Return a ray from each of the first points to each of the second ones.
-
-        Examples
-        --------
-        >>> import torch
-        >>> from odak.learn.raytracing import create_ray_from_all_pairs
-        >>> tuple(create_ray_from_all_pairs(torch.zeros(2, 3), torch.ones(3, 3)).shape)
-        (6, 2, 3)
-        """
-        return function(**given)
+    create_ray_from_all_pairs = torch_face(core.create_ray_from_all_pairs, tensors=("x0y0z0", "x1y1z1"))
 
     @face_of(core.create_ray_from_angles, tensors=("point", "angles"))
     def create_ray_from_angles(function, **given):
@@ -118,19 +107,7 @@ if not TYPE_CHECKING:
         """
         return batched(function(**given), 1)
 
-    @face_of(core.get_points_along_a_ray_segment, tensors=("ray", "distances"))
-    def get_points_along_a_ray_segment(function, **given):
-        """Return the points of rays at given distances from their starts.
-
-        Examples
-        --------
-        >>> import torch
-        >>> from odak.learn.raytracing import get_points_along_a_ray_segment
-        >>> ray = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-        >>> get_points_along_a_ray_segment(ray, torch.tensor([1.0, 2.5]))[:, 2].tolist()
-        [1.0, 2.5]
-        """
-        return function(**given)
+    get_points_along_a_ray_segment = torch_face(core.get_points_along_a_ray_segment, tensors=("ray", "distances"))
 
     @face_of(core.propagate_a_ray, tensors=("ray", "distance"))
     def propagate_ray(function, **given):
