@@ -42,8 +42,10 @@ REASONS = {
     "an argument is refused, or its kind decides on the way, once per call": """
         models/hologram_networks: _planes
         perception/color_vision_deficiency: _checked_severity
-        perception/csf: _check_range highest_frequency unified_pupil_diameter
+        perception/csf: _check_range not_negative unified_pupil_diameter
         perception/eyesight: ocular_modulation_transfer
+        perception/flicker: sequence_loss
+        perception/gaze: __post_init__ fixations simulate_gaze
         perception/display_color: _checked_axis individual_cone_fundamentals metameric_failure spectrum_to_xyz
         perception/metameric: _metamer
         perception/quality: _require_positive
@@ -90,6 +92,7 @@ REASONS = {
         perception/foveation: __init__ _strips level_weights
         perception/quality: _split
         perception/csf: foveated_budget
+        perception/pooled_model: _overlapping _windows
         raytracing/boundary: _axes intersect_w_triangle_batch
         raytracing/mesh: _faces init_heights
         raytracing/surfaces: intersect_parametric

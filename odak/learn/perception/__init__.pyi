@@ -77,6 +77,10 @@ from .display_color import spectra_to_xyz_matrix as spectra_to_xyz_matrix
 from .display_color import spectrum_to_xyz as spectrum_to_xyz
 from .eyesight import Viewer as Viewer
 from .eyesight import ocular_modulation_transfer as ocular_modulation_transfer
+from .flicker import FlickerLoss as FlickerLoss
+from .flicker import retinal_image as retinal_image
+from .flicker import sequence_loss as sequence_loss
+from .flicker import stela_contrast_sensitivity as stela_contrast_sensitivity
 from .foveation import BlurLoss as BlurLoss
 from .foveation import RadiallyVaryingBlur as RadiallyVaryingBlur
 from .foveation import make_3d_location_map as make_3d_location_map
@@ -86,6 +90,10 @@ from .foveation import make_equi_pooling_size_map_pixels as make_equi_pooling_si
 from .foveation import make_pooling_size_map_lod as make_pooling_size_map_lod
 from .foveation import make_pooling_size_map_pixels as make_pooling_size_map_pixels
 from .foveation import make_radial_map as make_radial_map
+from .gaze import GazeTrace as GazeTrace
+from .gaze import read_gaze as read_gaze
+from .gaze import saccade_duration as saccade_duration
+from .gaze import simulate_gaze as simulate_gaze
 from .hdr import hlg_decode as hlg_decode
 from .hdr import hlg_encode as hlg_encode
 from .hdr import hlg_system_gamma as hlg_system_gamma

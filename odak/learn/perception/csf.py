@@ -329,6 +329,15 @@ def positive_numbers(**values: torch.Tensor | float) -> list[torch.Tensor]:
     return list(made.values())
 
 
+def not_negative(name: str, value: torch.Tensor | float) -> torch.Tensor:
+    """Return numbers of 0 or more as a tensor, float64 of a plain one."""
+    _validate.real(name, value)
+    value = value if isinstance(value, torch.Tensor) else torch.tensor(value, dtype=torch.float64)
+    if _array.is_readable(value) and bool((value.detach() < 0).any()):
+        raise ValueError(f"{name} must not be negative, got {float(value.detach().min()):g}")
+    return value
+
+
 def _check_range(name, picture):
     _validate.real(name, picture)
     if _array.is_readable(picture) and bool(((picture.detach() < -1) | (picture.detach() > 2)).any()):
@@ -470,11 +479,7 @@ def highest_frequency(eccentricity: torch.Tensor | float) -> torch.Tensor:
     >>> [round(highest_frequency(e).item(), 1) for e in (0.0, 2.3, 20.0)]
     [39.2, 19.6, 4.0]
     """
-    _validate.real("eccentricity", eccentricity)
-    if not isinstance(eccentricity, torch.Tensor):
-        eccentricity = torch.tensor(eccentricity, dtype=torch.float64)
-    if _array.is_readable(eccentricity) and (eccentricity.detach() < 0).any():
-        raise ValueError(f"eccentricity must not be negative, got {float(eccentricity.detach().min())}")
+    eccentricity = not_negative("eccentricity", eccentricity)
     return HALVING * math.log(1 / LEAST_CONTRAST) / (DECAY * (eccentricity + HALVING))
 
 

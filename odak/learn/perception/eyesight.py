@@ -7,9 +7,8 @@ import torch
 
 from odak import _array, _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.learn._tensors import tensor
 from odak.learn.perception.color_vision_deficiency import DEFICIENCIES, simulate_color_vision_deficiency
-from odak.learn.perception.csf import positive_numbers, unified_pupil_diameter
+from odak.learn.perception.csf import not_negative, positive_numbers, unified_pupil_diameter
 from odak.learn.perception.sight import Viewing, checked_viewing
 
 # Pupils in millimetres whose aberrations were measured, and the wavelength in nanometres that counts for white light.
@@ -50,11 +49,7 @@ def ocular_modulation_transfer(
     >>> [round(ocular_modulation_transfer(u, 3.0).item(), 2) for u in (0.0, 10.0, 30.0)]
     [1.0, 0.56, 0.16]
     """
-    if not isinstance(frequency, torch.Tensor):
-        frequency = tensor("frequency", _validate.number("frequency", frequency), torch.float64)
-    _validate.real("frequency", frequency)
-    if _array.is_readable(frequency) and bool((frequency.detach() < 0).any()):
-        raise ValueError(f"frequency must not be negative, got {float(frequency.detach().min()):g}")
+    frequency = not_negative("frequency", frequency)
     (pupil,) = positive_numbers(pupil_diameter=pupil_diameter)
     pupil = pupil.to(frequency)
     if _array.is_readable(pupil) and bool(((pupil.detach() < _NARROWEST) | (pupil.detach() > _WIDEST)).any()):

@@ -43,6 +43,12 @@ def _metamer_file(folder):
     return folder / "run.pt"
 
 
+def _gaze_table(folder):
+    path = folder / "gaze.csv"
+    path.write_text("time,x,y\n0,0.5,0.5\n0.1,0.6,0.5\n")
+    return path
+
+
 PAIR = {"predictions": PICTURE, "targets": OTHER}
 BY_NAME = {
     HERE: {
@@ -188,6 +194,15 @@ BY_CALL = {
     f"{HERE}.synthesize_texture": {"size": [32, 32]},
     f"{HERE}.metamer": {"model": torch.square, "picture": tensor(1, 1, 16, 16)},
     f"{HERE}.Metamer": _METAMER,
+    f"{HERE}.FlickerLoss.forward": {"frames": tensor(1, 2, 1, 8, 8)},
+    f"{HERE}.read_gaze": {"path": Build(_gaze_table)},
+    f"{HERE}.retinal_image": {"frames": tensor(2, 3, 8, 8), "gaze": [[0.5, 0.5], [0.6, 0.5]]},
+    f"{HERE}.sequence_loss": {
+        "loss": lambda image, target, gaze: (image - target).square().mean(),
+        "image": tensor(2, 1, 8, 8),
+        "target": tensor(2, 1, 8, 8, seed=5),
+        "gaze": [[0.5, 0.5], [0.6, 0.5]],
+    },
     f"{HERE}.export_experiment": {"folder": Build(lambda folder: folder)},
     f"{HERE}.Metamer.save": {"path": Build(lambda folder: folder / "run.pt")},
     f"{HERE}.Metamer.resume": {"path": Build(_metamer_file)},
