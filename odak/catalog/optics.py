@@ -31,7 +31,38 @@ class SurfaceFigure(Protocol):
         ...
 
 
-class plane_detector(_show.Shown):
+class _Sheet(_show.Shown):
+    """A rectangle that rays meet, described by its settings."""
+
+    def _hold(self, name: str, shape: Sequence[float], center: Sequence[float], angles: Sequence[float]) -> None:
+        self.settings: dict[str, Any] = {
+            "name": _validate.text("name", name),
+            "center": three("center", center),
+            "angles": three("angles", angles),
+            "rotation mode": "XYZ",
+            "shape": two_positive("shape", shape),
+        }
+        self.plane: Array = define_plane(self.settings["center"], self.settings["angles"])
+
+    def _met(self, ray: Array) -> tuple[np.ndarray, ...]:
+        """Return rays, normals and distances, where they meet the plane, there in its frame, and which of them do."""
+        rays = arguments.flat_rays("ray", ray)
+        normal, distance = map(np.asarray, intersect_w_surface(rays, self.plane))
+        hits = arguments.batch(normal, 2)[:, 0]
+        local = within_frame(hits, self.settings["center"], self.settings["angles"])[:, :2]
+        return rays, normal, distance, hits, local, is_ahead(rays, hits)
+
+    def _grid(self, count: Sequence[int]) -> np.ndarray:
+        settings = self.settings
+        return grid_over(count, settings["shape"], settings["center"], settings["angles"])
+
+    def _draw(self, figure: SurfaceFigure, count: Sequence[int], values: np.ndarray) -> None:
+        check_figure(figure)
+        x, y, z = np.moveaxis(self._grid(count), -1, 0)
+        figure.add_surface(data_x=x, data_y=y, data_z=z, surface_color=values, opacity=0.5, contour=False)
+
+
+class plane_detector(_Sheet):
     """A flat detector of rectangular pixels that adds up the amplitudes of rays.
 
     Parameters
@@ -83,15 +114,8 @@ class plane_detector(_show.Shown):
         angles: Sequence[float] = NO_SHIFT,
         name: str = "detector",
     ):
-        self.settings: dict[str, Any] = {
-            "name": _validate.text("name", name),
-            "resolution": list(_validate.size("resolution", resolution)),
-            "center": three("center", center),
-            "angles": three("angles", angles),
-            "rotation mode": "XYZ",
-            "shape": two_positive("shape", shape),
-        }
-        self.plane: Array = define_plane(self.settings["center"], self.settings["angles"])
+        self._hold(name, shape, center, angles)
+        self.settings["resolution"] = list(_validate.size("resolution", resolution))
         size = tuple(self.settings["resolution"])
         field = np.zeros((*size, 1)) if field is None else np.asarray(_validate.array("field", field))
         if field.ndim not in (2, 3) or field.shape[:2] != size or 0 in field.shape:
@@ -119,10 +143,8 @@ class plane_detector(_show.Shown):
             Normals and distances of :func:`odak.raytracing.intersect_w_surface`. The field gains amplitude/distance²,
             whatever the length of the ray's direction, in the pixel hit; the lower rim of a pixel belongs to it.
         """
-        rays = arguments.flat_rays("ray", ray)
-        normal, distance = map(np.asarray, intersect_w_surface(rays, self.plane))
-        hits = arguments.batch(normal, 2)[:, 0]
-        row, column, inside = self._pixels(rays, hits)
+        rays, normal, distance, hits, local, ahead = self._met(ray)
+        row, column, inside = self._pixels(local, ahead)
         channels = self._channels(channel)
         if field is None:
             amplitude, channels = np.full((len(hits), 1), 1000.0), np.arange(self.field.shape[-1])
@@ -133,12 +155,11 @@ class plane_detector(_show.Shown):
         np.add.at(self.field, (row[:, None], column[:, None], channels), gain)
         return normal, distance
 
-    def _pixels(self, rays, hits):
+    def _pixels(self, local, ahead):
         """Return rows and columns of the pixels hit, and which rays hit them."""
-        local = within_frame(hits, self.settings["center"], self.settings["angles"])[:, :2]
         count, shape = (np.asarray(self.settings[key]) for key in ("resolution", "shape"))
         place = np.floor((local + shape / 2) / shape * count)
-        inside = is_ahead(rays, hits) & np.all((place >= 0) & (place < count), axis=-1)
+        inside = ahead & np.all((place >= 0) & (place < count), axis=-1)
         row, column = place[inside].astype(int).T
         return row, column, inside
 
@@ -195,11 +216,7 @@ class plane_detector(_show.Shown):
         """
         kinds = {"intensity": self.get_intensity, "amplitude": self.get_amplitude, "phase": self.get_phase}
         values = kinds[_validate.one_of("plot_type", plot_type, kinds)]()[..., self._channels(channel)[0]]
-        check_figure(figure)
-        settings = self.settings
-        points = grid_over(settings["resolution"], settings["shape"], settings["center"], settings["angles"])
-        x, y, z = np.moveaxis(points, -1, 0)
-        figure.add_surface(data_x=x, data_y=y, data_z=z, surface_color=values, opacity=0.5, contour=False)
+        self._draw(figure, self.settings["resolution"], values)
 
     def plot_field(self, channel: int = 0) -> None:
         """Show one channel of the field in a figure of its own, which is kept as `fig`."""
@@ -210,7 +227,7 @@ class plane_detector(_show.Shown):
         self.fig.show()
 
 
-class thin_diffuser(_show.Shown):
+class thin_diffuser(_Sheet):
     """A flat diffuser: each ray leaves it as a cone of rays about its onward direction.
 
     Parameters
@@ -263,20 +280,13 @@ class thin_diffuser(_show.Shown):
         name: str = "diffuser",
     ):
         _validate.number("diffusion_angle", diffusion_angle, least=0, below=180, unit="degrees")
-        self.settings: dict[str, Any] = {
-            "name": _validate.text("name", name),
-            "center": three("center", center),
-            "angles": three("angles", angles),
-            "rotation mode": "XYZ",
-            "shape": two_positive("shape", shape),
-            "diffusion angle": diffusion_angle,
-            "number of diffusion rays": list(_validate.size("diffusion_no", diffusion_no)),
-        }
-        self.plane: Array = define_plane(self.settings["center"], self.settings["angles"])
+        self._hold(name, shape, center, angles)
+        self.settings["diffusion angle"] = diffusion_angle
+        self.settings["number of diffusion rays"] = list(_validate.size("diffusion_no", diffusion_no))
         self.k: float = 2 * np.pi / 0.05
         self.phase = phase
         if phase is None:
-            self.surface_points = self._grid(100).reshape(-1, 3)
+            self.surface_points = self._grid((100, 100)).reshape(-1, 3)
         radius = np.tan(np.radians(diffusion_angle) / 2)
         self.diffusion_points: np.ndarray = _ring_points(self.settings["number of diffusion rays"], radius)
 
@@ -296,11 +306,8 @@ class thin_diffuser(_show.Shown):
         normal, distance : numpy.ndarray
             Of :func:`odak.raytracing.intersect_w_surface`.
         """
-        rays = arguments.flat_rays("ray", ray)
-        normal, distance = map(np.asarray, intersect_w_surface(rays, self.plane))
-        hits = arguments.batch(normal, 2)[:, 0]
-        local = within_frame(hits, self.settings["center"], self.settings["angles"])[:, :2]
-        inside = is_ahead(rays, hits) & np.all(np.abs(local) <= np.asarray(self.settings["shape"]) / 2, axis=-1)
+        rays, normal, distance, hits, local, ahead = self._met(ray)
+        inside = ahead & np.all(np.abs(local) <= np.asarray(self.settings["shape"]) / 2, axis=-1)
         towards = self.diffusion_points / np.linalg.norm(self.diffusion_points, axis=-1, keepdims=True)
         length = np.linalg.norm(rays[:, 1], axis=-1, keepdims=True)
         directions = length[:, None] * _rotated(towards, unit(rays[:, 1]))
@@ -310,13 +317,7 @@ class thin_diffuser(_show.Shown):
 
     def plot_diffuser(self, figure: SurfaceFigure) -> None:
         """Draw the diffuser into a figure that has `add_surface`."""
-        check_figure(figure)
-        x, y, z = np.moveaxis(self._grid(10), -1, 0)
-        figure.add_surface(data_x=x, data_y=y, data_z=z, surface_color=np.zeros(x.shape), opacity=0.5, contour=False)
-
-    def _grid(self, count: int) -> np.ndarray:
-        settings = self.settings
-        return grid_over((count, count), settings["shape"], settings["center"], settings["angles"])
+        self._draw(figure, (10, 10), np.zeros((10, 10)))
 
 
 def _ring_points(number: Sequence[int], radius: float) -> np.ndarray:
