@@ -92,6 +92,7 @@ class Call:
             yield name, "on another device", contract.judge_elsewhere(self.function, self.arguments, name)
 
 
+@pytest.mark.usefixtures("small_judge")
 @pytest.mark.parametrize(
     "path",
     [
