@@ -45,6 +45,12 @@ SLOW = {
     "notes/metameric_loss.md",
     "notes/published_results.md",
 }
+# Of those, what shows numbers of few steps; the others show what was optimised, learned or drawn.
+EXACT = {
+    "guides/polarised_light_and_media.md",
+    "guides/polarised_rays.md",
+    "guides/propagate_light.md",
+}
 NEED_A_BROWSER = {"guides/see_results.md"}
 NEED_BLENDER = {"guides/render_in_blender.md"}
 make_pictures = script("make_pictures")
@@ -66,8 +72,12 @@ def _case(path):
 @pytest.mark.filterwarnings("ignore:__array:DeprecationWarning")
 @pytest.mark.parametrize("path", [_case(path) for path in make_pictures.pages()])
 def test_page_prints_what_it_shows(path, tmp_path):
+    # Numbers of few steps to the digits that are shown, those of many within 2 %.
+    name = path.relative_to(make_pictures.DOCS).as_posix()
+    by_digits = name not in SLOW or name in EXACT
     for block, printed in make_pictures.run_page(path, tmp_path):
-        assert agrees(block.expected, printed), f"{path}:{block.line} shows\n{block.expected}\nbut prints\n{printed}"
+        said = f"{path}:{block.line} shows\n{block.expected}\nbut prints\n{printed}"
+        assert agrees(block.expected, printed, by_digits), said
     stored = {picture.name for picture in make_pictures.pictures_of(path).glob("*.png")}
     assert {picture.name for picture in tmp_path.glob("*.png")} == stored, "run docs/make_pictures.py"
 

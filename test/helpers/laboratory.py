@@ -12,6 +12,8 @@ within the same envelope (eq. 5-20), with the light of the gaps around them, whi
 import numpy as np
 
 WELL = 20_000.0
+# Bytes of waves that are kept, of the regions that a camera reads.
+MOST_KEPT = 100_000_000
 # Rows or columns of images whose pixels are averaged over their area, at most.
 FINE = 300
 
@@ -92,7 +94,7 @@ class Laboratory:
             path = np.hypot(d, away)
             wave = np.sinc(width * away / (self.wavelength * path)) * width / np.sqrt(self.wavelength * d)
             wave = wave * np.exp(2j * np.pi * np.remainder((path - d) / self.wavelength, 1))
-            if len(self.waves) > 4:
+            if sum(kept.nbytes for kept in self.waves.values()) > MOST_KEPT:
                 self.waves.clear()
             # (x² + y²)²/8d³ has a part 2x²y² that rows and columns alone have not.
             self.waves[key] = np.stack([(wave * (away / d) ** (2 * k)).astype(np.complex64) for k in range(self.terms)])
@@ -213,8 +215,9 @@ class Camera:
         if any(unsteady):
             moved = table.vibration * table.unsteady.normal(size=2) + table.sliding * passed
             table.power = power * (1 + table.wander * table.unsteady.normal() - table.dimming * passed)
-            table.offset = offset + self.pitch * moved
-            table.waves.clear()
+            if table.vibration or table.sliding:
+                table.offset = offset + self.pitch * moved
+                table.waves.clear()
         lamp = table.lamp * (self.taken > table.dark_captures)
         electrons = (table.light(row, column, rows, columns) + lamp) * self.exposure * 1e4
         table.offset, table.power = offset, power
