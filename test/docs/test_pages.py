@@ -47,9 +47,13 @@ SLOW = {
 }
 # Of those, what shows numbers of few steps; the others show what was optimised, learned or drawn.
 EXACT = {
+    "guides/near_eye_display.md",
     "guides/polarised_light_and_media.md",
     "guides/polarised_rays.md",
     "guides/propagate_light.md",
+    "guides/the_eye.md",
+    "guides/windows_and_partial_coherence.md",
+    "notes/light_transport.md",
 }
 NEED_A_BROWSER = {"guides/see_results.md"}
 NEED_BLENDER = {"guides/render_in_blender.md"}
