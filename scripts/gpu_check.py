@@ -186,7 +186,7 @@ def displays(place: Place):
         display = Display(Modulator(shape, pitch=8e-6), wavelengths=532e-9, distances=space)
         yield row(place, f"images behind {name}", lambda d, p: (d(p),), display, phases)
         yield steps(f"behind {name}", losses, display, target, phases)
-    small = [n // 2 for n in shape]
+    small = [n // 4 for n in shape] if place.full else [n // 2 for n in shape]
     display = Display(Modulator(small, pitch=8e-6), wavelengths=532e-9, distances=5e-3)
     there = [value[..., : small[0], : small[1]].contiguous() for value in (target, phases)]
     yield steps("from a CUDA graph", replayed, display, *there)
@@ -285,7 +285,8 @@ def scene(place: Place):
 
     def call(rays, power):
         traced = RayScene([*plate, *ball, screen]).trace(Light(rays, power, None), 550e-6, split=True, threshold=1e-4)
-        return (traced.absorbed,)
+        seen = traced.received["screen"]
+        return traced.absorbed, (seen.point**2 * seen.power[:, None]).sum(0)
 
     yield row(place, "light through a plate and a lens", call, found.rays.double(), found.power.double(), limit=1e-9)
 
