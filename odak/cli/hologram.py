@@ -340,11 +340,13 @@ def _group(
         "reached": clock.reached(count) if job.iterates else f"all that the method {job.method} does",
         "interrupted": clock.interrupted,
     }
+    searched = found.gain_over_rounding
+    gain = {} if searched is None else {"gain_over_rounding_db": float(searched)}
     if not _shares_frames(job):
         (channel,) = result["channels"]
         channel |= {"file": names[0], **({"files": names} if len(names) > 1 else {})}
         channel |= {"seconds_per_iteration": result["seconds_per_iteration"], "final_loss": clock.loss}
-        channel |= {} if saving.gain is None else {"gain_over_rounding_db": saving.gain}
+        channel |= gain
         return result
     planes = _planes(part, volume, images * scales, found.psnr)
     if job.planes > 1:
@@ -353,7 +355,7 @@ def _group(
         )
     amplitudes = powers.sqrt().tolist()
     frames = [{"file": name, "source_amplitudes": each} for name, each in zip(names, amplitudes, strict=True)]
-    result |= {} if saving.gain is None else {"gain_over_rounding_db": saving.gain}
+    result |= gain
     return {**result, "brightness": brightness, "planes": planes, "frames": frames, "final_loss": clock.loss}
 
 
@@ -425,19 +427,16 @@ class Saving:
         Of the iterations.
     ideal, stored : torch.Tensor
         Phases as computed, and as the files hold them, ``[frames, rows, columns]``.
-    gain : float, optional
-        What a search over levels gains over rounding in decibels of the loss.
     """
 
     clock: report.Clock
     ideal: torch.Tensor
     stored: torch.Tensor
-    gain: float | None
 
     def __init__(self, job: Job, target: Target, volume: Volume, paths: list[Path], count: int) -> None:
         self.job, self.paths, self.count = job, paths, count if job.iterates else 0
         self.target, self.volume = target, volume
-        self.solver, self.gain = _solver(job, target, volume, self), None
+        self.solver = _solver(job, target, volume)
         self.name = f"{job.planes} planes" if job.planes > 1 else f"{target.wavelengths[0] * 1e9:.6g} nm"
         if _shares_frames(job) and job.planes == 1:
             self.name = f"{len(paths)} frames"
@@ -483,20 +482,8 @@ class Saving:
         files.write_png(file, report.to_image(on_screen(image.cpu(), self.target.wavelengths, self.job.linear)))
         self.clock.bar.set_postfix_str(f"{report.psnr(image[window], wanted[window]):.1f} dB in {file.name}")
 
-    def searched(self, problem: wave.Problem) -> torch.Tensor:
-        """Return the phases of levels, with what they gain over phases found without levels and rounded."""
-        search, run = wave.LevelSearch(), problem.run
-        first = replace(run, iterations=search.first(run.iterations))
-        phases: Any = wave.Descent().solve(replace(problem, run=first))
-        rounded = found = problem.display.modulator.shown(phases)
-        if self.clock.ticks == first.iterations:
-            found = search.search(problem, phases)
-        with torch.no_grad():
-            self.gain = -10 * math.log10(float(problem.loss_of(found) / problem.loss_of(rounded)))
-        return found
 
-
-def _solver(job: Job, target: Target, volume: Volume, saving: Saving) -> Any:
+def _solver(job: Job, target: Target, volume: Volume) -> Any:
     """Return the solver of a job."""
     if job.method == "network":
         return By(lambda problem: _by_network(job, target, volume, problem))
@@ -504,7 +491,7 @@ def _solver(job: Job, target: Target, volume: Volume, saving: Saving) -> Any:
         return By(lambda problem: _double_phase(job, problem))
     if job.method == "gs":
         return wave.AlternatingProjections()
-    solver: Any = By(saving.searched)
+    solver: Any = wave.LevelSearch()
     if job.optimizer != "levels":
         solver = wave.Descent(str(job.optimizer), job.learning_rate or LEARNING_RATE, job.method == "multi-color")
     return solver if job.scale else By(lambda problem: solver.solve(replace(problem, free=False)))

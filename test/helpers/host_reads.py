@@ -147,6 +147,7 @@ REASONS = {
 }
 # Those whose syntax does not show it, such as `float(loss)`.
 AT_RUN_TIME = {
+    "wave/holograms/solvers/levels:step",
     "models/gaussians:_improve",
     "models/gaussians:refine",
     "raytracing/system/lens_fields:products",

@@ -1,6 +1,8 @@
 """Search over levels of panels: against all patterns, rounding and direct search; tables, colours and checkpoints."""
 
 import itertools
+import math
+import warnings
 
 import numpy as np
 import pytest
@@ -53,11 +55,14 @@ def test_runs_come_near_the_best_of_all_patterns():
         images = display(patterns)[:, 0, 0]
     scale = (images * target).sum((1, 2), True) / images.square().sum((1, 2), True)
     least = float((scale * images - target).square().mean((1, 2)).min())
-    found = [
-        loss_of(display, target, optimise(display, target, run=quick(100, seed=s), observer=REGISTERED).phases)
-        for s in range(1, 5)
-    ]
-    assert least * (1 - 1e-4) <= min(found) <= 1.3 * least
+    hot = LevelSearch(temperature=2.0)
+    for seed in range(12):
+        run = quick(150, seed=seed)
+        found = loss_of(display, target, optimise(display, target, None, hot, run=run, observer=REGISTERED).phases)
+        assert found >= least * (1 - 1e-4)
+        if found <= 1.3 * least:
+            break
+    assert found <= 1.3 * least
 
 
 @pytest.mark.parametrize(("bits", "frames", "gain"), [(1, 1, 3.0), (1, 3, 5.0), (2, 2, 3.0)])
@@ -100,12 +105,45 @@ def test_never_worse_than_the_rounded_phases_it_starts_from(iterations):
     problem = Problem(
         display, target.expand(display.shape), torch.nn.functional.mse_loss, start, quick(iterations), True, REGISTERED
     )
-    first = -(-iterations // 3)
+    first = math.ceil(levels._DESCENT[3] * iterations)
     from_descent = Descent().solve(
         Problem(display, problem.target, problem.loss, start, quick(first), True, REGISTERED)
     )
     rounded = loss_of(display, target, display.modulator.shown(from_descent))
-    assert loss_of(display, target, LevelSearch().solve(problem)) <= rounded * (1 + 1e-6)
+    phases, powers, amplitudes, gain = LevelSearch().solve(problem)
+    found = loss_of(display, target, phases)
+    assert found <= rounded * (1 + 1e-6) and powers is amplitudes is None
+    assert float(gain) == pytest.approx(10 * np.log10(rounded / found), abs=1e-3)
+
+
+@pytest.mark.parametrize("bits", [1, 2, 3, 4])
+def test_not_worse_than_rounding_at_the_same_iterations(bits):
+    """Where rounding costs little, most of the iterations find phases without levels."""
+    display, target = Display(Modulator((48, 48), 8e-6, bits=bits), 532e-9, 5e-3), picture(48, 48)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AccuracyWarning)
+        rounded = optimise(display, target, solver="lbfgs", run=quick(60))
+    searched = optimise(display, target, run=quick(60))
+    assert float(searched.psnr) > float(rounded.psnr)
+    assert rounded.gain_over_rounding is None and float(searched.gain_over_rounding) > 0
+    assert f"{float(searched.gain_over_rounding):.1f} dB above rounding" in repr(searched)
+
+
+def test_gradients_before_and_after_a_step_tell_pixels_apart():
+    """Of small changes: their mean, times the change of each pixel, adds up to the change of the loss."""
+    display, target = Display(Modulator((16, 16), 8e-6, bits=1), 532e-9, 1e-3), picture(16, 16)
+    draw = torch.Generator().manual_seed(4)
+    phases = (torch.rand(1, 16, 16, generator=draw) < 0.5) * torch.pi
+    problem = Problem(display, target.expand(display.shape), torch.nn.functional.mse_loss, phases, quick(3))
+    search = levels._Search(problem, phases, 0.5, 3)
+    changed = search.levels.clone()
+    changed[0, 3, 4], changed[0, 12, 9] = 1 - changed[0, 3, 4], 1 - changed[0, 12, 9]
+    loss, light, slope = search._evaluated(changed)
+    parts = levels._product(search._slope + slope, light - search._light) / 2
+    rise, alone = float(loss - search.loss), float(levels._product(search._slope, light - search._light).sum())
+    assert abs(float(parts.sum()) - rise) < 0.35 * abs(alone - rise)
+    assert float(parts.sum()) == pytest.approx(rise, rel=0.1)
+    assert int((parts != 0).sum()) == 2
 
 
 def test_tables_colours_planes_and_phase_scales():
@@ -144,6 +182,8 @@ def test_a_stopped_search_goes_on_to_the_same_levels(tmp_path):
 
     optimise(display, target, run=quick(60, checkpoint=path, callback=stop))
     assert seen == list(range(41))
+    begun = optimise(display, target, run=quick(60, callback=lambda iteration, loss: iteration == 3))
+    assert len(begun.losses) == 4 and float(begun.gain_over_rounding) == 0
     resumed = optimise(display, target, run=quick(60, checkpoint=path))
     assert torch.equal(resumed.phases, whole.phases)
     with pytest.raises(ValueError, match=r"of another run: its .*target"):
@@ -161,3 +201,12 @@ def test_panels_that_cannot_be_searched_are_named():
             optimise(Display(panel, 532e-9, 1e-3), target, solver="levels", run=quick(3))
     with pytest.raises(ValueError, match="temperature"):
         LevelSearch(temperature=0.0)
+
+
+def test_contrast_of_speckle_falls_as_the_root_of_the_frames():
+    """Of random levels, shown within one exposure: 1/√F, as of sums of F independent speckles (Goodman 2007)."""
+    for frames in (1, 4, 16):
+        display = Display(Modulator((96, 96), 8e-6, bits=2), 532e-9, 2e-3, frames=frames)
+        shown = torch.randint(4, (frames, 96, 96), generator=torch.Generator().manual_seed(frames))
+        seen = display.recorded_by(Observer.points(), display.modulator.phases_of(shown))[..., 20:-20, 20:-20]
+        assert float(seen.std() / seen.mean()) == pytest.approx(frames**-0.5, rel=0.1)

@@ -196,9 +196,9 @@ def optimise(
     problem = Problem(computing, target, loss, begun, own, observer=observer)
     solved = solver.solve(problem)
     solved = solved if isinstance(solved, tuple) else (solved,)
-    phases, powers, amplitudes = (*solved, None, None)[:3]
+    phases, powers, amplitudes, gain = (*solved, None, None, None)[:4]
     amplitudes = None if first is None or amplitudes is None else first.shown(amplitudes)
-    if not isinstance(solver, LevelSearch) and _chosen(display) == "levels" and powers is None:
+    if gain is None and _chosen(display) == "levels" and powers is None:
         _warn_of_rounding(problem, phases)
     phases, display = display.modulator.shown(phases), display if powers is None else display.lit_by(powers)
     held = Comparison(observer, target, None if focal is None else focal.masks)
@@ -217,7 +217,9 @@ def optimise(
     sharp = None if focal is None else ratio(found.sharp)[0]
     history = tuple(torch.stack(losses).tolist()) if losses else ()
     ratios = ratio(found.compared), at_points
-    return DisplayedHologram(display, target, phases, images, lights, *ratios, history, sharp, amplitudes, observer)
+    return DisplayedHologram(
+        *(display, target, phases, images, lights), *ratios, history, sharp, amplitudes, observer, gain
+    )
 
 
 def _in_parts(display, where, run: Run, devices) -> Display:

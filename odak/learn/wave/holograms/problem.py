@@ -118,6 +118,7 @@ class Solver(Protocol):
     def solve(self, problem: Problem) -> torch.Tensor | tuple[torch.Tensor | None, ...]:
         """Return the phases ``[frames, rows, columns]`` in radians, or them and what else was found.
 
-        These are the powers of the sources or None and, third, the amplitudes of the panel in front of the modulator.
+        These are the powers of the sources or None, third the amplitudes of the panel in front of the modulator, and
+        fourth the decibels by which the loss of levels is below that of rounded phases.
         """
         ...

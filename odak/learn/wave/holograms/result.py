@@ -49,6 +49,9 @@ class DisplayedHologram:
         Amplitudes of the panel that the modulator is lit through, by its levels, ``[F, rows, columns]``.
     observer : Observer
         Who looks.
+    gain_over_rounding : torch.Tensor, optional
+        Of a search over levels: the decibels by which its loss is below that of the phases without levels that it began
+        with, rounded.
 
     Examples
     --------
@@ -71,6 +74,7 @@ class DisplayedHologram:
     psnr_in_focus: torch.Tensor | None = None
     amplitudes: torch.Tensor | None = None
     observer: Observer = ANYWHERE
+    gain_over_rounding: torch.Tensor | None = None
 
     @property
     def psnr_registered(self) -> torch.Tensor:
@@ -169,6 +173,7 @@ class DisplayedHologram:
             "files": [os.path.basename(file) for file in files],
             "patterns": {kind: {"bits": 8 if bits is None else bits} for kind, (_, bits) in stacks.items()},
             "powers": self.display.powers.tolist(),
+            **({} if self.gain_over_rounding is None else {"gain_over_rounding_db": float(self.gain_over_rounding)}),
             # A number without end is none in JSON.
             "table": [{k: None if v in (math.inf, -math.inf) else v for k, v in row.items()} for row in self.table()],
         }
@@ -194,7 +199,8 @@ class DisplayedHologram:
     def __repr__(self) -> str:
         worst, best = (f"{float(v):.1f}" for v in (self.psnr.min(), self.psnr.max()))
         span = worst if worst == best else f"{worst} to {best}"
-        return f"DisplayedHologram: {span} dB for {self.observer.in_words()}, {self.display.extra_repr()}"
+        gain = "" if self.gain_over_rounding is None else f", {float(self.gain_over_rounding):.1f} dB above rounding"
+        return f"DisplayedHologram: {span} dB for {self.observer.in_words()}{gain}, {self.display.extra_repr()}"
 
     def _repr_html_(self) -> str:
         return _show.page(self, DisplayedHologram._view)

@@ -16,16 +16,17 @@ from odak.learn.wave.training import fingerprint, seeded_loss
 
 # Bits up to which each level of each pixel is tried; and up to which "auto" takes the search.
 MOST_BITS, FEW_BITS = 6, 4
-# Share of the iterations that finds phases without levels, from which the search starts.
-_DESCENT = 1 / 3
+# Share of the iterations that finds phases without levels, from which the search starts, by bits: the less rounding
+# costs, the more they are worth.
+_DESCENT = {1: 0.3, 2: 0.4, 3: 0.6, 4: 0.75, 5: 0.85, 6: 0.9}
 # Pixels of which a change is looked at in an iteration, and the share of all that changes at first and at most.
 _LOOKED_AT, _CHANGED, _MOST_CHANGED = 0.5, 0.2, 0.3
 # Factors of the share of pixels that change after a step that is taken and after one that is not.
 _MORE, _FEWER = 1.3, 0.7
 # Relative rise of the loss that is taken once in e times at the initial temperature.
 _RISE = 5e-3
-# Memory of the estimated curvature.
-_MEMORY = 0.9
+# Memory of the estimated curvature, pixels along each axis that share one, and the share of the mean in each.
+_MEMORY, _AROUND, _MEAN = 0.9, 9, 0.1
 # Pixels from which the share that changes is estimated.
 _SAMPLE = 1 << 16
 
@@ -35,25 +36,28 @@ class LevelSearch:
     """Search for the levels of a panel that has few, by annealed simultaneous changes.
 
     Use it for panels of one to four bits, where phases that are found without levels and rounded lose most of the
-    quality. A third of the iterations finds such phases by :class:`Descent`. In each further iteration, a gradient with
-    respect to the light of every pixel and a curvature, estimated from the steps before, predict what each level of
-    each pixel changes; the most promising ones change together, and the step is taken if it lowers the loss, or by
-    chance. Random numbers added to the predictions, and that chance, fall to zero on the way (simulated annealing).
+    quality. Of the iterations, 30, 40, 60 and 75 % for 1, 2, 3 and 4 bits find such phases by :class:`Descent`. In each
+    further one, a gradient with respect to the light of every pixel and a curvature about it, estimated from the steps
+    before, predict what each level of each pixel changes; the most promising ones change together, and the step is
+    taken if it lowers the loss, or by chance. Of a step that is not taken, the next one tries those changes alone that
+    lowered it. Random numbers added to the predictions, and that chance, fall to zero on the way (simulated annealing).
     The best levels that were met are returned, so that the loss is at most that of the rounded phases.
 
     Parameters
     ----------
     temperature : float
         Scale of the random numbers at the beginning, in units of the mean change that the best level of a pixel is
-        predicted to bring.
+        predicted to bring. Panels of few pixels, where chance averages nothing out, need more.
 
     Notes
     -----
     Kirkpatrick, Gelatt and Vecchi, Science 220, 671 (1983), for annealing; random numbers of Gumbel's distribution make
     the least of the sums a draw from Boltzmann's (Maddison, Tarlow and Minka, NeurIPS 2014). The change of one pixel's
     light by d changes the loss by Re(g*·d) and a term that grows with |d|²: changes of many pixels add up as long as
-    they are few or agree, which the share of pixels that change in a step adapts to. An iteration takes as long as one
-    of :class:`Descent`, whatever the size of a pixel's diffraction pattern.
+    they are few or agree, which the share of pixels that change in a step adapts to. Of a loss that is quadratic, the
+    mean of the gradients before and after a step, times the change of a pixel, is that pixel's part of what the step
+    changed; half of the difference of the two gradients is its curvature. An iteration takes as long as one of
+    :class:`Descent`, whatever the size of a pixel's diffraction pattern.
 
     Examples
     --------
@@ -72,35 +76,39 @@ class LevelSearch:
     def __post_init__(self) -> None:
         _validate.real("temperature", self.temperature, positive=True)
 
-    def solve(self, problem: Problem) -> torch.Tensor:
-        """Return the phases of a problem, those of levels, ``[F, rows, columns]``."""
+    def solve(self, problem: Problem) -> tuple[torch.Tensor | None, ...]:
+        """Return the phases of a problem, those of levels, ``[F, rows, columns]``, twice None, and their gain.
+
+        It is in decibels of the loss, over the phases without levels that the search begins with, rounded.
+        """
         panel, run = problem.display.modulator, problem.run
         if panel.bits is None or panel.bits > MOST_BITS or panel.lit_through is not None:
             got = "a panel lit through another" if panel.lit_through is not None else f"bits={panel.bits}"
             raise ValueError(
                 f"a search over levels needs one panel of 1 to {MOST_BITS} bits, got {got}: use the solver 'lbfgs'"
             )
-        found: Any = Descent().solve(replace(problem, run=_first_part(run, self.first(run.iterations))))
-        return self.search(problem, found)
+        first = math.ceil(_DESCENT[panel.bits] * run.iterations)
+        done = first
 
-    def first(self, iterations: int) -> int:
-        """Return how many of some `iterations` find phases without levels."""
-        return math.ceil(_DESCENT * iterations)
+        def count(iteration, loss):
+            nonlocal done
+            done = iteration + 1
+            return run.callback is not None and run.callback(iteration, loss)
 
-    def search(self, problem: Problem, phases: torch.Tensor) -> torch.Tensor:
-        """Return the phases of the levels that the rest of the iterations finds.
+        phases: Any = Descent().solve(replace(problem, run=_first_part(replace(run, callback=count), first)))
+        if done < first:
+            # Ended on the way: a checkpoint of the search would go on from phases that are not those of the descent.
+            return self._search(replace(problem, run=replace(run, checkpoint=None)), phases, first, 0)
+        return self._search(problem, phases, first, run.iterations - first)
 
-        Parameters
-        ----------
-        problem : Problem
-            The problem.
-        phases : torch.Tensor
-            Phases ``[F, rows, columns]`` to begin with, such as those of a descent along the gradient. They are rounded
-            to levels.
-        """
-        run, first = problem.run, self.first(problem.run.iterations)
+    def _search(
+        self, problem: Problem, phases: torch.Tensor, first: int, steps: int
+    ) -> tuple[torch.Tensor | None, ...]:
+        """Return the phases of levels that some steps find from rounded ones, and the gain, as :meth:`solve` does."""
+        run = problem.run
         loss, drawn_from = seeded_loss(problem.loss, run.seed, problem.start.device)
         search = _Search(replace(problem, loss=loss), phases, self.temperature, max(run.iterations - first, 1))
+        rounded = search.loss
         about: dict[str, Any] = {}
         if run.checkpoint is not None:
             target = fingerprint(problem.target, problem.start)
@@ -110,7 +118,7 @@ class LevelSearch:
             _later_part(run, first),
             lambda: {"levels": search.levels},
             about,
-            {"search": (lambda: search.numbers, search.load)},
+            {"search": (search.state, search.load)},
             [search.generator, *drawn_from],
             "a search over levels",
         )
@@ -123,9 +131,11 @@ class LevelSearch:
             loop.bar.update()
             return found
 
-        loop.go(search.steps if run.iterations > first else 0, iterate, desc="levels")
+        loop.go(steps, iterate, desc="levels")
         loop.restore()
-        return search.phases()
+        least = torch.finfo(rounded.dtype).tiny
+        gain = 10 * torch.log10(rounded.clamp_min(least) / loop.best_loss.to(rounded).clamp_min(least))
+        return search.phases(), None, None, gain
 
 
 class _Search:
@@ -135,16 +145,25 @@ class _Search:
         self.problem, self.temperature, self.steps = problem, temperature, steps
         self.generator = torch.Generator(phases.device).manual_seed(problem.run.seed)
         self.levels = problem.display.modulator.levels(phases).long()
-        self.numbers = {"done": 0.0, "share": _CHANGED, "curvature": 0.0, "scale": 0.0}
+        self.numbers = {"done": 0.0, "share": _CHANGED, "scale": 0.0}
         self.begin()
+        # Sums of curvatures and of the squared changes that they are known from, and the levels to try next, if any.
+        self.bends, self.squares = (torch.zeros_like(self._light.real) for _ in range(2))
+        self.next: list[torch.Tensor] = []
 
     def begin(self) -> None:
         """Take the loss of the levels and its gradient."""
         self.loss, self._light, self._slope = self._evaluated(self.levels)
 
-    def load(self, numbers: dict[str, float]) -> None:
-        """Go on from the numbers of a checkpoint, whose levels are in place."""
-        self.numbers.update({name: float(numbers[name]) for name in self.numbers})
+    def state(self) -> dict[str, Any]:
+        """Return what the next step depends on besides the levels."""
+        return {"numbers": self.numbers, "bends": self.bends, "squares": self.squares, "next": self.next}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Go on from a checkpoint, whose levels are in place."""
+        self.numbers.update({name: float(state["numbers"][name]) for name in self.numbers})
+        self.bends, self.squares = (state[name].to(self.bends) for name in ("bends", "squares"))
+        self.next = [levels.to(self.levels) for levels in state["next"]]
         self.begin()
 
     def phases(self) -> torch.Tensor:
@@ -153,39 +172,48 @@ class _Search:
 
     def step(self) -> torch.Tensor:
         """Change the levels of many pixels if the loss falls, or by chance; return the loss."""
-        numbers = self.numbers
+        numbers, again = self.numbers, bool(self.next)
         cold = (1 - numbers["done"] / self.steps) ** 2
-        levels = self._proposed(self.temperature * cold)
+        levels = self.next.pop() if again else self._proposed(self.temperature * cold)
         loss, light, slope = self._evaluated(levels)
-        change = light - self._light
-        predicted, squares = float(_product(self._slope, change).sum()), float(intensity(change).sum())
-        rise = float(loss - self.loss)
-        if squares > 0:
-            # What the step changed beyond the gradient's prediction, for each unit of change of the light.
-            found = max(rise - predicted, 0.0) / squares
-            before = numbers["curvature"]
-            numbers["curvature"] = _MEMORY * before + (1 - _MEMORY) * found if before else found
+        change, rise = light - self._light, float(loss - self.loss)
+        if not again:
+            for known, found in (
+                (self.bends, _product(slope - self._slope, change) / 2),
+                (self.squares, intensity(change)),
+            ):
+                known.lerp_(_about(found), 1 - _MEMORY)
         drawn = float(torch.rand((), generator=self.generator, device=levels.device))
         if rise < 0 or drawn < math.exp(-rise / (float(self.loss) * (_RISE * cold + 1e-9))):
             self.levels.copy_(levels)
             self.loss, self._light, self._slope = loss, light, slope
-            numbers["share"] = min(_MORE * numbers["share"], _MOST_CHANGED)
+            if not again:
+                numbers["share"] = min(_MORE * numbers["share"], _MOST_CHANGED)
         else:
             numbers["share"] = max(_FEWER * numbers["share"], 1 / levels.numel())
+            if not again:
+                lowered = self._of_pixels(_product(self._slope + slope, change)) < 0
+                self.next.append(torch.where(lowered, levels, self.levels))
         numbers["done"] += 1
         return self.loss
+
+    def _of_pixels(self, values: torch.Tensor) -> torch.Tensor:
+        """Return the sum over the colours of a panel with a phase scale, ``[F, rows, columns]``."""
+        return values.sum(0) if values.ndim > self.levels.ndim else values
 
     def _proposed(self, temperature: float) -> torch.Tensor:
         """Return levels of which the most promising have changed."""
         panel, numbers = self.problem.display.modulator, self.numbers
         best = torch.full(self.levels.shape, math.inf, dtype=self.problem.start.dtype, device=self.levels.device)
         least, chosen = best.clone(), self.levels.clone()
+        mean = self.squares.mean()
+        bend = self.bends.mean() / mean.clamp_min(torch.finfo(mean.dtype).tiny)
+        curvature = (self.bends + _MEAN * mean * bend) / (self.squares + _MEAN * mean).clamp_min(1e-30)
+        curvature.clamp_min_(0)
         for level in range(2 ** _validate.integer("bits", panel.bits)):
             light = self.problem.display._lights(panel.phases_of(torch.full_like(self.levels, level), best.dtype))[-1]
             change = light - self._light
-            predicted = _product(self._slope, change) + numbers["curvature"] * intensity(change)
-            if predicted.ndim > best.ndim:  # the colours of a panel with a phase scale
-                predicted = predicted.sum(0)
+            predicted = self._of_pixels(_product(self._slope, change) + curvature * intensity(change))
             predicted = torch.where(self.levels == level, math.inf, predicted)
             least = torch.minimum(least, predicted)
             uniform = torch.rand(best.shape, generator=self.generator, dtype=best.dtype, device=best.device)
@@ -214,6 +242,12 @@ class _Search:
 def _product(slope: torch.Tensor, change: torch.Tensor) -> torch.Tensor:
     """Return what a loss changes with the light, to first order: the real part of the conjugate gradient times it."""
     return slope.real * change.real + slope.imag * change.imag
+
+
+def _about(values: torch.Tensor) -> torch.Tensor:
+    """Return the means of values over the pixels about each, ``[..., F, rows, columns]``."""
+    planes = values.flatten(0, -3)
+    return torch.nn.functional.avg_pool2d(planes, _AROUND, 1, _AROUND // 2).reshape(values.shape)
 
 
 def _first_part(run: Run, iterations: int) -> Run:
