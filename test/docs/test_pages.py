@@ -51,6 +51,8 @@ EXACT = {
     "guides/polarised_light_and_media.md",
     "guides/polarised_rays.md",
     "guides/propagate_light.md",
+    "guides/see_results.md",
+    "guides/stray_light.md",
     "guides/the_eye.md",
     "guides/windows_and_partial_coherence.md",
     "notes/light_transport.md",
