@@ -197,6 +197,7 @@ class Scene:
         covariance = self._project(points, fx, fy, quats, scales, (width, height), camera)
         means, conics = self.gaussians.compute_means_2D(*rays), self.gaussians.invert_cov_2D(covariance)
         self.mean_2D_for_planeprob = means.detach()
+        opacities = self.gaussians._shown_opacities(opacities, covariance)
         shown = (z_vals, means, conics, colours, phase, opacities, plane_probs)
         fields = _plane_fields(*shown, Tiling(height, width, down, across, planes))
         return self._propagate(fields, wavelengths), fields
@@ -286,11 +287,12 @@ class Scene:
         some = chosen(gaussian_indices, len(cam_means_3D), cam_means_3D.device)
         cam_means_3D, quats, scales = cam_means_3D[some], quats[some], scales[some]
         covariance = self.gaussians.compute_cov_2D(cam_means_3D, quats, scales, fx, fy, R, img_size)
+        opacities = self.gaussians._shown_opacities(opacities[some], covariance)
         means = self.gaussians.compute_means_2D(cam_means_3D, fx, fy, px, py)
         tiling = Tiling(sizes[1], sizes[0], sizes[1], sizes[0], plane_probs.shape[-1])
         shown: list[Any] = [
             *(z_vals[some], means - means.new_tensor(corner), self.gaussians.invert_cov_2D(covariance)),
-            *(value[some] for value in (colours, phase, opacities, plane_probs)),
+            *(colours[some], phase[some], opacities, plane_probs[some]),
             tiling,
         ]
         return _plane_fields(*shown)

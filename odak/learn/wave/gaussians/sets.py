@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import struct
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -24,7 +25,7 @@ from odak.learn.wave.gaussians.splatting import sum_of_gaussians
 from odak.log import logger
 from odak.tools.asset import read_elements
 from odak.tools.matrix import zero_pad
-from odak.tools.paths import replacing, validate_path
+from odak.tools.paths import regular_file, replacing, validate_path
 
 # Errors that plyfile and NumPy raise on broken files.
 _BROKEN = (plyfile.PlyParseError, KeyError, ValueError, TypeError, ArithmeticError, IndexError)
@@ -173,6 +174,17 @@ def load_splats(path: str | os.PathLike[str]) -> Splats:
         )
     except _BROKEN as error:
         raise ValueError(f"{path!r} cannot be read as Gaussians: {error}") from error
+
+
+def is_antialiased(path: str) -> bool:
+    """Return whether the last comment on it in the header of a PLY file names antialiased training.
+
+    Brush writes "SplatRenderMode: mip", Postshot "antialiased 1".
+    """
+    with open(regular_file(path), "rb") as stream:
+        header = stream.read(_HEADER).partition(b"end_header")[0]
+    said = _RENDER_MODE.findall(header)
+    return bool(said) and (said[-1][0].lower() == b"mip" or said[-1][1] == b"1")
 
 
 def save_splats(path: str | os.PathLike[str], splats: Splats) -> None:
@@ -846,6 +858,9 @@ class Scene2D:
 _INIT_TYPES = {"gaussians": "load_path", "random": "num_points", "point": "pointcloud_data"}
 # Square pixels added to each axis of a projected covariance, so that no Gaussian falls between pixels.
 _SOFTNESS = 0.3
+# Comments of PLY files on antialiased training, and the largest header that is searched for them.
+_RENDER_MODE = re.compile(rb"(?mi)^comment\s+(?:SplatRenderMode:\s*(\w+)|antialiased\s+([01]))\s*?$")
+_HEADER = 1 << 16
 _MARGIN = 1.3
 _AWAY = 1e6
 # By how much the halves of a split Gaussian are smaller.
@@ -878,6 +893,10 @@ class complex_3d_gaussians(nn.Module):
         Kept as an attribute.
     seed : int, optional
         Makes random parameters reproducible.
+    antialiased : bool, optional
+        The Gaussians were trained with opacities that go down as the 0.3 square pixels of each projection make it
+        larger ("antialiased" or "mip" training); without it small ones come out too bright. By default as a comment in
+        the ``.ply`` file says, else False.
 
     Attributes
     ----------
@@ -937,6 +956,7 @@ class complex_3d_gaussians(nn.Module):
         img_size: tuple[int, int] | None = None,
         *,
         seed: int | None = None,
+        antialiased: bool | None = None,
     ):
         (densepoint_scatter,) = _validate.constants(densepoint_scatter=densepoint_scatter)
         super().__init__()
@@ -957,6 +977,9 @@ class complex_3d_gaussians(nn.Module):
         scatter = _validate.real("densepoint_scatter", densepoint_scatter)
         _validate.instance("pointcloud_data", pointcloud_data, (Mapping, type(None)), "a dictionary of tensors")
         self.device, self.img_size = get_device(device), img_size
+        if antialiased is None:
+            antialiased = str(load_path).endswith(".ply") and is_antialiased(str(load_path))
+        self.antialiased: bool = _validate.flag("antialiased", antialiased)
         seed = int(torch.randint(2**62, ())) if seed is None else _validate.integer("seed", seed)
         draw = torch.Generator().manual_seed(seed)
         if init_type == "gaussians":
@@ -1169,6 +1192,28 @@ class complex_3d_gaussians(nn.Module):
         slope = rows.where(inside[:, None], 0.0).unflatten(-1, (2, 3))
         axes = slope @ R.to(slope) @ (quaternion_to_rotation_matrix(quats) * scales[:, None])
         return axes @ axes.mT + _SOFTNESS * torch.eye(2, dtype=axes.dtype, device=axes.device)
+
+    def _shown_opacities(self, opacities: torch.Tensor, covariance: torch.Tensor) -> torch.Tensor:
+        """Return opacities as they count in a picture: less by the root of the ratio of areas, if antialiased.
+
+        Parameters
+        ----------
+        opacities : torch.Tensor
+            ``[N]``.
+        covariance : torch.Tensor
+            Square pixels ``[N, 2, 2]``, as :meth:`compute_cov_2D` returns them.
+
+        Notes
+        -----
+        Yu et al., *Mip-Splatting*, CVPR (2024): √(|Σ|/|Σ + 0.3|), so that a Gaussian keeps the sum of its opacity.
+        """
+        if not self.antialiased:
+            return opacities
+        a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+        own = (a - _SOFTNESS) * (c - _SOFTNESS) - b * b
+        ratio = own / (a * c - b * b)
+        # The slope of the root is infinite where a Gaussian has no area.
+        return opacities * ratio.clamp_min(1e-12).sqrt()
 
     def compute_means_2D(
         self,

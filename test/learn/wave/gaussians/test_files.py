@@ -182,3 +182,28 @@ def test_gaussians_of_a_splatting_file_become_complex_ones(tmp_path):
     colmap_files(tmp_path, True)
     hologram, fields = Scene(model, settings).render(load_colmap(tmp_path)[1].camera, (32, 24))
     assert hologram.shape == (3, 24, 32) and bool(fields.abs().max() > 0.01)
+
+
+@pytest.mark.parametrize(
+    ("comments", "expected"),
+    [
+        ([], False),
+        (["SplatRenderMode: mip"], True),
+        (["Exported from Brush", "splatrendermode:  MIP"], True),
+        (["SplatRenderMode: default"], False),
+        (["antialiased 1"], True),
+        (["antialiased 0"], False),
+        (["antialiased 1", "SplatRenderMode: default"], False),
+        (["not antialiased 1"], False),
+    ],
+)
+def test_antialiased_training_is_found_in_the_comments_of_a_file(comments, expected, tmp_path):
+    path = tmp_path / "scene.ply"
+    save_splats(
+        path, Splats(torch.zeros(2, 3), torch.ones(2, 4), torch.zeros(2, 3), torch.zeros(2), torch.zeros(2, 1, 3))
+    )
+    lines = "".join(f"comment {line}\n" for line in comments).encode()
+    path.write_bytes(path.read_bytes().replace(b"element vertex", lines + b"element vertex", 1))
+    options = {"load_path": path, "args_prop": Namespace(num_planes=1)}
+    assert complex_3d_gaussians("gaussians", "cpu", **options).antialiased is expected
+    assert complex_3d_gaussians("gaussians", "cpu", antialiased=not expected, **options).antialiased is not expected

@@ -90,6 +90,22 @@ def test_a_single_gaussian_is_its_projection():
     assert world.mean_2D_for_planeprob.tolist() == [[pytest.approx(21.5), pytest.approx(20 + 5 / 3)]]
 
 
+def test_an_antialiased_gaussian_keeps_the_sum_of_its_opacity():
+    # The 0.3 square pixels make a projection larger, and its opacity as much smaller: the sum is 2π·√|Σ|.
+    world = place(scene(1), [[0.5, -0.4, 2.0]], opacity=0.7, colours=[[0.9, 0.5, 0.2]])
+    _, plain = world.render(camera())
+    world.gaussians.antialiased = True
+    _, fields = world.render(camera())
+    x, y, z, fx, fy = 0.5, -0.4, 12.0, 60.0, 50.0
+    a, b = 0.04 * (fx / z) ** 2 * (1 + (x / z) ** 2), 0.04 * (fy / z) ** 2 * (1 + (y / z) ** 2)
+    c = 0.04 * fx * fy * x * y / z**4
+    found = fields[0].abs().sum((-2, -1))
+    expected = 0.7 * 2 * math.pi * math.sqrt(a * b - c * c) * torch.tensor([0.9, 0.5, 0.2], dtype=torch.float64)
+    torch.testing.assert_close(found, expected, rtol=1e-5, atol=0)
+    share = math.sqrt((a * b - c * c) / ((a + 0.3) * (b + 0.3) - c * c))
+    torch.testing.assert_close(fields, share * plain)
+
+
 @pytest.mark.parametrize("front", [0, 1])
 def test_what_is_opaque_hides_what_is_behind(front):
     # The nearer of two Gaussians in one line of sight, opaque at its centre, is all that is seen there.
