@@ -41,6 +41,23 @@ def main() -> None:
         "Oklab to XYZ": (ours("oklab_to_xyz", COLOURS), colour.Oklab_to_XYZ(COLOURS)),
         "RGB to ICtCp": (ours("rgb_to_ictcp", 1000 * COLOURS), colour.RGB_to_ICtCp(1000 * COLOURS)),
     }
+    pale = np.array([0.9504, 1, 1.0888]) * COLOURS
+    for name, model in (("CAM02", "CIECAM02"), ("CAM16", "CAM16")):
+        average = getattr(colour, f"VIEWING_CONDITIONS_{model}")["Average"]
+        seen = getattr(colour, f"XYZ_to_{model}")(100 * pale, 100 * whites[0], 64 / np.pi * 0.2, 20, average)
+        wanted = getattr(colour, f"JMh_{model}_to_{name}UCS")(np.stack([seen.J, seen.M, seen.h], -1))
+        found = ours("convert_color", pale, "XYZ", f"{name}-UCS", white=whites[0])
+        tasks[f"XYZ to {name}-UCS"] = (found, wanted)
+    tasks["XYZ to Jzazbz"] = (ours("convert_color", pale, "XYZ", "Jzazbz"), colour.XYZ_to_Jzazbz(100 * pale))
+    first, second = (torch.from_numpy(one.T.copy()).reshape(1, 3, 1, -1) for one in (lab, luv))
+    for formula, method, options in (
+        ("CIE 1994", "CIE 1994", {}),
+        ("CIE 1994 textiles", "CIE 1994", {"textiles": True}),
+        ("CMC 2:1", "CMC", {}),
+        ("CIEDE2000", "CIE 2000", {}),
+    ):
+        found = perception.color_difference(first, second, formula).flatten().numpy()
+        tasks[f"difference by {formula}"] = (found, colour.delta_E(lab, luv, method, **options))
     print(f"| conversion | largest difference from colour-science {colour.__version__} |\n|---|---|")
     for name, (found, expected) in tasks.items():
         print(f"| {name} | {np.abs(found - expected).max():.0e} |")
