@@ -135,18 +135,18 @@ def test_light_that_varies_is_not_called_a_gamma_curve():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
-def test_two_of_three_errors_lie_within_one_sigma_of_tables_that_are_not_steady(monkeypatch):
-    """Of 15 errors 6 to 14 do so in 98 of 100 cases where it is 68 % of all; the illumination is not measured."""
+@pytest.mark.timeout(900)
+def test_two_of_three_errors_lie_within_one_sigma_where_nothing_is_named(monkeypatch):
+    """Of 64 errors 35 to 54 do so in 99 of 100 cases where it is 68 % of all; the illumination is not measured."""
     monkeypatch.setattr(
         calibration, "illumination_with_uncertainty", lambda part, *_, **__: (np.ones(part.modulator.shape), 0.0)
     )
     names = ("phases", "registration", "wavefront", "distance")
     within = dict.fromkeys(names, 0)
-    for number, (name, value) in enumerate(5 * [("flicker", 0.01), ("wander", 0.02), ("vibration", 0.1)]):
-        table, found, _ = calibrated(200 + number, **{name: value})
+    for number, (name, value) in enumerate(8 * [("flicker", 0.01), ("vibration", 0.04)]):
+        table, found, _ = calibrated(500 + number // 2, **{name: value})
         errors = table.errors(found)
         errors["distance"] *= table.distance
         for key in names:
             within[key] += abs(errors[key]) < found.uncertainty[key]
-    assert all(6 <= count <= 14 for count in within.values()), within
+    assert all(count >= 6 for count in within.values()) and 35 <= sum(within.values()) <= 54, within
