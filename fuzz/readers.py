@@ -217,6 +217,12 @@ def _spectra(path):
     read_spectra(path)
 
 
+def _gaze(path):
+    from odak.learn.perception import Viewing, read_gaze
+
+    read_gaze(path, Viewing(0.7, 0.7, (108, 192)), pixels=True)
+
+
 def _cube(path):
     import torch
 
@@ -377,6 +383,7 @@ READERS = {
     "checkpoint": Reader(archive_seeds.checkpoint_seeds, _checkpoint, (), mutations.in_archive),
     "text": Reader(seed_files.text_seeds, _text, (rb"\begin{equation}", rb"\end{figure}", b"```", b"|", b"\t")),
     "spectra": Reader(seed_files.spectra_seeds, _spectra, (b'"', b";", b",,", b"\t", b"\x00", b"400,1\n")),
+    "gaze": Reader(seed_files.gaze_seeds, _gaze, (b";", b"\t", b"nan", b"1e999", b"time", b"\x00", b'"', b"0.1,1,2\n")),
     "cube": Reader(seed_files.cube_seeds, _cube, (b"LUT_3D_SIZE 256\n", b"LUT_1D_SIZE", b"nan", b"DOMAIN_MIN 1 1 1\n")),
     "scene": Reader(
         seed_files.scene_seeds,

@@ -289,6 +289,13 @@ def spectra_seeds(folder):
     yield ".csv", '\ufeff"nm";"a"\n400;1\n401;2\n'.encode()
 
 
+def gaze_seeds(folder):
+    """Yield tables of eye trackers."""
+    yield ".csv", b"time,x,y,pupil\n0,96,54,3\n0.1,NaN,,3\n0.2,100,60,3\n"
+    yield ".tsv", b"time\tx\ty\n0\t1\t2\n1\t3\t4\n"
+    yield ".csv", "\ufeffx;y;time\n1;2;0\n3;4;1\n".encode()
+
+
 def cube_seeds(folder):
     """Yield tables of colours."""
     yield ".cube", b"TITLE a\nLUT_1D_SIZE 2\nDOMAIN_MAX 1 2 1\n0 0 0\n1 1 1\n"

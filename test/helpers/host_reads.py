@@ -109,6 +109,7 @@ REASONS = {
         perception/csf: _sensitivities
     """,
     "numbers of NumPy or constants, which are on the CPU": """
+        raytracing/system/crystals: of
         perception/appearance: _planckian_locus
         perception/color: _column rows tone_map
         perception/display_color: _checked _fundamentals read_spectra
@@ -129,7 +130,7 @@ REASONS = {
     "a search ends when it has converged: one reading for an iteration of many operations": """
         raytracing/system/coatings: _cleaned _doubles _needles _refined needle_design
         models/gaussians: _improve refine
-        perception/discrimination: maximum_differentiation twice
+        perception/discrimination: __init__ maximum_differentiation twice
         perception/pyramids: _largest_share
         raytracing/nonsequential: follow
         raytracing/surfaces: _search plain
@@ -148,6 +149,7 @@ REASONS = {
 # Those whose syntax does not show it, such as `float(loss)`.
 AT_RUN_TIME = {
     "wave/holograms/solvers/levels:step",
+    "perception/discrimination:__init__",
     "models/gaussians:_improve",
     "models/gaussians:refine",
     "raytracing/system/lens_fields:products",

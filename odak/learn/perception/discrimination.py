@@ -274,7 +274,7 @@ class Metamer:
         ValueError
             If the file is none of these, or of another model, picture or start.
         """
-        found = read_torch_file(validate_path(path, [".pt"]), self.picture.device)
+        found = read_torch_file(validate_path(path, [".pt"]), torch.device("cpu"))
         if not isinstance(found, dict) or not {"pictures", "curves", "units"} <= found.keys():
             raise ValueError(f"path must be a file of Metamer.save, got {os.fspath(path)!r}")
         kept = found["pictures"]

@@ -13,7 +13,7 @@ from odak import _validate
 from odak.learn._tensors import tensor
 from odak.learn.perception.csf import not_negative
 from odak.learn.perception.sight import Viewing, checked_viewing
-from odak.tools.paths import regular_file, validate_path
+from odak.tools.paths import naming, regular_file, validate_path
 
 # Duration of a saccade in seconds and seconds per degree: Carpenter, Movements of the Eyes (Pion, 1988).
 SHORTEST, PER_DEGREE = 0.021, 0.0022
@@ -150,8 +150,8 @@ def _directions(gaze, viewing):
     """Return unit vectors of gazes [N, 2] on a display, whose height is that of its pixels or its width."""
     rows, columns = viewing.resolution or (1, 1)
     width = viewing.real_image_width
-    sizes = torch.tensor([width, width * rows / columns], dtype=torch.float64)
-    ahead = torch.full((len(gaze), 1), viewing.real_viewing_distance, dtype=torch.float64)
+    sizes = gaze.new_tensor([width, width * rows / columns])
+    ahead = gaze.new_full((len(gaze), 1), viewing.real_viewing_distance)
     return torch.nn.functional.normalize(torch.cat([(gaze - 0.5) * sizes, ahead], 1), dim=-1)
 
 
@@ -208,12 +208,12 @@ def simulate_gaze(
     rate = _validate.constant("rate", rate, positive=True)
     mean_fixation = _validate.constant("mean_fixation", mean_fixation, positive=True)
     random = np.random.default_rng(_validate.integer("seed", seed))
-    rests = torch.from_numpy(random.gamma(4.0, mean_fixation / 4, len(places)))
+    rests = torch.from_numpy(random.gamma(4.0, mean_fixation / 4, len(places))).to(places)
     sides = _directions(places, checked_viewing(viewing))
     moves = saccade_duration(torch.rad2deg(torch.acos((sides[1:] * sides[:-1]).sum(-1).clamp(-1, 1))))
     ends = (rests[:-1] + moves).cumsum(0)
     starts = ends - moves
-    seconds = torch.arange(math.ceil(float(ends[-1] + rests[-1]) * rate) + 1, dtype=torch.float64) / rate
+    seconds = torch.arange(math.ceil(float(ends[-1] + rests[-1]) * rate) + 1).to(places) / rate
     share = ((seconds[:, None] - starts) / moves).clamp(0, 1)
     course = share**3 * (10 - 15 * share + 6 * share**2)
     return GazeTrace(seconds, places[0] + course @ places.diff(dim=0), viewing)
@@ -270,7 +270,16 @@ def read_gaze(
         raise ValueError(f"columns must be three names, got {columns!r}")
     if _validate.flag("pixels", pixels) and viewing.resolution is None:
         raise ValueError("viewing must have a resolution for gazes in pixels, got None")
-    text = Path(regular_file(path)).read_text(encoding="utf-8-sig")
+    with naming(path):
+        text = Path(regular_file(path)).read_text(encoding="utf-8-sig")
+        try:
+            return _trace_in(text, path, viewing, columns, factor, pixels)
+        except csv.Error as error:
+            raise ValueError(f"path must be a table, got {path!r}: {error}") from None
+
+
+def _trace_in(text, path, viewing, columns, factor, pixels):
+    """Return the trace in the text of a table."""
     line = text.partition("\n")[0]
     delimiter = max("\t;,", key=line.count) if path.endswith(".csv") else "\t"
     table = csv.DictReader(text.splitlines(), delimiter=delimiter)

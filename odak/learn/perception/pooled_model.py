@@ -246,7 +246,7 @@ class PooledModel:
         return SpatialSteerablePyramid(False, picture.shape[1], 9, self.n_orientations, "full", picture.device)
 
     def _windows(self, size, like):
-        with _torch_private.keeping(), torch.no_grad():
+        with _torch_private.keeping(), torch.no_grad(), torch.device("cpu"):
             distance, around = _polar(size, self.viewing)
             place = distance.clamp_min(math.radians(self.fovea))
             if self.growth == "linear":
