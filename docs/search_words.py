@@ -47,6 +47,9 @@ def with_more_words(docs):
             (name for name in unescape(re.sub(r"<[^>]*>", " ", entry["title"])).split() if name in other_words()), ""
         )
         more |= _words(other_words().get(name, "")) | {word for one in more for word in spellings(one)}
+        if "#odak." in entry["location"]:
+            # Who types a name wants its entry, before the guides that speak of it.
+            entry["boost"] = 2
         if more - titled:
             entry["tags"] = [" ".join(sorted(more - titled))]
     return docs

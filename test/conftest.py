@@ -144,6 +144,8 @@ def pytest_collection_modifyitems(config, items):
     if config.option.turn:
         turn = Turn(*config.option.turn, Path(__file__).parents[1])
         places = {item: turn.place(item.nodeid, item.path) if item.get_closest_marker("slow") else 0 for item in items}
+        # What may take longer than a whole turn is left to runs of all tests.
+        places |= {item: None for item in items if (own := item.get_closest_marker("timeout")) and own.args[0] > 1200}
         if config.option.disturb is not None:
             places = {item: place if turn.takes_file(item.path) else None for item, place in places.items()}
         config.hook.pytest_deselected(items=[item for item in items if places[item] is None])

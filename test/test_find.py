@@ -74,13 +74,15 @@ def test_sections_of_the_site_are_given_other_words():
             "title": "Colour of tolerances",
             "text": "<p>Tolerancing its <b>polarisation</b>.</p>",
         },
-        {"location": "b", "title": "<code>odak.read_zmx</code> read_zmx", "text": ""},
+        {"location": "b/#odak.read_zmx", "title": "<code>odak.read_zmx</code> read_zmx", "text": ""},
         {"location": "c", "title": "Nothing", "text": "besides"},
     ]
     first, second, third = script("search_words").with_more_words(docs)
     assert {"color", "tolerancing"} <= set(first["tags"][0].split()) and "colour" not in first["tags"][0].split()
     assert first["text"].endswith("<p>polarization</p>") and third["text"] == "besides" and "tags" not in third
     assert {"load", "zemax", "opticstudio"} <= set(second["tags"][0].split())
+    assert second["boost"] > 1 and "boost" not in first | third
     separator = re.search(r"separator: '(.*)'", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"))[1]
     index = {"config": {"separator": separator}, "docs": docs}
-    assert found_by_title(index, "load zmx") == ["b"] and found_by_title(index, "color tolerancing") == ["a"]
+    assert found_by_title(index, "load zmx") == ["b/#odak.read_zmx"]
+    assert found_by_title(index, "color tolerancing") == ["a"]

@@ -228,7 +228,8 @@ def test_a_focus_that_is_not_known_is_named(tmp_path, capsys):
     assert "--focus must be one of 'as-drawn', 'best'; got 'sharp'" in capsys.readouterr().err
 
 
-def test_a_lens_is_traced_at_a_temperature(tmp_path, capsys):
+def test_a_lens_is_traced_at_a_temperature(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(trace, "report_figures", lambda *_: {})
     assert main(["trace", "singlet", "-o", str(tmp_path / "a"), "--temperature", "70", "--mount", "23.6e-6"]) == 0
     report = json.loads((tmp_path / "a/report.json").read_text())
     warm = in_environment(load_system("singlet"), 70.0, mount=23.6e-6)

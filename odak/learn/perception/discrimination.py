@@ -92,7 +92,10 @@ def metamer(
     >>> torch.allclose(sensor(other), sensor(picture), atol=1e-4), torch.allclose(other, picture, atol=0.1)
     (True, False)
     """
-    bench = Metamer(model, picture, "noise" if start is None else start, bounds=bounds, seed=seed, by_scales=False)
+    model = _validate.function("model", model)
+    start = "noise" if start is None else start
+    # As one vector, each of whose values counts alike.
+    bench = Metamer(lambda one: _response(model, one), picture, start, bounds=bounds, seed=seed, by_scales=False)
     bench.limit = CONVERGED
     return bench.run(iterations, progress).pictures[0]
 
@@ -137,8 +140,9 @@ class Metamer:
     Notes
     -----
     Distance: root of the mean over tensors of the mean squared difference. It goes down by L-BFGS in stages of 25, 25,
-    50 and then 100 evaluations; with `by_scales` the first three change frequencies up to 1/16, 1/8 and 1/4 cycle per
-    pixel. Broderick et al., eLife 12, RP90554 (2023), measured how the start counts.
+    50 and then 100 evaluations, of which the first three change frequencies up to 1/16, 1/8 and 1/4 cycle per pixel;
+    without `by_scales` each run is one stage. How the start counts was measured by Broderick et al., eLife 12, RP90554
+    (2023).
 
     Examples
     --------
@@ -316,7 +320,10 @@ class Metamer:
         """Make the evaluations of the next stage of a sample, or those of it that are left."""
         curve, picture = self.curves[index], self._drawn[index]
         number = bisect.bisect_right(_STAGE_ENDS, len(curve))
-        end = _STAGE_ENDS[number] if number < len(_STAGE_ENDS) else len(curve) + _LONG - len(curve) % _LONG
+        if not self._by_scales:
+            end = aim
+        else:
+            end = _STAGE_ENDS[number] if number < len(_STAGE_ENDS) else len(curve) + _LONG - len(curve) % _LONG
         count, best = min(end, aim) - len(curve), curve[-1] if curve else 1.0
         values: list[torch.Tensor] = []
 

@@ -59,20 +59,14 @@ _FREEMAN = "Freeman and Simoncelli, Nat. Neurosci. 14, 1195 (2011)"
 _BRODERICK = "Broderick, Rufo, Winawer and Simoncelli, eLife 12, RP90554 (2023)"
 _WALTON = "Walton et al., ACM Trans. Graph. 40, 48 (2021)"
 _WALLIS = "Wallis, Funke, Ecker, Gatys, Wichmann and Bethge, eLife 8, e42512 (2019)"
+# Round numbers: 0.5 for V2, and 0.25 for V1, which also stands where a publication compares with V1 or states a ratio.
 METAMER_PAPERS: dict[str, MetamerPaper] = {
     "Freeman 2011 V2": MetamerPaper("texture", 0.5, "linear", "raised cosine", "two samples", _FREEMAN),
     "Freeman 2011 V1": MetamerPaper("energy", 0.25, "linear", "raised cosine", "two samples", _FREEMAN),
     "Wallis 2019": MetamerPaper("texture", 0.25, "linear", "raised cosine", "sample and picture", _WALLIS),
     "Broderick 2023 energy": MetamerPaper("energy", 0.25, "linear", "Gaussian", "both", _BRODERICK),
     "Broderick 2023 luminance": MetamerPaper("luminance", 0.0625, "linear", "Gaussian", "both", _BRODERICK),
-    "Walton 2021": MetamerPaper(
-        "bands",
-        0.2,
-        "quadratic",
-        "raised cosine",
-        "sample and picture",
-        "Walton et al., ACM Trans. Graph. 40, 48 (2021)",
-    ),
+    "Walton 2021": MetamerPaper("bands", 0.2, "quadratic", "raised cosine", "sample and picture", _WALTON),
 }
 
 
