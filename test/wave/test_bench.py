@@ -463,7 +463,7 @@ def test_a_vortex_sends_the_light_of_a_disc_out_of_it(xp):
     one, several = (wave.filter_in_focal_plane(field, vortex, 1.0, 1e-4, 1e-6, scales=s) for s in (1, 3))
     r = np.hypot(*np.meshgrid(*[(np.arange(n) - n // 2) * 1e-4] * 2, indexing="ij"))
     leaks = [float((abs(np.asarray(v))[r < 0.9 * radius] ** 2).sum() / (disc.real**2).sum()) for v in (one, several)]
-    assert leaks[1] < 1e-5 and leaks[0] > 5 * leaks[1]
+    assert leaks[1] < 2e-8 and leaks[0] > 1e-5
     ring = (r > 1.05 * radius) & (r < 1.2 * radius)
     assert abs(abs(np.asarray(several))[ring] * (r[ring] / radius) ** 2 - 1).mean() < 0.02
     same = np.asarray(wave.filter_in_focal_plane(field, lambda y, x: 1 + 0 * y * x, 1.0, 1e-4, 1e-6))
@@ -487,7 +487,8 @@ def test_all_scales_of_a_focal_plane_are_taken_and_the_default_serves_high_charg
         )
         assert np.abs(default - most).max() < 1e-3
         left = [(abs(found[inside]) ** 2).sum() / (abs(disc) ** 2).sum() for found in (default, most)]
-        assert left[1] < 6e-6 and abs(left[0] - left[1]) < 1e-8
+        # A plane that ends sharply where samples repeat the light leaves 5e-6.
+        assert left[1] < 1e-7 and abs(left[0] - left[1]) < 1e-8
 
 
 def test_a_bench_propagates_as_propagate_beam_does(random):
