@@ -31,6 +31,7 @@ from odak.instruments import Lens
 from odak.learn import wave
 from odak.learn.models.hologram_networks import FARTHEST, RATIOS, SPREADS, hologram_network
 from odak.learn.wave.displays.observers import PLACES
+from odak.learn.wave.holograms.starts import starting_phases
 from odak.learn.wave.training import best_scale
 from odak.wave import sampling_report
 from odak.wave.methods import METHODS, PROPAGATION_TYPES, find_method
@@ -318,7 +319,7 @@ def _group(
         display,
         volume.images if volume.loss is None else volume.loss,
         solver=saving,
-        start=_start(job, display),
+        start="flat",
         run=wave.Run(max(1, count), False, saving.tick, seed=job.seed),
         observer=observer,
     )
@@ -447,15 +448,24 @@ class Saving:
 
     def solve(self, problem: wave.Problem) -> Any:
         """Return the phases of the saved patterns, and what else was found."""
-        job = self.job
+        job, display = self.job, problem.display
+        begun = problem.start.clone()
         with report.progress(self.name, self.count, job.quiet, job.settles, partial=True) as self.clock:
-            if self.count > 1 and job.method != "gs":
-                self._show_start(problem)
-            solved = self.solver.solve(problem)
+            try:
+                begun = starting_phases(display, problem.target, _start(job, display), problem.run.seed, into=begun)
+                problem = replace(problem, start=begun)
+                if self.count > 1 and job.method != "gs":
+                    self._show_start(problem)
+                solved = self.solver.solve(problem)
+            except KeyboardInterrupt:
+                # Before the first iteration; those handle it themselves.
+                if not job.iterates:
+                    raise
+                solved = begun
             if problem.target.is_cuda:
                 torch.cuda.synchronize(problem.target.device)
         self.ideal, *others = solved if isinstance(solved, tuple) else (solved,)
-        shown = self._saved(problem.display.modulator, self.ideal)
+        shown = self._saved(display.modulator, self.ideal)
         return (shown, *others) if others else shown
 
     def _saved(self, panel: wave.Modulator, phases: torch.Tensor) -> torch.Tensor:

@@ -33,7 +33,8 @@ FEW_BITS, MOST_BITS = 4, 6
 # Why a solver takes no step size.
 STEPS = {"lbfgs": "finds its steps by a line search", "levels": "changes levels"}
 LEARNING_RATE = 0.2
-# Of a solver by --quality; the last is an end for what goes on gaining.
+# Of a solver by --quality, for as many pixels; the last is an end for what goes on gaining.
+_PIXELS = 1080 * 1920
 ITERATIONS = {"fast": 20, "good": 200, "best": 2000}
 ITERATIONS_OF_LBFGS = {"fast": 4, "good": 30, "best": 400}
 ITERATIONS_OF_LEVELS = {"fast": 20, "good": 120, "best": 1000}
@@ -164,9 +165,10 @@ class Job(DeviceSettings):
     propagation_type : str
         Propagation method of the computation, or 'auto'.
     quality : str
-        How long the computation takes, for all methods except double-phase and network: for 1080 x 1920 pixels on two
-        cores about a quarter of a minute (fast), a minute (good), or until nothing is gained (best); larger pictures
-        take longer in proportion to their pixels.
+        How long the computation takes on two cores, for all methods except double-phase and network: about a quarter of
+        a minute (fast), a minute (good), or until nothing is gained (best). Smaller pictures get more iterations in
+        proportion, until nothing is gained either, and larger ones fewer; beyond 1080 x 1920 pixels, start and report
+        take longer than that. With --tiles the numbers do not depend on the size.
     iterations : int, optional
         Number of iterations, in place of --quality.
     learning_rate : float, optional
@@ -241,7 +243,8 @@ class Job(DeviceSettings):
     iterations: int | None = option(
         None,
         metavar="COUNT",
-        shown="of L-BFGS 4, 30 or as many as help; of levels 20, 120, 1000; of other solvers 20, 200",
+        shown="for 1080 x 1920 pixels, of L-BFGS 4, 30 or as many as help; of levels 20, 120, 1000; of other solvers "
+        "20, 200",
         check=at_least(1),
     )
     learning_rate: float | None = option(None, metavar="RADIANS", shown=str(LEARNING_RATE), check=positive)
@@ -280,8 +283,8 @@ class Job(DeviceSettings):
         self._set_observer()
         self._set_initial_phase()
         self._set_optimizer()
-        counts = {"lbfgs": ITERATIONS_OF_LBFGS, "levels": ITERATIONS_OF_LEVELS}.get(str(self.optimizer), ITERATIONS)
-        self._set("iterations", self.iterations or counts[self.quality])
+        if self.iterations is None:
+            self._set("iterations", self._most)
         self._check_wavelengths()
         self._check_response()
         self._check_effects()
@@ -478,8 +481,17 @@ class Job(DeviceSettings):
     @property
     def settles(self) -> bool:
         """Whether the iterations end when nothing is gained any more."""
-        counts = {ITERATIONS["best"], ITERATIONS_OF_LBFGS["best"]}
-        return self.quality == "best" and self.optimizer != "levels" and self.iterations in counts
+        if "iterations" in self.given or self.optimizer == "levels" or self.iterations != self._most:
+            return False
+        return self.quality == "best" or (not self.tiles and math.prod(self.resolution) < _PIXELS)
+
+    @property
+    def _most(self) -> int:
+        """Iterations of a quality, as many as the number of pixels leaves time for."""
+        counts = {"lbfgs": ITERATIONS_OF_LBFGS, "levels": ITERATIONS_OF_LEVELS}.get(str(self.optimizer), ITERATIONS)
+        share = 1.0 if self.tiles else _PIXELS / math.prod(self.resolution)
+        end = counts["best"]
+        return end if self.quality == "best" else min(end, math.ceil(share * counts[self.quality]))
 
     @property
     def iterates(self) -> bool:

@@ -1,3 +1,4 @@
+import importlib
 import math
 import os
 import re
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from PIL import Image, ImageOps
 
 from odak.cli import main, report
-from odak.cli.job import PRESETS, parse_length
+from odak.cli.job import PRESETS, Job, parse_length
 
 pytestmark = pytest.mark.usefixtures("small_judge")
 
@@ -317,13 +318,12 @@ def test_lbfgs_is_the_default_and_better_than_adam(grey_file, tmp_path):
 @pytest.mark.parametrize(
     ("options", "iterations", "reached"),
     [
-        (["--quality", "fast"], 4, "4 iterations"),
-        (["--quality", "fast", "--optimizer", "adam"], 20, "20 iterations"),
-        (["--quality", "best", "--iterations", 3], 3, "3 iterations"),
+        (["--quality", "best", "--iterations", 12], 12, "12 iterations"),
+        (["--quality", "fast", "--initial-phase", "flat"], 400, "nothing was gained any more after "),
         (["--quality", "best"], 400, "nothing was gained any more after "),
     ],
 )
-def test_quality_is_a_number_of_iterations_or_ends_where_nothing_is_gained(options, iterations, reached, tmp_path):
+def test_small_pictures_are_improved_until_nothing_is_gained(options, iterations, reached, tmp_path):
     size = ["--resolution", 32, 48, "--distance", "3mm", "--device", "cpu"]
     said = run("photo", "--grey", "--output", tmp_path, *size, *options)
     report = read_report(tmp_path)
@@ -334,6 +334,25 @@ def test_quality_is_a_number_of_iterations_or_ends_where_nothing_is_gained(optio
     assert stated == pytest.approx(report["channels"][0]["psnr_before_quantisation_db"], abs=2.0 if stated < 30 else 8)
     if "nothing" in reached:
         assert 11 <= int(report["reached"].split()[-2]) < 400
+
+
+def test_a_quality_takes_as_many_iterations_as_the_pixels_leave_time_for():
+    def iterations(rows, columns, **options):
+        job = Job(image="photo", output="x", resolution=(rows, columns), **options)
+        return job.iterations, job.settles
+
+    assert [iterations(1080, 1920, quality=name) for name in ("fast", "good", "best")] == [
+        (4, False),
+        (30, False),
+        (400, True),
+    ]
+    # Four times as many pixels, at least one iteration; fewer pixels, at most the end of the best.
+    assert [iterations(2160, 3840, quality=name)[0] for name in ("fast", "good", "best")] == [1, 8, 400]
+    assert [iterations(540, 960, quality=name) for name in ("fast", "good")] == [(16, True), (120, True)]
+    assert iterations(270, 480) == (400, True)
+    assert iterations(540, 960, optimizer="adam") == (800, True) and iterations(540, 960, bits=4) == (480, False)
+    assert iterations(540, 960, iterations=5) == (5, False)
+    assert iterations(8640, 15360, tiles=True) == iterations(540, 960, tiles=True) == (200, False)
 
 
 def test_control_c_writes_the_best_so_far(grey_file, tmp_path, monkeypatch):
@@ -356,6 +375,28 @@ def test_control_c_writes_the_best_so_far(grey_file, tmp_path, monkeypatch):
     said = run(grey_file, "-o", tmp_path, *whole)
     assert "already holds" not in said.stdout and not read_report(tmp_path)["interrupted"]
     assert read_report(tmp_path)["psnr_db"] > made["channels"][0]["psnr_db"]
+
+
+@pytest.mark.parametrize("where", ["odak.wave.phase_retrieval._correction", "odak.cli.report.to_image"])
+def test_control_c_before_the_first_iteration_writes_the_start_so_far(where, grey_file, tmp_path, monkeypatch):
+    """In the sixth projection of the start, and while its picture is written."""
+    owner, _, name = where.rpartition(".")
+    function, calls = getattr(importlib.import_module(owner), name), []
+
+    def interrupted(*values):
+        calls.append(values)
+        if len(calls) == (6 if name == "_correction" else 1):
+            raise KeyboardInterrupt
+        return function(*values)
+
+    monkeypatch.setattr(where, interrupted)
+    said = run(grey_file, "-o", tmp_path, *SMALL, "--iterations", "9", expect=130)
+    assert f"interrupted after 0 of 9 iterations: the best patterns so far are in {tmp_path}" in said.stderr
+    made = read_report(tmp_path)
+    assert made["interrupted"] and made["reached"] == "interrupted after 0 of 9 iterations"
+    assert {"reconstruction.png", "comparison.png", "hologram_532nm.png"} <= {path.name for path in tmp_path.iterdir()}
+    # A flat phase shows 6 dB.
+    assert made["psnr_db"] > 12
 
 
 def test_a_first_picture_is_there_before_the_first_iteration(picture, grey_file, tmp_path, monkeypatch):

@@ -1,7 +1,7 @@
 """Phases from which solvers of holograms start. Touches a display by its path, and targets."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -44,6 +44,7 @@ def starting_phase(
     propagation_type: str = "Angular Spectrum",
     seed: int | None = None,
     frames: int = 1,
+    callback: Callable[[int, torch.Tensor], object] | None = None,
 ) -> torch.Tensor:
     """Return a phase from which gradient descent may start.
 
@@ -69,6 +70,8 @@ def starting_phase(
         Makes what is random reproducible.
     frames : int
         Number of frames. Several frames of a deterministic start differ by normal noise of 0.5 rad.
+    callback : callable, optional
+        ``callback(iteration, phase)`` is called after each iteration of Gerchberg–Saxton.
 
     Returns
     -------
@@ -105,13 +108,17 @@ def starting_phase(
                 *(amplitude, range(_PROJECTIONS), distance, dx, wavelength, 2 * math.pi, propagation_type, phase, seed),
                 accelerated=True,
                 checked=True,
+                callback=callback,
             )[0]
             phase = hologram.angle()
     return phase if frames == 1 else phase + 0.5 * drawn(torch.randn)
 
 
-def starting_phases(display, target, start, seed) -> torch.Tensor:
-    """Return the phases to start from; a named start is computed for the brightest colour of each frame."""
+def starting_phases(display, target, start, seed, into: torch.Tensor | None = None) -> torch.Tensor:
+    """Return the phases to start from; a named start is computed for the brightest colour of each frame.
+
+    They are written to `into` after each iteration, so that what is interrupted leaves those of the last one.
+    """
     shape = (display.frames, *display.modulator.resolution)
     if not isinstance(start, str):
         shapes = (shape, shape[1:]) if display.frames == 1 else (shape,)
@@ -123,7 +130,8 @@ def starting_phases(display, target, start, seed) -> torch.Tensor:
         raise ValueError(f"start must be {accepted} or phases {path.where}, got {name!r}")
     begun = path.begins or name if name == "gs" else name
     method = method_named("Bandlimited Angular Spectrum")
-    plane, phases = display.shape[0] // 2, torch.zeros(shape, dtype=target.dtype, device=target.device)
+    plane = display.shape[0] // 2
+    phases = torch.zeros(shape, dtype=target.dtype, device=target.device) if into is None else into
     brightest = display.powers.argmax(1).tolist()
     for colour in sorted(set(brightest)):
         frames = [frame for frame, lit in enumerate(brightest) if lit == colour]
@@ -131,6 +139,11 @@ def starting_phases(display, target, start, seed) -> torch.Tensor:
         # Beyond its range this method keeps a small part of the band, and says so; nobody chose it.
         request = Request(display.modulator.pitch, wavelength, distance)
         outside = any(warnings_outside_range(method, display.modulator.resolution, request, padded=True))
+        aberration = 0.0 if name in ("flat", "random") else display._flat_light(colour)[1]
+
+        def keep(_, phase, frames=frames, aberration=aberration, colour=colour):
+            phases[frames] = display.modulator.asked(phase - aberration, colour)
+
         found = starting_phase(
             begun,
             target[plane, colour],
@@ -140,8 +153,8 @@ def starting_phases(display, target, start, seed) -> torch.Tensor:
             "Linear Angular Spectrum" if outside else method.name,
             seed=seed,
             frames=len(frames),
+            callback=None if into is None else keep,
         )
-        aberration = 0.0 if name in ("flat", "random") else display._flat_light(colour)[1]
         for frame, phase in zip(frames, found.reshape(len(frames), *shape[1:]), strict=True):
             if begun != name:
                 phase = _projected(display, target, colour, phase)
