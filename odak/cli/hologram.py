@@ -573,6 +573,8 @@ def _add_observed(job: Job, found: wave.DisplayedHologram, channels: list[dict])
         others = {"psnr_area_db": registered, "psnr_points_db": found.psnr_at_points.amin(0).tolist()}
     for c, channel in enumerate(channels):
         channel |= {name: values[c] for name, values in others.items()}
+        if found.error is not None and bool((known := found.error[:, c].max()).isfinite()):
+            channel["image_error"] = float(known)
         if job.fill_factor and not _shares_frames(job):
             channel["psnr_db"] = seen[c]
 

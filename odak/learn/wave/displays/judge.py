@@ -1,6 +1,7 @@
 """Images of a display by another computation than its own, which judges holograms.
 
-It imports no path of light and shares no arithmetic with one: of a display it asks for the panels, lengths and stops.
+It imports no path of light and shares no arithmetic with one: of a display it asks for the panels, lengths and stops,
+and for the image that it states its difference from.
 """
 
 import collections
@@ -13,8 +14,9 @@ import torch
 
 from odak import _array, _validate
 from odak.instruments import Lens
-from odak.learn.wave.displays.observers import Observer, fine_intensity, pixels_of, resolved
+from odak.learn.wave.displays.observers import REGISTERED, Observer, fine_intensity, pixels_of, resolved
 from odak.learn.wave.displays.panels import Iris, orders_through
+from odak.learn.wave.displays.parts import Part
 from odak.learn.wave.eyes import Eyes, Sight
 from odak.learn.wave.propagation import propagate_beam
 from odak.wave.sampling import sampling_report
@@ -29,24 +31,45 @@ _RIM = 0.75
 _AIRY = 64
 
 
-@dataclass(frozen=True)
-class Judgement:
-    """What is seen of patterns, and how it compares with a target.
+class Judgement(tuple[torch.Tensor, torch.Tensor]):
+    """What is seen of patterns: a pair of images, how far off they may be, and how they compare with a target.
 
     Attributes
     ----------
     areas, points : torch.Tensor
-        Means over the areas of pixels, and intensities at their middles, ``[D, C, rows, columns]``.
+        Means over the areas of pixels, and intensities at their middles, ``[D, C, rows, columns]``: the pair.
+    error : torch.Tensor
+        Root mean square of the difference of `areas` from the image by :meth:`odak.learn.wave.Display.forward`, divided
+        by that of `areas`, ``[D, C]``. The two computations share no arithmetic, so that this is about the error of the
+        worse of them. NaN where the image by the display has other orders, or distances that are drawn.
     compared : torch.Tensor
         What an observer sees compared with a target, ``[D, C, places, 3]``; see :meth:`Observer.compared`.
     sharp : torch.Tensor
         The same of the image of each colour that is put together of the parts in focus, ``[1, C, places, 3]``.
     """
 
-    areas: torch.Tensor
-    points: torch.Tensor
+    error: torch.Tensor
     compared: torch.Tensor
     sharp: torch.Tensor
+
+    def __new__(cls, images: tuple[torch.Tensor, torch.Tensor], **found: torch.Tensor) -> "Judgement":
+        """Return a judgement of a pair of images, with its other attributes by name."""
+        made = super().__new__(cls, images)
+        vars(made).update(found)
+        return made
+
+    @property
+    def areas(self) -> torch.Tensor:
+        """Means over the areas of pixels."""
+        return self[0]
+
+    @property
+    def points(self) -> torch.Tensor:
+        """Intensities at the middles of pixels."""
+        return self[1]
+
+    def __repr__(self) -> str:
+        return f"Judgement: images {list(self.areas.shape)}, error up to {float(self.error.max()):.1e}"
 
 
 @dataclass(frozen=True)
@@ -108,18 +131,25 @@ def judged(
         raise ValueError(f"phases must be without a batch, [frames, rows, columns], got {list(given)}")
     planes, colours = display.shape[:2]
     images: list[list[torch.Tensor]] = [[], []]
+    errors: list[torch.Tensor] = []
+    # Else the image by the display itself is another one.
+    alike = orders == _orders(at, None) and not at.jitter
 
     def on_planes(c):
         power = display.powers[:, c] / display.powers[:, c].sum()
         for d in range(planes):
             light: Any = 0.0
+            other: Any = 0.0 if alike else math.nan
             for f in display.lit_frames[c]:
                 # One frame at a time, which takes less memory.
                 own = display._lit_by_source(tuple(one[..., f : f + 1, :, :] for one in lights), c)
                 shown, finer = _field_at(at, [one[0] for one in own], c, d, orders)
                 light = light + power[f] * fine_intensity(shown, [2 * n * finer for n in at.sizes])
+                if alike:
+                    other = other + display._images_of(Part(c, (d,), (f,)), REGISTERED, lights, display.powers)[0, 0]
             samples = 2 * finer
             images[0].append(resolved(light, samples, at.sizes, (1.0, 1.0), 1))
+            errors.append((images[0][-1] - other).norm() / images[0][-1].norm())
             images[1].append(light[pixels_of(light, samples, at.sizes)])
             yield light, samples
 
@@ -130,9 +160,11 @@ def judged(
             collections.deque(on_planes(c), maxlen=0)
         else:
             found.append(held.of(on_planes(c), at.image_pitches(c), c))
-    areas, points = (torch.stack(each).unflatten(0, (colours, planes)).transpose(0, 1) for each in images)
+    areas, points, error = (
+        torch.stack(each).unflatten(0, (colours, planes)).transpose(0, 1) for each in (*images, errors)
+    )
     compared = torch.stack(found, 1) if found else areas.new_empty(planes + 1, colours, 0, 3, dtype=torch.float64)
-    return Judgement(areas, points, compared[:-1], compared[-1:])
+    return Judgement((areas, points), error=error, compared=compared[:-1], sharp=compared[-1:])
 
 
 def _orders(at, orders: int | None) -> int:

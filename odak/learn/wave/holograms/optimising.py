@@ -218,7 +218,7 @@ def optimise(
     history = tuple(torch.stack(losses).tolist()) if losses else ()
     ratios = ratio(found.compared), at_points
     return DisplayedHologram(
-        *(display, target, phases, images, lights), *ratios, history, sharp, amplitudes, observer, gain
+        *(display, target, phases, images, lights), *ratios, history, sharp, amplitudes, observer, gain, found.error
     )
 
 

@@ -52,6 +52,8 @@ class DisplayedHologram:
     gain_over_rounding : torch.Tensor, optional
         Of a search over levels: the decibels by which its loss is below that of the phases without levels that it began
         with, rounded.
+    error : torch.Tensor, optional
+        By how much the images may be off, as a share of them, ``[D, C]``; see :meth:`Display.judge`.
 
     Examples
     --------
@@ -75,6 +77,7 @@ class DisplayedHologram:
     amplitudes: torch.Tensor | None = None
     observer: Observer = ANYWHERE
     gain_over_rounding: torch.Tensor | None = None
+    error: torch.Tensor | None = None
 
     @property
     def psnr_registered(self) -> torch.Tensor:
@@ -175,7 +178,9 @@ class DisplayedHologram:
             "powers": self.display.powers.tolist(),
             **({} if self.gain_over_rounding is None else {"gain_over_rounding_db": float(self.gain_over_rounding)}),
             # A number without end is none in JSON.
-            "table": [{k: None if v in (math.inf, -math.inf) else v for k, v in row.items()} for row in self.table()],
+            "table": [
+                {k: None if v != v or v in (math.inf, -math.inf) else v for k, v in row.items()} for row in self.table()
+            ],
         }
         files.append(os.path.join(folder, "report.json"))
         save_dictionary(report, files[-1])
@@ -191,6 +196,7 @@ class DisplayedHologram:
                 "psnr_registered_db": float(self.psnr_registered[d, c]),
                 "psnr_at_points_db": float(self.psnr_at_points[d, c]),
                 "brightness": float(self.brightness[c]),
+                **({} if self.error is None else {"error": float(self.error[d, c])}),
             }
             for d in range(self.display.shape[0])
             for c, wavelength in enumerate(self.display.wavelengths)
@@ -215,12 +221,12 @@ class DisplayedHologram:
             shown[f"image{at}"] = self.pictures(d)
         pictures = [(name, _show.png(one.detach().cpu().movedim(0, -1))) for name, one in shown.items()]
         pictures.append(("pattern", _show.png((self.phases[0] / TURN).detach().cpu())))
-        head = places[0][0], "wavelength", "PSNR", "registered", "at points", "brightness"
+        head = places[0][0], "wavelength", "PSNR", "registered", "at points", "brightness", "error"
         rows = [
             (
                 *(places[i // self.display.shape[1]][1], f"{1e9 * r['wavelength']:.4g} nm"),
                 *(f"{r[name]:.1f} dB" for name in ("psnr_db", "psnr_registered_db", "psnr_at_points_db")),
-                f"{r['brightness']:.4g}",
+                *(f"{r['brightness']:.4g}", f"{r.get('error', math.nan):.1g}"),
             )
             for i, r in enumerate(self.table())
         ]
