@@ -70,6 +70,7 @@ REASONS = {
         tools/matrix: quantize slice_rgbd_targets
         tools/transformation: quaternion_to_rotation_matrix
         wave/displays/display: _amplitudes
+        wave/displays/panels: __post_init__
         wave/displays/parts: frames_lit
         wave/displays/paths/base: nearness
         wave/displays/paths/retina: nearness

@@ -75,6 +75,7 @@ from .display_models import fit_display as fit_display
 from .displays.display import Display as Display
 from .displays.observers import Observer as Observer
 from .displays.panels import AmplitudePanel as AmplitudePanel
+from .displays.panels import Expander as Expander
 from .displays.panels import Iris as Iris
 from .displays.panels import Modulator as Modulator
 from .displays.paths.free import Free as Free

@@ -174,6 +174,8 @@ class Sight:
         Width of what emits of a pixel, as a share of its pitch.
     one_order : bool
         Whether a stop passes one diffraction order alone.
+    cells : int
+        Cells along each axis of a pixel, of a mask in contact with the panel that lets all orders pass.
     """
 
     eyes: Eyes
@@ -183,6 +185,7 @@ class Sight:
     wavelength: float
     width: float
     one_order: bool
+    cells: int = 1
 
     def ray_matrix(self) -> tuple[float, float, float]:
         """Return A, B and D of the ray matrix from the panel to the pupil, which recedes as the eye turns."""
@@ -226,9 +229,13 @@ class Sight:
         return min(shares)
 
     def to_pupil(self, axis: int) -> np.ndarray:
-        """Return the matrix from pixels to points of the pupil along an axis, complex128 ``[points, pixels]``."""
+        """Return the matrix from the cells of pixels to points of the pupil along an axis, ``[points, cells]``."""
         a, b, _ = self.ray_matrix()
         there, x = self._points(axis)[0][:, None] + self.pupil()[0][axis], self._places(axis)
+        # Of each cell, the part within what emits of the pixel.
+        rims = np.clip(np.arange(self.cells + 1) / self.cells - 0.5, -self.width / 2, self.width / 2)
+        x = (x[:, None] + (rims[1:] + rims[:-1]) / 2 * self.pitches[axis]).ravel()
+        widths = np.tile(np.diff(rims), self.sizes[axis])
         # Of the order of a pixel: ±1/2 at its edges.
         order = (there - a * x) / self.box(axis)
         if self.one_order:
@@ -236,7 +243,7 @@ class Sight:
                 order, a * self.pitches[axis] ** 2 / (self.wavelength * b), self.width, self._band(axis)
             )
         else:
-            envelope = np.sinc(self.width * order)
+            envelope = np.sinc(widths * order) * (widths / self.width)
         return envelope * _array.phasor_of_cycles((a * x - 2 * there) * x / (2 * self.wavelength * b))
 
     def through_pupil(self) -> np.ndarray:

@@ -12,5 +12,6 @@ from ..holograms.starts import starting_phases as starting_phases
 from ..training import brightness_of as brightness_of
 from .display import Display as Display
 from .panels import AmplitudePanel as AmplitudePanel
+from .panels import Expander as Expander
 from .panels import Iris as Iris
 from .panels import Modulator as Modulator

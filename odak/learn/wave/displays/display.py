@@ -215,9 +215,11 @@ class Display(Prepared, torch.nn.Module):
         levels = "no levels" if panel.bits is None else f"{panel.bits} bits"
         stop = repr(self.iris) if isinstance(self.iris, Iris) else "no iris" if self.iris is None else "one order"
         first = panel.lit_through
+        cells = self.path.cells
+        mask = "" if panel.expander is None else f", {cells} × {cells} cells of a mask in each"
         before = "" if first is None else f"lit through a panel at {1e3 * first.distance:.4g} mm, "
         return (
-            f"{' × '.join(map(str, panel.resolution))} pixels of {pitch} µm (fill {panel.fill:g}, {levels}), "
+            f"{' × '.join(map(str, panel.resolution))} pixels of {pitch} µm (fill {panel.fill:g}, {levels}{mask}), "
             f"{before}{listed(self.wavelengths, 1e9)} nm, {self.frames} frame{'s' * (self.frames > 1)}, "
             f"{self.path.in_words()}, {stop}"
         )
@@ -447,6 +449,30 @@ class Display(Prepared, torch.nn.Module):
         """Return the same display with other powers of the sources, ``[F, C]``."""
         given = self.modulator, self.wavelengths, self.path.ends, self.frames, powers, self.profile
         return Display(*given, self.iris, self.medium).to(self.powers.device)
+
+    def extents(self) -> list[dict[str, Any]]:
+        """Return how much light can be told apart in each colour: the étendue, and what eyes have of it.
+
+        Returns
+        -------
+        list of dict
+            For each wavelength in metres: "etendue" in m²·sr, the squared wavelength times the number of pixels, times
+            the number of cells of an :class:`Expander` in a pixel, as far as a round iris passes them. Where eyes look
+            on, also "eyebox", the height and width in metres of what the pixel on the axis lights, and
+            "field_of_view", the angles in degrees at which the panel is seen. For small angles the étendue is
+            the product of these four.
+
+        Examples
+        --------
+        >>> from odak.learn.wave import Display, Expander, Eyes, Modulator
+        >>> for cells in (1, 2):
+        ...     panel = Modulator((32, 48), 8e-6, expander=Expander.random((32, 48), cells))
+        ...     (found,) = Display(panel, 532e-9, Eyes(0.1), iris=None).extents()
+        ...     print(", ".join(f"{1e3 * side:.2f} mm" for side in found["eyebox"]), f"{found['etendue']:.2e}")
+        6.65 mm, 6.65 mm 4.35e-10
+        13.30 mm, 13.30 mm 1.74e-09
+        """
+        return [{"wavelength": w, **self.path.extents(c)} for c, w in enumerate(self.wavelengths)]
 
     def looked_at(self, eyes: Eyes) -> "Display":
         """Return the same display with eyes that look at it in place of its planes or eyes.

@@ -15,7 +15,7 @@ import torch
 from odak import _array, _validate
 from odak.instruments import Lens
 from odak.learn.wave.displays.observers import REGISTERED, Observer, fine_intensity, pixels_of, resolved
-from odak.learn.wave.displays.panels import Iris, orders_through
+from odak.learn.wave.displays.panels import Expander, Iris, orders_through
 from odak.learn.wave.displays.parts import Part
 from odak.learn.wave.eyes import Eyes, Sight
 from odak.learn.wave.propagation import propagate_beam
@@ -188,6 +188,8 @@ def light_beyond(
     See :meth:`odak.learn.wave.Display.light_beyond`.
     """
     at, count = display.path, _orders(display.path, orders)
+    if at.expander is not None:
+        raise ValueError("modulator must be without an expander, which leaves no orders of the panel")
     lights = display._lights(phases, amplitudes)
     shares = []
     for c, power in enumerate(display.powers.double().unbind(1)):
@@ -219,7 +221,7 @@ def _field_at(at, lights, colour: int, image: int, orders: int) -> tuple[torch.T
     if isinstance(at.ends, Eyes):
         axes = at.sizes, at.pitches
         sight = Sight(at.ends, image, *axes, at.wavelengths[colour], math.sqrt(at.fill), at.iris == "order")
-        return _on_retina(lights[0], sight)
+        return _on_retina(lights[0], sight, at.expander)
     if isinstance(at.ends, Lens):
         return _spread(at, lights[0], colour), 2
     way = at.wavelengths[colour] / at.medium, at.distances[image]
@@ -258,34 +260,43 @@ def _spread(at, light, colour):
     return torch.fft.fftshift(field) * torch.polar(passed, turn).to(light.device, light.dtype)
 
 
-def _on_retina(light, sight: Sight):
+def _on_retina(light, sight: Sight, expander: Expander | None):
     """Return the field that an eye sees, over an area of twice the extent of the panel, and its samples per pixel.
 
-    Along each axis the light of square pixels passes the stop, and is transformed to the plane of the pupil with
-    the curvature that the path gives it, and back.
+    Along each axis the light of square pixels, or of the cells of a mask on them, passes the stop, and is transformed
+    to the plane of the pupil with the curvature that the path gives it, and back.
     """
-    (a, b, _), kind = sight.ray_matrix(), {"dtype": torch.float64, "device": light.device}
+    cells = 1 if expander is None else expander.cells_of(sight.sizes)
+    light = light if expander is None else expander.behind(light, cells)
+    kind: dict[str, Any] = {"dtype": torch.float64, "device": light.device}
+    a, b, _ = sight.ray_matrix()
     boxes, lengths, places, spacing = [sight.box(axis) for axis in (0, 1)], [], [], []
-    axes = list(zip((-2, -1), light.shape, sight.pitches, boxes, *sight.pupil(), strict=True))
+    axes = list(zip((-2, -1), sight.sizes, sight.pitches, boxes, *sight.pupil(), strict=True))
     # Zeros around a small panel bring the points of the pupil nearer to each other.
     wide = max(math.ceil(_AIRY * box / (n * half)) for _, n, _, box, _, half in axes)
     for axis, n, pitch, box, middle, half in axes:
         # All orders that reach the pupil, from the rim of the panel too.
         finer = math.ceil(2 * (abs(middle) + half) / box + 1)
         count, step = 2 * n * finer * wide, pitch / finer
-        comb = light.new_zeros(*(count if k == axis else light.shape[k] for k in (-2, -1)))
-        first = count // 2 - n // 2 * finer
-        comb.narrow(axis, first, n * finer).unfold(axis, finer, finer)[..., 0].copy_(light)
         f = torch.fft.fftfreq(count, step, **kind)
-        passed = torch.sinc(sight.width * pitch * f) * finer
-        if sight.one_order:
-            # Half of the last frequency, which is rounded.
-            passed = passed * sum(0.5 * (f.abs() < (0.5 + shift) / pitch) for shift in (-1e-6, 1e-6))
+        spectrum: Any = 0.0
+        for cell in range(cells):
+            comb = light.new_zeros(*(count if k == axis else light.shape[k] for k in (-2, -1)))
+            own = comb.narrow(axis, count // 2 - n // 2 * finer, n * finer).unfold(axis, finer, finer)[..., 0]
+            own.copy_(light.unflatten(axis, (n, cells)).select(axis, cell))
+            rims = cell / cells - 0.5, (cell + 1) / cells - 0.5
+            ends = [min(max(rim, -sight.width / 2), sight.width / 2) for rim in rims]
+            wide_of, aside = ends[1] - ends[0], sum(ends) / 2
+            passed = torch.sinc(wide_of * pitch * f) * (finer * wide_of / sight.width)
+            if sight.one_order:
+                # Half of the last frequency, which is rounded.
+                passed = passed * sum(0.5 * (f.abs() < (0.5 + shift) / pitch) for shift in (-1e-6, 1e-6))
+            passed = (passed * _array.phasor_of_cycles(-aside * pitch * f)).to(light.dtype)
+            passed = passed[:, None] if axis == -2 else passed
+            spectrum = spectrum + torch.fft.fft(torch.fft.ifftshift(comb, axis), dim=axis) * passed
         x = (torch.arange(count, **kind) - count // 2) * step
         bent = torch.fft.ifftshift(_array.phasor_of_cycles(a / (2 * sight.wavelength * b) * x**2))
-
-        passed, bent = (v.to(light.dtype)[:, None] if axis == -2 else v.to(light.dtype) for v in (passed, bent))
-        spectrum = torch.fft.fft(torch.fft.ifftshift(comb, axis), dim=axis) * passed
+        bent = bent.to(light.dtype)[:, None] if axis == -2 else bent.to(light.dtype)
         there = torch.fft.fft(torch.fft.ifft(spectrum, dim=axis) * bent, dim=axis)
         u = f * sight.wavelength * b - middle
         inside = torch.nonzero(u.abs() < half + sight.wavelength * abs(b) / (count * step))[:, 0]

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 
 from odak import _show, _validate
+from odak.learn._tensors import floating
 from odak.learn.wave.fields import unit_phasor
 from odak.learn.wave.slm import TURN, checked_bits, even_levels
 from odak.wave.linear_kernels import checked_pixel_fill
@@ -103,6 +104,119 @@ class AmplitudePanel:
         return torch.round(amplitudes * (255 if self.bits is None else 2**self.bits - 1)).to(torch.int32)
 
 
+@dataclass(frozen=True, eq=False)
+class Expander:
+    """A mask in contact with a panel, of cells finer than its pixels: they send light to angles that pixels do not.
+
+    Use it as `expander` of a :class:`Modulator` that eyes look at, for a wider eyebox of the same panel. With k × k
+    cells in each pixel the étendue is k² times that of the panel, and each pixel determines the light at k² as many
+    places: quality is the price, and a mask that is learned with the patterns of many pictures costs less of it.
+
+    Parameters
+    ----------
+    phases : torch.Tensor
+        Phases of the cells in radians, ``[k·rows, k·columns]``, at all wavelengths. A tensor that requires gradients
+        gets them from images.
+    amplitudes : torch.Tensor, optional
+        Amplitudes that the cells pass, 0 … 1, of the same shape; one by default. They get gradients too.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Notes
+    -----
+    Kuo et al., High resolution étendue expansion for holographic displays, ACM Trans. Graph. 39, 66 (2020), with a
+    random mask; Tseng et al., Neural étendue expander for ultra-wide-angle high-fidelity holographic display, Nat.
+    Commun. 15, 2907 (2024), with one that is learned.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import Display, Expander, Eyes, Modulator
+    >>> phases = Expander.random((32, 48), 2).phases.requires_grad_()
+    >>> panel = Modulator((32, 48), 8e-6, expander=Expander(phases))
+    >>> display = Display(panel, 532e-9, Eyes(0.1, [(0.0, 0.0), (0.0, 5e-3)]), iris=None)
+    >>> display(torch.zeros(32, 48)).square().mean().backward()
+    >>> phases.grad.shape
+    torch.Size([64, 96])
+    """
+
+    phases: torch.Tensor
+    amplitudes: torch.Tensor | None = None
+
+    def __post_init__(self) -> None:
+        phases = _validate.image("phases", floating("phases", self.phases))
+        if phases.ndim != 2 or phases.is_complex():
+            raise ValueError(f"phases must be real [rows, columns], got {list(phases.shape)} of {phases.dtype}")
+        object.__setattr__(self, "phases", phases)
+        if self.amplitudes is not None:
+            amplitudes = floating("amplitudes", self.amplitudes)
+            if amplitudes.shape != phases.shape:
+                raise ValueError(
+                    f"amplitudes must be of the shape of the phases, {list(phases.shape)}, got {list(amplitudes.shape)}"
+                )
+            if bool(((amplitudes < 0) | (amplitudes > 1)).any()):
+                least, most = float(amplitudes.min()), float(amplitudes.max())
+                raise ValueError(f"amplitudes must be 0 … 1, got {least:.4g} to {most:.4g}")
+            object.__setattr__(self, "amplitudes", amplitudes)
+
+    @classmethod
+    def random(cls, resolution: Sequence[int], cells: int, levels: int = 2, seed: int = 0) -> "Expander":
+        """Return a mask of random phases that are spread evenly over 2π.
+
+        Parameters
+        ----------
+        resolution : sequence of int
+            Rows and columns of the panel.
+        cells : int
+            Cells k along each axis of a pixel.
+        levels : int
+            Number of different phases: 2 for a binary mask, of 0 and π.
+        seed : int
+            Seed of the random numbers.
+
+        Returns
+        -------
+        Expander
+            The mask.
+
+        Examples
+        --------
+        >>> from odak.learn.wave import Expander
+        >>> Expander.random((32, 48), 4).phases.unique()
+        tensor([0.0000, 3.1416])
+        """
+        cells = _validate.integer("cells", cells, minimum=1)
+        levels = _validate.integer("levels", levels, minimum=2)
+        generator = torch.Generator().manual_seed(_validate.integer("seed", seed, minimum=0))
+        shape = [cells * n for n in _validate.size("resolution", resolution)]
+        return cls(torch.randint(levels, shape, generator=generator) * (TURN / levels))
+
+    def __repr__(self) -> str:
+        rows, columns = self.phases.shape
+        return f"Expander of {rows} × {columns} cells"
+
+    def cells_of(self, resolution: Sequence[int]) -> int:
+        """Return how many cells are along each axis of a pixel at a `resolution` of the panel; 0 if they do not fit."""
+        rows, columns = (divmod(m, n) for m, n in zip(self.phases.shape, resolution, strict=True))
+        return rows[0] if rows == columns and rows[1] == 0 else 0
+
+    def behind(self, light: torch.Tensor, cells: int) -> torch.Tensor:
+        """Return the `light` of pixels ``[..., rows, columns]`` behind each of its `cells` × `cells`."""
+        return light.repeat_interleave(cells, -2).repeat_interleave(cells, -1) * self._passed(light)
+
+    def before(self, light: torch.Tensor, cells: int) -> torch.Tensor:
+        """Return the adjoint of :meth:`behind`: the sum of `light` over the `cells` × `cells` of each pixel."""
+        back = light * self._passed(light).conj()
+        return back.unflatten(-1, (-1, cells)).unflatten(-3, (-1, cells)).sum((-3, -1))
+
+    def _passed(self, light):
+        passed = unit_phasor(self.phases.to(light.device, light.real.dtype))
+        return passed if self.amplitudes is None else passed * self.amplitudes.to(light.device, light.real.dtype)
+
+
 @_validate.takes_units("pitch")
 @dataclass(frozen=True)
 class Modulator:
@@ -132,6 +246,8 @@ class Modulator:
         Factor of the phases for each of the C wavelengths of a display, such as λ0/λ for a panel that shows the same
         path differences to all, whose phases 0 … 2π are those at λ0. A response is called as ``response(phase,
         scale)`` then. None for the same phases at all wavelengths.
+    expander : Expander, optional
+        Mask in contact with the panel, of cells finer than its pixels, for displays that eyes look at.
 
     Examples
     --------
@@ -147,6 +263,7 @@ class Modulator:
     response: Callable[..., Any] | Sequence[torch.nn.Module] | None = None
     lit_through: AmplitudePanel | None = None
     phase_scale: Sequence[float] | None = None
+    expander: Expander | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "resolution", _validate.size("resolution", self.resolution))
@@ -158,6 +275,13 @@ class Modulator:
         if self.phase_scale is not None:
             scale = tuple(float(one) for one in _validate.several("phase_scale", self.phase_scale, positive=True))
             object.__setattr__(self, "phase_scale", scale)
+        if self.expander is not None:
+            _validate.instance("expander", self.expander, Expander, "an odak.learn.wave.Expander")
+            if not self.expander.cells_of(self.resolution):
+                rows, columns = self.resolution
+                raise ValueError(
+                    f"expander must have k·{rows} × k·{columns} cells, got {list(self.expander.phases.shape)}"
+                )
         if isinstance(self.response, (list, tuple)) and all(isinstance(one, torch.nn.Module) for one in self.response):
             object.__setattr__(self, "response", torch.nn.ModuleList(self.response))
         for one in self.responses() or [_validate.function_or_none("response", self.response)]:

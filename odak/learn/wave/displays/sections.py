@@ -28,6 +28,12 @@ def view_of(display: Any) -> _show.View:
         sine = wavelength / (2 * max(pair) * display.medium)
         angles.append(math.asin(min(1.0, sine)))
         table.append((f"largest angle at {1e9 * wavelength:.4g} nm", f"{math.degrees(angles[-1]):.4g}°"))
+    for row in display.extents():
+        at = f"{1e9 * row['wavelength']:.4g} nm"
+        table.append((f"étendue at {at}", f"{row['etendue']:.4g} m²·sr"))
+        if "eyebox" in row:
+            table.append((f"eyebox at {at}", " × ".join(f"{1e3 * side:.4g}" for side in row["eyebox"]) + " mm"))
+            table.append(("field of view", " × ".join(f"{angle:.4g}°" for angle in row["field_of_view"])))
     for image in range(display.shape[0]):
         kind, place = display.path.place_in_words(image)
         table.append((f"{kind} {image}", place))

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from odak import _array, _torch_private, _validate
-from odak.learn.wave.displays.panels import AmplitudePanel, Iris, Modulator, orders_through
+from odak.learn.wave.displays.panels import AmplitudePanel, Expander, Iris, Modulator, orders_through
 from odak.learn.wave.training import fingerprint
 
 Lights = tuple[torch.Tensor, ...]
@@ -74,6 +74,8 @@ class Path:
         Stop of the display.
     medium : float
         Refractive index.
+    expander : Expander, optional
+        Mask in contact with the panel.
     distances : tuple of float
         Distance of each image in metres.
     samples : int
@@ -88,6 +90,7 @@ class Path:
     ends: Any
     iris: Iris | str | None
     medium: float
+    expander: Expander | None = None
     distances: tuple[float, ...] = field(init=False)
     samples: int = field(init=False)
 
@@ -204,6 +207,19 @@ class Path:
         away = self.distances[image] - nearness
         return rays[:, None] * away[:, None] / torch.tensor(self.pitches, dtype=torch.float64)
 
+    @property
+    def cells(self) -> int:
+        """Cells of the mask along each axis of a pixel; 1 without a mask."""
+        return 1 if self.expander is None else self.expander.cells_of(self.sizes)
+
+    def extents(self, colour: int) -> dict[str, Any]:
+        """Return the étendue of the light of a colour, and what it is the product of; see :meth:`Display.extents`."""
+        # Of the side n·p and the sine λ/p that a pixel fills along each axis the pitch drops out.
+        etendue = math.prod(self.sizes) * (self.cells * self.wavelengths[colour]) ** 2
+        if (cutoff := self.cutoff(colour)) is not None:
+            etendue *= min(1.0, math.pi * cutoff**2 * math.prod(self.pitches))
+        return {"etendue": etendue}
+
     def cutoff(self, colour: int) -> float | None:
         """Return the highest frequency that a round iris passes, in cycles per metre; None without one."""
         return self.iris.cutoff(self.wavelengths[colour]) if isinstance(self.iris, Iris) else None
@@ -216,7 +232,8 @@ class Path:
         """Return its numbers as a text, by which a checkpoint is recognised."""
         first = None if self.first is None else (self.first.distance, self.first.fill, self.first.iris)
         pixels = self.sizes, self.pitches, float(self.fill)
-        return repr(_plain((pixels, first, self.wavelengths, self.ends, self.iris, float(self.medium))))
+        numbers = pixels, first, self.wavelengths, self.ends, self.iris, float(self.medium)
+        return repr(_plain(numbers if self.expander is None else (*numbers, self.expander)))
 
 
 def _plain(value):

@@ -38,8 +38,13 @@ def path_to(
         _warn_of_millimetres(modulator, max(wavelengths) / medium, max(map(abs, found)))
     checked_iris(iris)
     kind = next(kind for kind in PATHS if kind.leads(modulator, found))
+    if modulator.expander is not None and not kind.on_retinas:
+        raise ValueError(
+            "distances must be odak.learn.wave.Eyes for a modulator with an expander, whose light an image of the "
+            f"panel's pixels does not show, got {distances!r:.80}"
+        )
     pixels = tuple(modulator.resolution), pitch_pair(modulator.pitch), modulator.fill
-    return kind(*pixels, modulator.lit_through, wavelengths, found, iris, medium)  # type: ignore[arg-type]
+    return kind(*pixels, modulator.lit_through, wavelengths, found, iris, medium, modulator.expander)  # type: ignore[arg-type]
 
 
 def _warn_of_millimetres(modulator: Modulator, wavelength: float, furthest: float) -> None:

@@ -35,6 +35,8 @@ class RetinaPath(Path):
         ):
             if isinstance(given, (Iris, AmplitudePanel)) or (name == "medium" and given != 1):
                 raise ValueError(f"{name} must be {other} for a display that eyes look at, got {given!r:.80}")
+        if self.expander is not None and self.iris is not None:
+            raise ValueError(f"iris must be None for a modulator with an expander, got {self.iris!r:.80}")
         lens = self.ends.distance
         distance: Any = lens.after if isinstance(lens, Lens) else lens
         keep(self, distances=(float(distance),) * len(self.ends))
@@ -47,19 +49,21 @@ class RetinaPath(Path):
 
     def points(self, kept: Kept, lights: Lights, colour: int, planes: Sequence[int]) -> torch.Tensor:
         """Return the fields of some images at the points of pixels."""
-        light = lights[0].unsqueeze(-3)
+        light = self._behind(lights[0]).unsqueeze(-3)
         return torch.cat([self._seen(kept, light, colour, eye).flatten(-4, -3) for eye in planes], -3)
 
     def middles(self, kept: Kept, lights: Lights, colour: int) -> torch.Tensor:
         """Return the fields of all images at the middles of pixels."""
-        light = lights[0].unsqueeze(-3)
+        light = self._behind(lights[0]).unsqueeze(-3)
         eyes = range(len(self.ends))
         parts = (self._to_middles(kept, light, colour, eye) for eye in eyes)
         return torch.cat([seen_by_eye(light, *part) for part in parts], -3)
 
     def replaced(self, kept: Kept, amplitudes: torch.Tensor, light: torch.Tensor, colour: int) -> torch.Tensor:
         """Return the light on the panel of images whose amplitudes are replaced."""
-        return sum(self._back(kept, a, light, colour, eye) for eye, a in enumerate(amplitudes))
+        light = self._behind(light)
+        back: Any = sum(self._back(kept, a, light, colour, eye) for eye, a in enumerate(amplitudes))
+        return back if self.expander is None else self.expander.before(back, self.cells)
 
     def in_words(self) -> str:
         """Return where the images are, in words."""
@@ -79,7 +83,17 @@ class RetinaPath(Path):
     def sight(self, colour: int, eye: int) -> Sight:
         """Return the way of the light of a colour to the retina of an eye."""
         width = math.sqrt(self.fill)
-        return Sight(self.ends, eye, self.sizes, self.pitches, self.wavelengths[colour], width, self.iris == "order")
+        axes, one_order = (self.sizes, self.pitches), self.iris == "order"
+        return Sight(self.ends, eye, *axes, self.wavelengths[colour], width, one_order, self.cells)
+
+    def extents(self, colour: int) -> dict[str, Any]:
+        """Return the étendue, the height and width of the eyebox, and the field of view in degrees."""
+        sight = self.sight(colour, 0)
+        away = 2 * abs(sight.ray_matrix()[1])
+        sides = (n * p for n, p in zip(self.sizes, self.pitches, strict=True))
+        view = tuple(2 * math.degrees(math.atan(side / away)) for side in sides)
+        eyebox = tuple(self.cells * sight.box(axis) for axis in (0, 1))
+        return {**super().extents(colour), "eyebox": eyebox, "field_of_view": view}
 
     def band(self, colour: int, image: int) -> tuple[float, float] | None:
         """Return the half axes of the ellipse that holds the frequencies of an image, in cycles per pixel of it."""
@@ -127,6 +141,10 @@ class RetinaPath(Path):
             )
         check_blur(max(map(Sight.blur, sights)), worst.sizes, worst.pitches)
         return max(map(Sight.samples, sights))
+
+    def _behind(self, light):
+        """Return the light that leaves the panel, of each cell of its mask if it has one."""
+        return light if self.expander is None else self.expander.behind(light, self.cells)
 
     def _seen(self, kept, light, colour, eye):
         """Return the field on a retina at the points of a pixel, ``[..., samples, samples, rows, columns]``."""
