@@ -26,6 +26,8 @@ from odak.wave.transfer_functions import pitches
 
 # Step of direction cosines along which differences are taken, and the error of paths in wavelengths that is warned of.
 STEP, LARGE = 1e-4, 0.03
+# Share of the tolerance at which the sum ends where derivatives are needed.
+_FOR_DERIVATIVES = 1e-3
 _CROSSING = (
     "system must send exactly one ray from each point of the field to each point of the image plane that its light may "
     "reach, got lost or crossing rays: take a lens of less aberration, a smaller field, or larger pixels"
@@ -59,6 +61,7 @@ class TracedSystem(_show.Shown):
         power, as in :func:`polarized_trace`; otherwise nothing is lost.
     tolerance : float
         Relative error of the field at which the sum of transforms ends, see below: the time grows with their number.
+        Where a number of the system requires a gradient, it ends at a thousandth of this, for the derivatives.
 
     Raises
     ------
@@ -187,7 +190,9 @@ class TracedSystem(_show.Shown):
         first, second = path.alone()
         source = field * phasor_of_cycles(first, field.dtype)
         total: Any = 0.0
-        for before, behind in path.products(self.tolerance, field.dtype):
+        # Derivatives of what a sum leaves out are many times larger than what it leaves out.
+        tolerance = self.tolerance * (_FOR_DERIVATIVES if path.path.requires_grad else 1.0)
+        for before, behind in path.products(tolerance, field.dtype):
             arrived = source * before
             for axis, one in zip((-1, -2), axes[::-1], strict=True):
                 arrived = one.transformed(arrived, axis)

@@ -128,7 +128,7 @@ def test_whole_chain_has_the_gradient_of_differences():
     weight = torch.rand(48, 64, generator=random, dtype=torch.float64)
     start = (pattern, *(torch.tensor(v, dtype=torch.float64) for v in (1 / 14, 17.0, 1.2, 0.4)))
 
-    def loss(phases, curvature, gap, gaze, accommodation):
+    def loss(phases, curvature, gap, gaze, accommodation, tolerance=1e-3):
         lens = eyepiece()
         lens = optical_system(
             [surface(thickness=torch.nn.Parameter(gap)), *lens.surfaces],
@@ -142,7 +142,7 @@ def test_whole_chain_has_the_gradient_of_differences():
             del item._parameters[name]
             setattr(item, name, value)
         light = display.fields(phases)[0, 0, 0]
-        bench = optical_bench([TracedSystem(lens, 18e-6, (48, 64), (3, 3), 7, tolerance=1e-7)], WAVE)
+        bench = optical_bench([TracedSystem(lens, 18e-6, (48, 64), (3, 3), 7, tolerance=tolerance)], WAVE)
         pupil, pitch = bench.propagate(light, 8e-6)
         seen = retinal_field(pupil, pitch, WAVE, 2.0, accommodation, rotation=(gaze, 0.0), center="field")
         return (weight * seen.field.abs().square()).sum()
@@ -153,7 +153,7 @@ def test_whole_chain_has_the_gradient_of_differences():
     for i, (slope, step) in enumerate(zip(slopes, (1e-5, 1e-6, 1e-5, 1e-5, 1e-5), strict=True)):
         move = way if i == 0 else torch.ones((), dtype=torch.float64)
         ahead, behind = (
-            loss(*(value + sign * step * move if j == i else value for j, value in enumerate(start)))
+            loss(*(value + sign * step * move if j == i else value for j, value in enumerate(start)), 1e-7)
             for sign in (1, -1)
         )
         difference = float((ahead - behind) / (2 * step))
