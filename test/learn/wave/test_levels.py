@@ -190,6 +190,62 @@ def test_a_stopped_search_goes_on_to_the_same_levels(tmp_path):
         optimise(display, picture(16, 16, seed=5), run=quick(60, checkpoint=path))
 
 
+@pytest.mark.parametrize("iterations", [1, 6])
+def test_frames_by_blocks_have_the_loss_of_all_together(monkeypatch, iterations):
+    """Colours in sequence, of which each block shows all: the gain is that of the whole display over rounded phases."""
+    seen, solve = [], levels._InBlocks._round
+
+    def rounding(search, loop):
+        seen.append([search.blocks, search.phases.clone()])
+        return solve(search, loop)
+
+    monkeypatch.setattr(levels._InBlocks, "_round", rounding)
+    for frames, colours, blocks in ((5, [532e-9], 3), (6, [639e-9, 532e-9, 473e-9], 2)):
+        display = Display(Modulator((12, 12), 8e-6, bits=1), colours, 1e-3, frames=frames)
+        target, calls = torch.stack([picture(12, 12, seed=c) for c in range(len(colours))]), []
+        run = quick(iterations, callback=lambda iteration, loss, calls=calls: calls.append(iteration))
+        found = optimise(display, target, run=run, observer=REGISTERED)
+        used, before = seen.pop()
+        assert len(used) == blocks and sorted(itertools.chain(*used)) == list(range(frames))
+        assert calls == list(range(iterations)) and len(found.losses) == iterations
+        rounded, searched = (
+            loss_of(display, target, phases) for phases in (display.modulator.shown(before), found.phases)
+        )
+        assert float(found.gain_over_rounding) == pytest.approx(10 * math.log10(rounded / searched), abs=2e-3)
+        assert float(found.gain_over_rounding) >= 0
+
+
+def test_two_frames_at_a_time_are_better_than_all_at_once(monkeypatch):
+    display, target = Display(Modulator((20, 20), 8e-6, bits=4), 532e-9, 2e-3, frames=4), picture(20, 20)
+    few = optimise(display, target, run=quick(40))
+    monkeypatch.setattr(levels, "_TOGETHER", 4)
+    assert float(few.psnr) > float(optimise(display, target, run=quick(40)).psnr) + 1
+
+
+def test_blocks_of_frames_go_on_from_a_checkpoint(tmp_path):
+    """A block that was not complete is computed anew; each frame has a table of its own."""
+    draw = torch.Generator().manual_seed(2)
+    tables = [spatial_light_modulator(bits=2, lut=torch.rand(4, generator=draw).sort()[0] * 6) for _ in range(4)]
+    display = Display(Modulator((16, 16), 8e-6, 2, response=tables), 532e-9, 1e-3, frames=4)
+    target, path = picture(16, 16), tmp_path / "blocks.pt"
+    whole = optimise(display, target, run=quick(12))
+    for end in (3, 9):
+        ended = quick(12, checkpoint=path, callback=lambda iteration, loss, end=end: iteration == end)
+        assert float(optimise(display, target, run=ended).gain_over_rounding) >= 0
+    assert torch.equal(optimise(display, target, run=quick(12, checkpoint=path)).phases, whole.phases)
+
+
+def test_a_memory_budget_makes_blocks_small():
+    display = Display(Modulator((16, 16), 8e-6, bits=1), 532e-9, 1e-3, frames=6)
+    for budget, most in ((None, 2), (1, 1), (2 * levels._BYTES * 256, 2), (9 * levels._BYTES * 256, 2)):
+        run = quick(3) if budget is None else quick(3, memory_budget=budget)
+        problem = Problem(display, picture(16, 16)[None, None], torch.nn.functional.mse_loss, torch.zeros(1), run)
+        assert max(map(len, levels._blocks(problem))) == most
+    small, target = Display(Modulator((8, 8), 8e-6, bits=1), 532e-9, 1e-4, frames=3), picture(8, 8)
+    kept, anew = (optimise(small, target, run=quick(3, memory_budget=budget)) for budget in (30_000, 6_000))
+    assert torch.equal(kept.phases, anew.phases) and float(anew.gain_over_rounding) >= 0
+
+
 def test_panels_that_cannot_be_searched_are_named():
     target = picture(16, 16)
     for panel, told in (

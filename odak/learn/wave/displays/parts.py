@@ -90,7 +90,7 @@ class Streamed:
     """
 
     def __init__(self, display: Any, budget: int):
-        self.display, (planes, colours, rows, columns) = display, display.shape
+        self.display, self.budget, (planes, colours, rows, columns) = display, budget, display.shape
         points = rows * columns * display.samples**2 * display.powers.dtype.itemsize * 2
         at_once = max(1, budget // (_FIELDS * points))
         self.keeps = 4 * points * planes * colours <= budget
@@ -115,6 +115,51 @@ class Streamed:
         if not self.keeps:
             self.display.forget()
         return self.display._images_of(part, observer, lights, powers)
+
+
+class SomeFrames:
+    """The images of some frames of a display added to those of all others, which stay as they are.
+
+    Parameters
+    ----------
+    display : Display
+        A display of these frames alone.
+    others : torch.Tensor
+        What an observer sees of the other frames, ``[grids, D, C, rows, columns]``.
+    shares : torch.Tensor
+        Share of the power of each colour that these frames have of all, ``[C]``.
+    """
+
+    def __init__(self, display: Any, others: torch.Tensor, shares: torch.Tensor):
+        self.display, self.others, self.shares = display, others, shares[:, None, None]
+
+    def images(self, observer: Any, lights: tuple[torch.Tensor, ...], powers: torch.Tensor) -> torch.Tensor:
+        """Return what an observer sees of all frames, of what panels do to light in these."""
+        return self.others + self.shares * self.display._recorded_of(observer, lights, powers)
+
+
+def with_frames(display: Any, frames: Sequence[int]) -> tuple[Any, torch.Tensor]:
+    """Return a display of some frames of another, and their shares of the power of each colour ``[C]``.
+
+    It has the transfer functions of the other, and computes in parts what that computes in parts.
+    """
+    panel = display.modulator
+    if panel.responses():
+        panel = replace(panel, response=[panel.responses()[f] for f in frames])
+    powers = torch.stack([display.powers[f] for f in frames])
+    given = panel, display.wavelengths, display.path.ends, len(frames), powers, display.profile, display.iris
+    some = type(display)(*given, display.medium).to(powers.device)
+    some._kept = display._kept
+    if isinstance(display.shares, Streamed):
+        some.shares = Streamed(some, display.shares.budget)
+    return some, powers.sum(0) / display.powers.sum(0)
+
+
+def beside(display: Any, others: torch.Tensor, shares: torch.Tensor) -> Any:
+    """Return a display of some frames that shows the images of others too; see :class:`SomeFrames`."""
+    whole = copied_to(display, display.powers.device)
+    whole.shares = SomeFrames(display, others, shares)
+    return whole
 
 
 def streamed(display: Any, budget: int) -> Any:

@@ -89,7 +89,22 @@ class Problem:
 
         `powers` are those of :meth:`loss_of`.
         """
-        images = self.scaled(self.display._recorded_of(self.observer, lights, powers))
+        return self.loss_of_recorded(self.display._recorded_of(self.observer, lights, powers))
+
+    def loss_of_recorded(self, images: torch.Tensor) -> torch.Tensor:
+        """Return the loss of what the observer records.
+
+        Parameters
+        ----------
+        images : torch.Tensor
+            Recorded intensities of the shape of :attr:`wanted`.
+
+        Returns
+        -------
+        torch.Tensor
+            The loss.
+        """
+        images = self.scaled(images)
         each = [self.loss(*pair) for pair in zip(images, self.wanted, strict=True)]
         return torch.stack(each).mean(0) if len(each) > 1 else each[0]
 

@@ -1,7 +1,10 @@
 """Search over the few levels of a panel. Touches a problem by the loss of what the panel does to the light."""
 
+import functools
+import itertools
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,6 +12,7 @@ import torch
 
 from odak import _validate
 from odak.learn.tools.iterations import Loop, Run
+from odak.learn.wave.displays.parts import Shares, beside, with_frames
 from odak.learn.wave.fields import intensity
 from odak.learn.wave.holograms.problem import Problem
 from odak.learn.wave.holograms.solvers.descent import Descent
@@ -29,6 +33,11 @@ _RISE = 5e-3
 _MEMORY, _AROUND, _MEAN = 0.9, 9, 0.1
 # Pixels from which the share that changes is estimated.
 _SAMPLE = 1 << 16
+# Frames that change together, more of which find less in as many iterations; bytes for each pixel of a frame in each
+# plane and colour, and those that these may take.
+_TOGETHER, _BYTES, _MOST_BYTES = 2, 400, 1 << 31
+# How often each block of frames changes without levels, and among them.
+_ROUNDS = 2, 3
 
 
 @dataclass(frozen=True)
@@ -41,6 +50,7 @@ class LevelSearch:
     before, predict what each level of each pixel changes; the most promising ones change together, and the step is
     taken if it lowers the loss, or by chance. Of a step that is not taken, the next one tries those changes alone that
     lowered it. Random numbers added to the predictions, and that chance, fall to zero on the way (simulated annealing).
+    Of more than two frames, two change at a time beside the images of the others, in turn and several times each.
     The best levels that were met are returned, so that the loss is at most that of the rounded phases.
 
     Parameters
@@ -57,7 +67,9 @@ class LevelSearch:
     they are few or agree, which the share of pixels that change in a step adapts to. Of a loss that is quadratic, the
     mean of the gradients before and after a step, times the change of a pixel, is that pixel's part of what the step
     changed; half of the difference of the two gradients is its curvature. An iteration takes as long as one of
-    :class:`Descent`, whatever the size of a pixel's diffraction pattern.
+    :class:`Descent`, whatever the size of a pixel's diffraction pattern. Every step is judged by the image of all
+    frames, of which those at rest are kept as a sum: memory grows by about 20 bytes for each pixel of a frame. One
+    frame at a time changes where a frame takes more than 1 GiB, or half of the `memory_budget` of the run.
 
     Examples
     --------
@@ -88,6 +100,9 @@ class LevelSearch:
                 f"a search over levels needs one panel of 1 to {MOST_BITS} bits, got {got}: use the solver 'lbfgs'"
             )
         first = math.ceil(_DESCENT[panel.bits] * run.iterations)
+        blocks = _blocks(problem)
+        if len(blocks) > 1:
+            return _InBlocks(self, problem, blocks).solve(first)
         done = first
 
         def count(iteration, loss):
@@ -109,15 +124,10 @@ class LevelSearch:
         loss, drawn_from = seeded_loss(problem.loss, run.seed, problem.start.device)
         search = _Search(replace(problem, loss=loss), phases, self.temperature, max(run.iterations - first, 1))
         rounded = search.loss
-        about: dict[str, Any] = {}
-        if run.checkpoint is not None:
-            target = fingerprint(problem.target, problem.start)
-            about = {"solver": repr(self), "display": problem.display.fingerprint(), "target": target}
-            about["iterations"] = run.iterations
         loop = Loop(
             _later_part(run, first),
             lambda: {"levels": search.levels},
-            about,
+            self._about(problem),
             {"search": (search.state, search.load)},
             [search.generator, *drawn_from],
             "a search over levels",
@@ -133,9 +143,15 @@ class LevelSearch:
 
         loop.go(steps, iterate, desc="levels")
         loop.restore()
-        least = torch.finfo(rounded.dtype).tiny
-        gain = 10 * torch.log10(rounded.clamp_min(least) / loop.best_loss.to(rounded).clamp_min(least))
-        return search.phases(), None, None, gain
+        return search.phases(), None, None, _gain(rounded, loop.best_loss)
+
+    def _about(self, problem: Problem) -> dict[str, Any]:
+        """Return what a checkpoint must agree with; nothing where there is none."""
+        if problem.run.checkpoint is None:
+            return {}
+        target = fingerprint(problem.target, problem.start)
+        about = {"solver": repr(self), "display": problem.display.fingerprint(), "target": target}
+        return about | {"iterations": problem.run.iterations}
 
 
 class _Search:
@@ -161,10 +177,26 @@ class _Search:
 
     def load(self, state: dict[str, Any]) -> None:
         """Go on from a checkpoint, whose levels are in place."""
-        self.numbers.update({name: float(state["numbers"][name]) for name in self.numbers})
-        self.bends, self.squares = (state[name].to(self.bends) for name in ("bends", "squares"))
+        self._take(state)
         self.next = [levels.to(self.levels) for levels in state["next"]]
         self.begin()
+
+    def _take(self, state: dict[str, Any]) -> None:
+        self.numbers.update({name: float(state["numbers"][name]) for name in self.numbers})
+        self.bends, self.squares = (state[name].to(self.bends) for name in ("bends", "squares"))
+
+    def best_of(self, count: int, known: dict[str, Any] | None, watch: Callable[..., Any]) -> torch.Tensor:
+        """Return the phases of the lowest loss that is met in some steps, which begin with what is known of others."""
+        if known is not None and known["bends"].shape == self.bends.shape:
+            self._take(known)
+        best, least = self.levels.clone(), self.loss
+        for step in range(count):
+            if self.step() < least:
+                best, least = self.levels.clone(), self.loss
+            if watch(step, self.loss):
+                break
+        self.levels, self.next = best, []
+        return self.phases()
 
     def phases(self) -> torch.Tensor:
         """Return the phases of the levels ``[F, rows, columns]``."""
@@ -237,6 +269,136 @@ class _Search:
             loss = self.problem.loss_of_lights((*others, light))
             (slope,) = torch.autograd.grad(loss, light)
         return loss.detach(), light.detach(), slope
+
+
+class _InBlocks:
+    """A search that changes some frames at a time, beside the images of the others, by the loss of all together."""
+
+    def __init__(self, solver: LevelSearch, problem: Problem, blocks: list[list[int]]):
+        self.solver, self.problem, self.blocks = solver, problem, blocks
+        self.phases, self.images = problem.start.clone(), self._seen(problem.start)
+        # Steps of all blocks, the loss of all frames rounded, and what the last search knew.
+        self.steps = 0
+        self.rounded: torch.Tensor | None = None
+        self.known: dict[str, Any] | None = None
+
+    def state(self) -> dict[str, Any]:
+        """Return what the next block depends on besides the phases."""
+        return {name: getattr(self, name) for name in ("images", "steps", "rounded", "known")}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Go on from a checkpoint, whose phases are in place."""
+        self.images, self.steps, self.rounded = state["images"].to(self.images), state["steps"], state["rounded"]
+        self.known = state["known"]
+
+    def solve(self, first: int) -> tuple[torch.Tensor | None, ...]:
+        """Return what :meth:`LevelSearch.solve` does, the first iterations being those without levels."""
+        run = self.problem.run
+        visits = [
+            (searching, block, count)
+            for searching, whole in ((False, first), (True, run.iterations - first))
+            for count in _divided(whole, _ROUNDS[searching])
+            for block in self.blocks
+        ]
+        total, about = (run.iterations - first) * len(self.blocks), self.solver._about(self.problem)
+        quiet = replace(run, callback=None, checkpoint_every=1)
+        loop = Loop(
+            quiet, lambda: {"phases": self.phases}, about, {"blocks": (self.state, self.load)}, [], "a search by blocks"
+        )
+
+        def visit():
+            searching, block, count = visits[loop.done]
+            if searching and self.rounded is None:
+                self._round(loop)
+            whole = self._changed(block, count, loop.done, max(total, 1) if searching else 0)
+            loss = self.problem.loss_of_recorded(self.images)
+            loop.keep(loss)
+            if not whole:
+                # Ended on the way, which a checkpoint must not hold.
+                loop.torn = True
+                raise KeyboardInterrupt
+            loop.bar.update()
+            return loss
+
+        loop.go(len(visits), visit, desc="frames")
+        loop.restore()
+        rounded = self._round(loop) if self.rounded is None else self.rounded
+        return self.phases, None, None, _gain(rounded, loop.best_loss)
+
+    def _round(self, loop: Loop) -> torch.Tensor:
+        """Round all phases to levels, with which the search begins, and return their loss."""
+        self.phases.copy_(self.problem.display.modulator.shown(self.phases))
+        self.images = self._seen(self.phases)
+        self.rounded = rounded = self.problem.loss_of_recorded(self.images)
+        loop.best_loss.fill_(math.inf)
+        loop.keep(rounded)
+        return rounded
+
+    @torch.no_grad()
+    def _seen(self, phases: torch.Tensor) -> torch.Tensor:
+        """Return what the observer sees of all frames."""
+        parts = (self._part(*with_frames(self.problem.display, block), phases[block]) for block in self.blocks)
+        return functools.reduce(torch.add, parts)
+
+    @torch.no_grad()
+    def _part(self, display: Any, shares: torch.Tensor, phases: torch.Tensor) -> torch.Tensor:
+        return shares[:, None, None] * display._recorded_of(self.problem.observer, display._lights(phases))
+
+    def _changed(self, block: list[int], count: int, visit: int, steps: int) -> bool:
+        """Change the frames of a block in some iterations, among levels if there are steps of a search.
+
+        Return whether these came to their end.
+        """
+        run, done, start = self.problem.run, 0, self.phases[block]
+
+        def counted(iteration, loss):
+            nonlocal done
+            done, self.steps = iteration + 1, self.steps + 1
+            whole, part = divmod(self.steps, len(self.blocks))
+            return part == 0 and run.callback is not None and run.callback(whole - 1, loss) is True
+
+        some, shares = with_frames(self.problem.display, block)
+        others = self.images - self._part(some, shares, start)
+        own = Run(count, False, counted, seed=run.seed + visit)
+        problem = replace(self.problem, display=beside(some, others, shares), start=start, run=own)
+        if steps:
+            loss, _ = seeded_loss(problem.loss, run.seed, start.device)
+            search = _Search(replace(problem, loss=loss), start, self.solver.temperature, steps)
+            found: Any = search.best_of(count, self.known, counted)
+            self.known = search.state()
+        else:
+            found = Descent().solve(problem)
+        self.phases[block] = found
+        self.images = others + self._part(some, shares, found)
+        return done == count
+
+
+def _blocks(problem: Problem) -> list[list[int]]:
+    """Return the frames that change together: all of them, or as many as the memory allows that light all colours."""
+    display, budget = problem.display, problem.run.memory_budget or _MOST_BYTES
+    planes, _, rows, columns = display.shape
+    frames = list(range(display.frames))
+    lit = sum(map(len, display.lit_frames)) / len(frames)
+    most = min(_TOGETHER, max(1, int(budget / (_BYTES * planes * lit * rows * columns))))
+    if isinstance(display.shares, Shares):
+        return [frames]
+    for count in range(-(-len(frames) // most), 1, -1):
+        blocks = [frames[len(frames) * i // count : len(frames) * (i + 1) // count] for i in range(count)]
+        if all(set(block) & set(own) for block in blocks for own in display.lit_frames):
+            return blocks
+    return [frames]
+
+
+def _divided(iterations: int, parts: int) -> list[int]:
+    """Return nearly equal numbers of iterations, none of them zero, that add up."""
+    ends = [iterations * i // parts for i in range(parts + 1)]
+    return [count for count in (b - a for a, b in itertools.pairwise(ends)) if count]
+
+
+def _gain(rounded: torch.Tensor, found: torch.Tensor) -> torch.Tensor:
+    """Return by how many decibels a loss is below that of rounded phases."""
+    least = torch.finfo(rounded.dtype).tiny
+    return 10 * torch.log10(rounded.clamp_min(least) / found.to(rounded).clamp_min(least))
 
 
 def _product(slope: torch.Tensor, change: torch.Tensor) -> torch.Tensor:
