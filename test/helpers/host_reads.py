@@ -69,8 +69,9 @@ REASONS = {
         raytracing/nonsequential: __post_init__ _plain _reach polarized result system_elements trace
         tools/matrix: quantize slice_rgbd_targets
         tools/transformation: quaternion_to_rotation_matrix
-        wave/displays/display: _amplitudes
+        wave/displays/display: _amplitudes _lit_by_points
         wave/displays/panels: __post_init__
+        wave/displays/sources: __post_init__
         wave/displays/parts: frames_lit
         wave/displays/paths/base: nearness
         wave/displays/paths/retina: nearness

@@ -79,6 +79,7 @@ from .displays.panels import Expander as Expander
 from .displays.panels import Iris as Iris
 from .displays.panels import Modulator as Modulator
 from .displays.paths.free import Free as Free
+from .displays.sources import Source as Source
 from .elements import airy_beam as airy_beam
 from .elements import aspheric_lens_phase as aspheric_lens_phase
 from .elements import axicon_phase as axicon_phase

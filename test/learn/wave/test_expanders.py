@@ -150,7 +150,7 @@ def test_what_a_mask_cannot_be():
         Display(masked, WAVELENGTH, 1e-3)
     with pytest.raises(ValueError, match="iris must be None for a modulator with an expander, got 'order'"):
         Display(masked, WAVELENGTH, Eyes(DISTANCE))
-    with pytest.raises(ValueError, match="without an expander"):
+    with pytest.raises(ValueError, match="without an expander or a Source"):
         Display(masked, WAVELENGTH, Eyes(DISTANCE), iris=None).light_beyond(torch.zeros(8, 8))
     with pytest.raises(ValueError, match="amplitudes must be 0 … 1, got 2 to 2"):
         Expander(torch.zeros(4, 4), torch.full((4, 4), 2.0))

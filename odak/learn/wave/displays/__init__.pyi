@@ -15,3 +15,4 @@ from .panels import AmplitudePanel as AmplitudePanel
 from .panels import Expander as Expander
 from .panels import Iris as Iris
 from .panels import Modulator as Modulator
+from .sources import Source as Source

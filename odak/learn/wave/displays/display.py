@@ -5,14 +5,14 @@ kind of path.
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import torch
 
 from odak import _array, _show, _torch_private, _validate
 from odak._attributes import Prepared
-from odak._warnings import ArgumentWarning, warn
+from odak._warnings import AccuracyWarning, ArgumentWarning, warn
 from odak.instruments import Calibration, Lens, load_calibration
 from odak.learn._tensors import ValuesRead, floating
 from odak.learn.wave.displays.judge import Judgement, judged, light_beyond
@@ -28,10 +28,14 @@ from odak.learn.wave.displays.paths.base import (
 from odak.learn.wave.displays.paths.choice import path_to
 from odak.learn.wave.displays.paths.free import Free
 from odak.learn.wave.displays.sections import view_of
+from odak.learn.wave.displays.sources import Source
 from odak.learn.wave.eyes import Eyes
-from odak.learn.wave.fields import exposed, intensity
+from odak.learn.wave.fields import exposed, intensity, unit_phasor
 from odak.learn.wave.slm import VaryingModulator, spatial_light_modulator
 from odak.learn.wave.training import fingerprint, generator_from
+
+# Waves that light may turn by over a pixel before a display warns.
+_MOST_TURN = 0.1
 
 
 class Display(Prepared, torch.nn.Module):
@@ -58,8 +62,9 @@ class Display(Prepared, torch.nn.Module):
         Power of each source in each frame, ``[F, C]``; by default frame f is lit by source f mod C alone. Images are
         normalised to one unit of power of each source, shared out among its frames. All sources of a frame meet the
         same phases in radians, unless the modulator has a `phase_scale`.
-    profile : torch.Tensor, optional
-        Amplitude of the light on the modulator, ``[rows, columns]`` or ``[C, rows, columns]``; one by default.
+    profile : torch.Tensor or Source, optional
+        Amplitude of the light on the modulator, ``[rows, columns]`` or ``[C, rows, columns]``; one by default. Or a
+        :class:`Source`: points of light in several directions, or with a line width.
     iris : Iris or str, optional
         "order", a square stop that passes one diffraction order, |f| ≤ 1/(2·pitch); a round :class:`Iris`; or None for
         no stop, where nine orders are computed: 36 transforms of an image instead of four. Eyes get all orders then.
@@ -99,6 +104,9 @@ class Display(Prepared, torch.nn.Module):
     _fixed = ("modulator", "wavelengths", "distances", "lens", "eyes", "medium", "iris", "frames", "samples", "path")
     powers: torch.Tensor
     profile: torch.Tensor | None
+    _turns_down: torch.Tensor
+    _turns_across: torch.Tensor
+    _points: torch.Tensor
 
     @_validate.takes_units("wavelengths", "distances")
     def __init__(
@@ -108,7 +116,7 @@ class Display(Prepared, torch.nn.Module):
         distances: float | Sequence[float] | Lens | Eyes | Free,
         frames: int | None = None,
         powers: torch.Tensor | None = None,
-        profile: torch.Tensor | None = None,
+        profile: torch.Tensor | Source | None = None,
         iris: Iris | str | None = "order",
         medium: float = 1.0,
     ):
@@ -138,15 +146,12 @@ class Display(Prepared, torch.nn.Module):
         self.register_buffer("powers", powers)
         self._powers_read = ValuesRead(frames_lit)
         self._powers_read(powers)
-        if profile is not None:
-            profile = _validate.image("profile", floating("profile", profile)).detach()
-            if profile.shape[-2:] != torch.Size(modulator.resolution) or profile.ndim > 3:
-                raise ValueError(
-                    f"profile must be [rows, columns] = {list(modulator.resolution)} or [{colours}, rows, columns], "
-                    f"{_validate.in_order('profile', profile.shape, modulator.resolution)}"
-                )
-            profile = profile.expand(colours, *modulator.resolution)
-        self.register_buffer("profile", profile)
+        self.source: Source | None = profile if isinstance(profile, Source) else None
+        given = self._fitting_profile(profile.amplitude if isinstance(profile, Source) else profile)
+        self._lines: tuple[tuple[Path, float], ...] = ()
+        if self.source is not None:
+            given = self._lit_by_points(self.source, given, distances)
+        self.register_buffer("profile", given)
         self._kept = Kept(powers.device)
         # Who computes which part of the images where several devices or ranks do.
         self.shares: Shares | Streamed | None = None
@@ -218,10 +223,11 @@ class Display(Prepared, torch.nn.Module):
         cells = self.path.cells
         mask = "" if panel.expander is None else f", {cells} × {cells} cells of a mask in each"
         before = "" if first is None else f"lit through a panel at {1e3 * first.distance:.4g} mm, "
+        lamp = "" if self.source is None else f", {self.source!r}"
         return (
             f"{' × '.join(map(str, panel.resolution))} pixels of {pitch} µm (fill {panel.fill:g}, {levels}{mask}), "
             f"{before}{listed(self.wavelengths, 1e9)} nm, {self.frames} frame{'s' * (self.frames > 1)}, "
-            f"{self.path.in_words()}, {stop}"
+            f"{self.path.in_words()}, {stop}{lamp}"
         )
 
     def __repr__(self) -> str:
@@ -267,6 +273,8 @@ class Display(Prepared, torch.nn.Module):
         """Return a short text that a display of other lengths, light or panels does not have."""
         panel, first = self.modulator, self.modulator.lit_through
         given = [self.powers] if self.profile is None else [self.powers, self.profile]
+        if self._lines:
+            given += [self._turns_down, self._turns_across, self._points]
         if isinstance(panel.response, torch.nn.Module):
             given += panel.response.state_dict().values()
         words = self.path.words(), panel.bits, None if first is None else first.bits, *(panel.phase_scale or ())
@@ -287,6 +295,8 @@ class Display(Prepared, torch.nn.Module):
         torch.Tensor
             Complex ``[..., F, D, C, rows, columns]``.
         """
+        if self._lines:
+            raise ValueError("profile must not be a source of several points, whose light has no field")
         lights = self._lights(phases, amplitudes)
         colours = range(self.shape[1])
         return torch.stack([self.path.middles(self._kept, self._lit_by_source(lights, c), c) for c in colours], -3)
@@ -447,7 +457,7 @@ class Display(Prepared, torch.nn.Module):
 
     def lit_by(self, powers: torch.Tensor) -> "Display":
         """Return the same display with other powers of the sources, ``[F, C]``."""
-        given = self.modulator, self.wavelengths, self.path.ends, self.frames, powers, self.profile
+        given = self.modulator, self.wavelengths, self.path.ends, self.frames, powers, self._lighting()
         return Display(*given, self.iris, self.medium).to(self.powers.device)
 
     def extents(self) -> list[dict[str, Any]]:
@@ -501,8 +511,12 @@ class Display(Prepared, torch.nn.Module):
             raise TypeError(f"eyes must be odak.learn.wave.Eyes, got {type(eyes).__name__}")
         if getattr(self.path, "mask", None) is not None:
             raise ValueError("eyes cannot look at a display with a mask in the Fourier plane")
-        given = self.modulator, self.wavelengths, eyes, self.frames, self.powers, self.profile
+        given = self.modulator, self.wavelengths, eyes, self.frames, self.powers, self._lighting()
         return Display(*given, self.iris, self.medium).to(self.powers.device)
+
+    def _lighting(self) -> torch.Tensor | Source | None:
+        """Return what a display of the same light takes as its profile."""
+        return self.profile if self.source is None else self.source
 
     def _lights(self, phases: torch.Tensor, amplitudes: torch.Tensor | None = None) -> Lights:
         """Return what each panel does to the light, in the order in which it meets them, ``[..., F, rows, columns]``.
@@ -552,6 +566,62 @@ class Display(Prepared, torch.nn.Module):
         if known and not bool(((amplitudes >= 0) & (amplitudes <= 1)).all()):
             raise ValueError(f"amplitudes must be 0 … 1, got {float(amplitudes.min())} to {float(amplitudes.max())}")
         return amplitudes
+
+    def _fitting_profile(self, profile: torch.Tensor | None) -> torch.Tensor | None:
+        """Return the amplitude of the light on the modulator in each colour, ``[C, rows, columns]``; None for one."""
+        if profile is None:
+            return None
+        profile = _validate.image("profile", floating("profile", profile)).detach()
+        resolution, colours = self.modulator.resolution, len(self.wavelengths)
+        if profile.shape[-2:] != torch.Size(resolution) or profile.ndim > 3:
+            raise ValueError(
+                f"profile must be [rows, columns] = {list(resolution)} or [{colours}, rows, columns], "
+                f"{_validate.in_order('profile', profile.shape, resolution)}"
+            )
+        return profile.expand(colours, *resolution)
+
+    def _lit_by_points(self, source: Source, profile: torch.Tensor | None, ends: Any) -> torch.Tensor | None:
+        """Prepare the light of the points of a source, and return the amplitude of what all of them share."""
+        weights, axes = torch.as_tensor(source.weights), (self.path.sizes, self.path.pitches)
+        if weights.ndim > 1 and len(weights) != self.frames:
+            raise ValueError(f"profile must be a source with weights of {self.frames} frames, got {len(weights)}")
+        turned = float(torch.as_tensor(source.directions).abs().max()) * max(axes[1]) / min(self.wavelengths)
+        if turned > _MOST_TURN:
+            warn(
+                f"the light of a point of the source turns by {turned:.2g} waves over a pixel, over which it is taken "
+                "to be as it is in the middle",
+                AccuracyWarning,
+            )
+        if source.coherent:
+            light = torch.stack([source.sum(w, *axes) for w in self.wavelengths])
+            return light if profile is None else light * profile
+        spectra = [source.spectrum(w) for w in self.wavelengths]
+        turns: list[list[torch.Tensor]] = [[], []]
+        for line, weight in enumerate(spectra[0][1]):
+            shifted = [found[line] for found, _ in spectra]
+            path = path_to(self.modulator, shifted, ends, self.iris, self.medium) if source.width else self.path
+            if any(path.image_pitches(c) != self.path.image_pitches(c) for c in range(len(shifted))):
+                raise ValueError("profile must be a source without a width behind a lens, which spreads its colours")
+            self._lines += ((path, weight),)
+            for own, both in zip(turns, zip(*(source.tilts(w, *axes) for w in shifted), strict=True), strict=True):
+                own.append(torch.stack(both))
+        for name, own in zip(("_turns_down", "_turns_across"), turns, strict=True):
+            self.register_buffer(name, torch.stack(own).to(self.powers), persistent=False)
+        self.register_buffer("_points", weights.expand(self.frames, -1).to(self.powers), persistent=False)
+        return profile
+
+    def _emitted(self, lights: Lights, colour: int) -> Iterator[tuple[Path, Any, Lights]]:
+        """Yield for each point and line of the source its path, its share of each frame ``[F]``, and its light.
+
+        `lights` are what panels do to the light of all of them.
+        """
+        if not self._lines:
+            yield self.path, torch.ones_like(self.powers[:, 0]), lights
+        for line, (path, weight) in enumerate(self._lines):
+            for point, share in enumerate(self._points.unbind(1)):
+                down, across = (turn[line, colour, point] for turn in (self._turns_down, self._turns_across))
+                tilt = unit_phasor(down[:, None] + across).to(lights[0].dtype)
+                yield path, weight * share, (lights[0] * tilt, *lights[1:])
 
     def _fitting(self, powers):
         powers, shape = floating("powers", powers), [self.frames, len(self.wavelengths)]
@@ -607,12 +677,16 @@ class Display(Prepared, torch.nn.Module):
         whole = len(frames) == self.frames
         if not whole:
             lights = tuple(torch.stack([light[..., f, :, :] for f in frames], -3) for light in lights)
-        lit = self._lit_by_source(lights, colour)
-        shown = self.path.points(self._kept, lit, colour, part.planes)
         power = power / power.sum() if whole else torch.stack([power[f] for f in frames]) / power.sum()
-        amplitudes = power.sqrt()[:, None].to(shown.real.dtype)
-        # The patterns of a batch beside the planes: frames are summed up, and these are not.
-        batch, points = shown.shape[:-4], shown.movedim(-4, 0).flatten(1, -3)
-        light = exposed(points[:, :, None], amplitudes)[:, 0].unflatten(0, (-1, self.samples, self.samples))
+        light: Any = 0.0
+        batch: Sequence[int] = ()
+        for path, share, lit in self._emitted(self._lit_by_source(lights, colour), colour):
+            shown = path.points(self._kept, lit, colour, part.planes)
+            own = power * (share if whole else torch.stack([share[f] for f in frames]))
+            amplitudes = own.sqrt()[:, None].to(shown.real.dtype)
+            # The patterns of a batch beside the planes: frames are summed up, and these are not.
+            batch, points = shown.shape[:-4], shown.movedim(-4, 0).flatten(1, -3)
+            light = light + exposed(points[:, :, None], amplitudes)[:, 0]
+        light = light.unflatten(0, (-1, self.samples, self.samples))
         seen = observer.recorded(light, self.path.image_pitches(colour), REACH)
         return seen.reshape(len(seen), *batch, -1, *seen.shape[-2:])

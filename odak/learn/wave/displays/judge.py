@@ -143,8 +143,14 @@ def judged(
             for f in display.lit_frames[c]:
                 # One frame at a time, which takes less memory.
                 own = display._lit_by_source(tuple(one[..., f : f + 1, :, :] for one in lights), c)
-                shown, finer = _field_at(at, [one[0] for one in own], c, d, orders)
-                light = light + power[f] * fine_intensity(shown, [2 * n * finer for n in at.sizes])
+                emitted = [(way, share, [one[0] for one in lit]) for way, share, lit in display._emitted(own, c)]
+                least = 1
+                if len({way.wavelengths for way, *_ in emitted}) > 1:
+                    # Of the light of all wavelengths, as many samples as the shortest needs.
+                    least = max(_field_at(way, lit, c, d, orders)[1] for way, _, lit in emitted)
+                for way, share, lit in emitted:
+                    shown, finer = _field_at(way, lit, c, d, orders, least)
+                    light = light + power[f] * share[f] * fine_intensity(shown, [2 * n * finer for n in at.sizes])
                 if alike:
                     other = other + display._images_of(Part(c, (d,), (f,)), REGISTERED, lights, display.powers)[0, 0]
             samples = 2 * finer
@@ -188,8 +194,8 @@ def light_beyond(
     See :meth:`odak.learn.wave.Display.light_beyond`.
     """
     at, count = display.path, _orders(display.path, orders)
-    if at.expander is not None:
-        raise ValueError("modulator must be without an expander, which leaves no orders of the panel")
+    if at.expander is not None or display.source is not None:
+        raise ValueError("modulator and profile must be without an expander or a Source, which leave no orders")
     lights = display._lights(phases, amplitudes)
     shares = []
     for c, power in enumerate(display.powers.double().unbind(1)):
@@ -212,16 +218,16 @@ def _share_within(orders: int, side: float, n: int) -> torch.Tensor:
     return torch.fft.irfft(torch.fft.rfft(share)[: n + 1], 2 * n) / finer
 
 
-def _field_at(at, lights, colour: int, image: int, orders: int) -> tuple[torch.Tensor, int]:
+def _field_at(at, lights, colour: int, image: int, orders: int, least: int = 1) -> tuple[torch.Tensor, int]:
     """Return the field on the plane of an image over twice the extent of the panel or more, and its samples per pixel.
 
     `at` are the numbers of a display: its panels, stops, and the distances, the lens or the eyes where its images are;
-    `orders` how many are computed along each axis in free space.
+    `orders` how many are computed along each axis in free space, and `least` how many samples eyes get at least.
     """
     if isinstance(at.ends, Eyes):
         axes = at.sizes, at.pitches
         sight = Sight(at.ends, image, *axes, at.wavelengths[colour], math.sqrt(at.fill), at.iris == "order")
-        return _on_retina(lights[0], sight, at.expander)
+        return _on_retina(lights[0], sight, at.expander, least)
     if isinstance(at.ends, Lens):
         return _spread(at, lights[0], colour), 2
     way = at.wavelengths[colour] / at.medium, at.distances[image]
@@ -260,7 +266,7 @@ def _spread(at, light, colour):
     return torch.fft.fftshift(field) * torch.polar(passed, turn).to(light.device, light.dtype)
 
 
-def _on_retina(light, sight: Sight, expander: Expander | None):
+def _on_retina(light, sight: Sight, expander: Expander | None, least: int):
     """Return the field that an eye sees, over an area of twice the extent of the panel, and its samples per pixel.
 
     Along each axis the light of square pixels, or of the cells of a mask on them, passes the stop, and is transformed
@@ -310,7 +316,7 @@ def _on_retina(light, sight: Sight, expander: Expander | None):
     blur = sight.defocus() / (2 * sight.wavelength) * ((halves[0] * down) ** 2 + (halves[1] * across) ** 2)
     light = light * (covered(torch, down, across, spacing) * _array.phasor_of_cycles(blur)).to(light.dtype)
     # Tilts of the light as a whole have no effect on the image.
-    finer = max(math.ceil(len(p) / (2 * n * wide)) for p, (_, n, *_) in zip(places, axes, strict=True))
+    finer = max(least, *(math.ceil(len(p) / (2 * n * wide)) for p, (_, n, *_) in zip(places, axes, strict=True)))
     for count, (axis, n, *_) in zip(lengths, axes, strict=True):
         size = 2 * n * finer * wide
         more = size - light.shape[axis]

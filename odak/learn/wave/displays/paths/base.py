@@ -35,7 +35,8 @@ class Kept:
         """Return what ``make(path, device, *given)`` does; `make` is a method of the class of the path."""
         if torch.compiler.is_dynamo_compiling():
             return _constant(make, path, self.device, *given)[0]
-        key = make, *given
+        # Sources of several wavelengths have a path for each.
+        key = make, path.wavelengths, *given
         if key not in self.tensors:
             with torch.no_grad(), _torch_private.keeping():
                 self.tensors[key] = make(path, self.device, *given)
