@@ -327,9 +327,10 @@ def calibrate_table(
     -----
     The uncertainty of the wavefront comes from the fit to its gradients and from what further repetitions would change.
     It contributes to the uncertainty of the distance, as a defocus, and the distance to the uncertainty of the
-    registration. The uncertainty of the phases comes from the deviation of the captures from a response with one phase
-    at all pixels, from the difference between the results of the two halves of the modulator, and from the difference
-    between all levels and every second one; with regions, it is twice the uncertainty of a mean of independent values.
+    registration. The uncertainty of the phases comes from the noise of the captures, as what three images leave of them
+    tells it, from the deviation of the captures from a response with one phase at all pixels, from what the two halves
+    of the modulator differ by beyond noise, and from the difference between all levels and every second one; with
+    regions, it is twice the uncertainty of a mean of independent values.
     The factors between residuals and uncertainties were chosen on 50 simulated tables that share no code with the
     package: uncertainties are estimates, not bounds.
 

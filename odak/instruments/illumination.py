@@ -26,8 +26,8 @@ DEPTH, EVEN = 0.7, 0.013
 # Bits of cameras below which each pattern is captured at a second exposure, longer by a factor, because most speckles
 # are much darker than the brightest; and electrons of a full pixel, from which the weights follow.
 FEW_BITS, LONGER, WELL = 10, 8, 20_000.0
-# Factor that makes standard deviations of the errors on 30 independent tables.
-LARGER = 1.15
+# Root mean square of eight independent errors, about, that two of three are below, in units of their deviation.
+LARGER = 1.08
 # Half the width of the places that are evaluated, as a share of the width of a cell's light, and pixels of it at most.
 VIEW, WIDEST = 0.7, 24
 # Distance of the outermost points of a wide modulator from its edges, and of its points from one another, in units of

@@ -25,7 +25,10 @@ GUARD, LARGEST_WINDOW = 3, 201
 # Rows and columns of pixels of a region at least.
 SMALLEST_REGION = 12
 # Noise of a phase of one half in radians above which more captures are averaged.
-NOISE = 4e-4
+NOISE = 6.5e-4
+# Largest of the errors of about 14 levels, with those of the fit of the ellipse and of the spline, in standard
+# deviations of one: two of three are below the first, nearly all below the second.
+LARGEST, RARELY = 2.9, 4.0
 # Deviation of captures from one phase at all pixels, as a share of the interference, that is a warning.
 DEVIATING = 0.1
 # Rounds in which displacements of captures are found, of which each leaves about a third; times that captures are
@@ -136,7 +139,7 @@ def measure_phase_response(table: OpticalTable, *, samples: int = 25, captures: 
     captures : int
         Number of captures that are averaged for each pattern of a half at most, twice as many for one of quarters, and
         three times as many for level 0, whose error is in all phases; four times as many behind a lens, whose focus few
-        pixels see. One is enough where its noise changes a phase by less than 0.4 mrad.
+        pixels see. One is enough where its noise changes a phase of a half by less than 0.65 mrad.
 
     Returns
     -------
@@ -257,10 +260,10 @@ def phases_with_uncertainty(
         camera.exposure = max(1.0, min(brighter, 0.7 / max(ambient, 1e-3))) * exposure
         frames = seen(1, *shown)
         most = 2 * captures // len(frames)
-        more = min(most, math.ceil(max((_noise_of_phases(half) / NOISE) ** 2 for half in halves(frames)))) - 1
+        more = min(most, math.ceil(max((_phases_of_interference(half)[2] / NOISE) ** 2 for half in halves(frames)))) - 1
         if more > 0:
             frames = [one + others for one, others in zip(frames, seen(more, *shown), strict=True)]
-        (one, first), (other, second) = (_phases_of_interference(half) for half in halves(frames))
+        (one, first, *noise), (other, second, *more_noise) = (_phases_of_interference(half) for half in halves(frames))
         spread = max(first, second)
         if spread < DEVIATING:
             break
@@ -269,13 +272,14 @@ def phases_with_uncertainty(
     if not isinstance(distance, Lens):
         mean = mean * _sign(modulator, camera, wavelength, distance, levels, mean)
     phases, fewer = (_of_all_levels(levels[used], mean[used], top) for used in (np.s_[:], np.s_[::2]))
-    # A mean of two independent values is uncertain by half of their difference; the factors are those that make
-    # standard deviations of the largest errors on independent tables. Near level 0, a power law is interpolated by half
-    # the samples with several times the error. Fringing fields cause errors of about half of what captures deviate
-    # from one phase at all pixels, as a share of the interference.
+    # Near level 0, a power law is interpolated by half the samples with several times the error. Fringing fields cause
+    # errors of about half of what captures deviate from one phase at all pixels, as a share of the interference.
     within = levels[-1 - (len(levels) + 1) % 2]
     interpolation = float(np.abs(phases - fewer)[:within].max())
-    return phases, math.hypot(0.4 * float(np.abs(one - other).max()), 0.005 * interpolation, 0.4 * spread), spread
+    # What the results of the halves differ by more than their noise is no noise.
+    of_both = math.hypot(*noise, *more_noise)
+    apart = math.sqrt(max(float(np.abs(one - other).max()) ** 2 - (RARELY * of_both) ** 2, 0))
+    return phases, math.hypot(LARGEST / 2 * of_both, apart / 2, 0.005 * interpolation, 0.4 * spread), spread
 
 
 @_validate.takes_fields("modulator camera wavelength distance phases", table=OpticalTable)
@@ -530,45 +534,39 @@ def _changes(frames: np.ndarray) -> np.ndarray:
     return frames - frames.mean(0)
 
 
-def _noise_of_phases(frames: np.ndarray) -> float:
-    """Return the standard deviation of a phase by the noise of frames ``[n, pixels]``, as below.
-
-    Noise is in all principal components, of which two contain the interference and one the mean.
-    """
-    frames = _changes(frames)
-    squares = np.linalg.eigvalsh(frames @ frames.T)
-    of_pixel = squares[1:-3].mean() / frames.shape[1]
-    return math.sqrt(max(of_pixel, 0) * len(frames) / 4 * (1 / squares[-2:]).sum())
-
-
-def _phases_of_interference(frames: np.ndarray) -> tuple[np.ndarray, float]:
+def _phases_of_interference(frames: np.ndarray) -> tuple[np.ndarray, float, float]:
     """Return the phase of each of the frames ``[n, pixels]``, whose pixels are a + b·cos φ + c·sin φ.
 
     The second result is the size of what deviates from such sums, as a share of the smaller of their two components:
-    the third one, less the fourth, which noise contains as well.
+    the third one beyond noise, which all components have in steps of about one size. The third is the standard
+    deviation of a phase by the noise of the frames.
     """
     frames = _changes(frames)
     values, vectors = np.linalg.eigh(frames @ frames.T)
-    values = np.clip(values, 0, None) ** 0.5
+    values = np.clip(values, 0, None)
     x, y = vectors[:, -1] * len(frames) ** 0.5, vectors[:, -2] * len(frames) ** 0.5
+    noise, least = values[-4], values[1]
+    other = math.sqrt(max(values[-3] - noise - RARELY * (noise - least) / (len(frames) - 5), 0) / values[-2])
+    # Bright pixels have more noise, and more of the interference.
+    components = vectors[:, -3:].T @ frames
+    of_pixels = ((frames - vectors[:, -3:] @ components) ** 2).sum(0) / (len(frames) - 4)
+    variances = (components[1:] ** 2 @ of_pixels) / values[-2:] ** 2
     # The ellipse x² q0 + x y q1 + y² q2 + x l0 + y l1 = 1 through the points, made a circle.
     system = np.stack([x * x, x * y, y * y, x, y], axis=-1)
     (xx, xy, yy, *linear), *_ = np.linalg.lstsq(system, np.ones(len(x)), rcond=None)
     form = np.array([[xx, xy / 2], [xy / 2, yy]])
     sizes, axes = np.linalg.eigh(form)
-    noise = values[1]
-    if sizes[0] <= 0 or values[-2] < 3 * noise:
+    if sizes[0] <= 0 or values[-2] < 9 * least:
         raise RuntimeError(
             "the camera must observe how the interference of the two halves of the modulator depends on the level; the "
-            f"first two principal components of its captures are {values[-1]:.3g} and {values[-2]:.3g}, the noise "
-            f"{noise:.3g}"
+            f"first two principal components of its captures are {values[-1] ** 0.5:.3g} and {values[-2] ** 0.5:.3g}, "
+            f"the noise {least**0.5:.3g}"
         )
     centre = -np.linalg.solve(2 * form, np.array(linear))
     circle = axes * np.sqrt(sizes) @ axes.T @ (np.stack([x, y]) - centre[:, None])
     phases = np.unwrap(np.arctan2(circle[1], circle[0]))
-    other = math.sqrt(max(values[-3] ** 2 - values[-4] ** 2, 0)) / values[-2]
     phases = phases - phases[0]
-    return phases if phases[-1] >= 0 else -phases, other
+    return phases if phases[-1] >= 0 else -phases, other, math.sqrt(len(frames) / 4 * variances.sum())
 
 
 def _warn_of_deviations(other: float) -> None:
@@ -706,7 +704,7 @@ def regions_with_uncertainty(
     if whole is None:
         whole = np.arange(top + 1.0)
     camera.region = None
-    phases, others = np.empty((down, across, top + 1)), np.empty((down, across))
+    phases, (others, noise) = np.empty((down, across, top + 1)), np.empty((2, down, across))
     for column in range(across):
         beside = column + 1 if column + 1 < across else column - 1
         slope = 2 * np.pi / (wavelength * distance) * (x[column].mean() - x[beside].mean())
@@ -733,12 +731,12 @@ def regions_with_uncertainty(
             lines = [np.flatnonzero(place.any(axis)) for axis in (1, 0)]
             window = tuple(slice(line[0], line[-1] + 1) for line in lines)
             still = weight[window] * _still(_without_ambient(np.stack([frame[window] for frame in frames])))
-            found, others[row, column] = _phases_of_interference(still[:, place[window]])
+            found, others[row, column], noise[row, column] = _phases_of_interference(still[:, place[window]])
             found = found * (1 if whole[-1] >= whole[0] else -1)
             like = whole * (found @ whole[levels]) / (whole[levels] @ whole[levels])
             phases[row, column] = like + _of_all_levels(levels, found - like[levels], top)
     _warn_of_deviations(others.max())
-    return phases, 0.5 * others
+    return phases, np.hypot(0.5 * others, LARGEST * noise)
 
 
 def without_lens(path: float | Lens, reason: str) -> float:
