@@ -262,7 +262,8 @@ def pupil_quadrature(
     order = torch.where(changes, torch.arange(STEPS, device=device), STEPS).sort(-1).values[..., :slots]
     low, high = line[order], line[(order + 1).clamp(max=STEPS)]
     inside = flags.gather(-1, order)
-    low, high = _changes(clear, low, high, inside, HALVINGS)
+    # Without a change each spoke is clear or blocked as a whole.
+    low, high = _changes(clear, low, high, inside, HALVINGS) if slots else (low, high)
     first = torch.where(flags[..., :1], 0.0, 1.0).to(low)
     ends = torch.cat([first, (low + high) / 2, first.new_ones(*first.shape[:-1], 1 + slots % 2)], -1)
     start, stop = ends.sort(-1).values.square().unflatten(-1, (-1, 2))[..., None].unbind(-2)

@@ -21,6 +21,7 @@ from odak.learn.raytracing.system import (
     paraxial_rays,
     pupil_aberration,
     pupil_figure,
+    pupil_quadrature,
     pupil_samples,
     pupils,
     read_zmx,
@@ -473,6 +474,13 @@ def test_rays_that_cannot_be_aimed_say_so():
     found = trace(lens, launch(lens, "y", 5, aim="real"))
     assert bool((found.status[..., 1, :] == RayStatus.NOT_AIMED).any())
     assert bool(found.y[..., 1, :][found.status[..., 1, :] == RayStatus.NOT_AIMED].isnan().all())
+
+
+def test_a_field_without_rays_beside_a_clear_one_has_no_weight():
+    lens = optical_system([surface(1.0, thickness=30.0, material=1.5), surface(thickness=5.0, stop=True)], 1.9)
+    lens.fields = ((0.0, 0.0), (0.0, 75.0))
+    weights = pupil_quadrature(lens, 2, aim="real").weights.sum(-1)
+    assert weights.tolist() == pytest.approx([1.0, 0.0], abs=1e-12)
 
 
 @pytest.mark.parametrize("aim", ["paraxial", "real"])
