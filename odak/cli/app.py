@@ -318,7 +318,7 @@ def trace(settings: TraceSettings) -> None:
     Writes figures of all analyses (layout, spots, fans, transfer, through focus, wavefront, field, image, performance
     over the field, pupil, footprint, polarisation, Seidel coefficients), report.html with all of them, the
     prescription and the aberrations, and report.json with first-order properties, spot sizes, wavefronts, Strehl
-    ratios, modulation and vignetting.
+    ratios, modulation and vignetting; with --solids the lenses as closed meshes or as STEP.
 
     Examples::
 
@@ -331,7 +331,8 @@ def trace(settings: TraceSettings) -> None:
     _say(settings, *summary(report))
     for line in () if settings.quiet else report["ignored"]:
         typer.echo(f"ignored: {line}", err=True)
-    _say(settings, f"{', '.join(report['figures'])}, report.html, report.json in {settings.output}")
+    written = [*report["figures"], *report["solids"], "report.html", "report.json"]
+    _say(settings, f"{', '.join(written)} in {settings.output}")
 
 
 @command(ToleranceSettings)

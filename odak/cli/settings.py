@@ -210,6 +210,8 @@ class TraceSettings(RunSettings):
         Temperature of the lens in degrees Celsius; as drawn without one.
     mount : float
         Coefficient of expansion of the mounts, per kelvin, with a temperature.
+    solids : str
+        File format of the lenses as solids, "none" for no such file.
     """
 
     system: str = argument(..., "SYSTEM")
@@ -221,6 +223,7 @@ class TraceSettings(RunSettings):
     focus: str = option("as-drawn", of=("as-drawn", "best"))
     temperature: float | None = option(None, metavar="DEGREES")
     mount: float = option(0.0, metavar="PER_KELVIN")
+    solids: str = option("none", of=("none", "stl", "ply", "glb", "step"))
 
     def check(self) -> None:
         """Check that a mount has a temperature."""

@@ -30,6 +30,7 @@ from odak.learn.raytracing.system import (
     report_figures,
     rms_spot,
     sample_systems,
+    save_solids,
     sensitivity,
     spot_diagram,
     system_to_dict,
@@ -144,7 +145,13 @@ def run(job: TraceSettings, notices: files.Notices = files.SILENT) -> dict:
     quality = field_quality(system, aim)
     drawn = report_figures(system, aim, quality)
     names = [*(f"{title}.{figures}" for title in drawn), "report.html"]
-    files.announce(folder, [*names, files.REPORT], notices)
+    solids = [] if job.solids == "none" else [f"lenses.{job.solids}"]
+    files.announce(folder, [*names, *solids, files.REPORT], notices)
+    for name in solids:
+        try:
+            save_solids(system, folder / name)
+        except (ValueError, ImportError) as error:
+            raise InputError(f"--solids {job.solids}: {error}") from None
     with torch.no_grad():
         report = describe(system, job.rings, aim, quality) | {"ignored": ignored, "focus": focus}
         report |= {"temperature": job.temperature, "mount": job.mount}
@@ -156,7 +163,7 @@ def run(job: TraceSettings, notices: files.Notices = files.SILENT) -> dict:
         with replacing(folder / f"{title}.{figures}") as stream:
             figure.savefig(stream, format=figures, dpi=140)
     lens_report(system, folder / "report.html", aim, drawn, quality)
-    return files.write_report(folder, report | {"figures": names[:-1]}, mark, names)
+    return files.write_report(folder, report | {"figures": names[:-1], "solids": solids}, mark, [*names, *solids])
 
 
 def describe(system, rings: int, aim: str, quality: FieldQuality) -> dict:

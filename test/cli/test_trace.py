@@ -1,4 +1,5 @@
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from odak.learn.raytracing.system import (
     optical_system,
     rms_spot,
     sample_systems,
+    save_solids,
     save_system,
     spots_figure,
     surface,
@@ -242,3 +244,15 @@ def test_a_lens_is_traced_at_a_temperature(tmp_path, capsys, monkeypatch):
     ):
         assert main(["trace", "singlet", "-o", str(tmp_path / "b"), *given]) == 2
         assert words in capsys.readouterr().err
+
+
+def test_lenses_are_written_as_solids(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(trace, "report_figures", lambda *_: {})
+    assert main(["trace", "singlet", "-o", str(tmp_path / "a"), "--solids", "stl"]) == 0
+    assert "lenses.stl" in capsys.readouterr().out
+    assert json.loads((tmp_path / "a/report.json").read_text())["solids"] == ["lenses.stl"]
+    save_solids(load_system("singlet"), tmp_path / "own.stl")
+    assert (tmp_path / "a/lenses.stl").read_bytes() == (tmp_path / "own.stl").read_bytes()
+    monkeypatch.setitem(sys.modules, "OCP.BRepBuilderAPI", None)
+    assert main(["trace", "singlet", "-o", str(tmp_path / "b"), "--solids", "step"]) == 2
+    assert "--solids step: STEP needs the package cadquery-ocp" in capsys.readouterr().err

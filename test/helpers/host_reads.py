@@ -112,6 +112,7 @@ REASONS = {
     """,
     "numbers of NumPy or constants, which are on the CPU": """
         raytracing/system/crystals: of
+        raytracing/system/solids: *
         perception/appearance: _planckian_locus
         perception/color: _column rows tone_map
         perception/display_color: _checked _fundamentals read_spectra

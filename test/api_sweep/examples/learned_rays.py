@@ -335,6 +335,8 @@ BY_CALL = {
     f"{HERE}.system.seidel_sums": {"field": 1.0},
     f"{HERE}.system.ghost_system": {"first": 0, "second": 1},
     f"{HERE}.system.scaled_system": {"factor": 2.0},
+    f"{HERE}.system.lens_solids": {"segments": 8},
+    f"{HERE}.system.save_solids": {"path": Build(lambda folder: folder / "lens.stl"), "segments": 8},
     f"{HERE}.system.flipped_system": {"first": 0, "last": 1},
     f"{HERE}.system.optical_system": {
         "image": Build(lambda _: surface(-50.0)),

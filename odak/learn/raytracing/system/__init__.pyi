@@ -114,6 +114,9 @@ from .pupils import pupil_quadrature as pupil_quadrature
 from .pupils import pupil_samples as pupil_samples
 from .pupils import trace_fields as trace_fields
 from .pupils import vignetting_factors as vignetting_factors
+from .solids import LensSolid as LensSolid
+from .solids import lens_solids as lens_solids
+from .solids import save_solids as save_solids
 from .specification import Conjugates as Conjugates
 from .specification import Fields as Fields
 from .specification import SystemAperture as SystemAperture
