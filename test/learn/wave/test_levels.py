@@ -18,6 +18,7 @@ from odak.learn.wave import (
     Observer,
     Problem,
     Run,
+    Source,
     optimise,
     spatial_light_modulator,
 )
@@ -213,6 +214,25 @@ def test_frames_by_blocks_have_the_loss_of_all_together(monkeypatch, iterations)
         )
         assert float(found.gain_over_rounding) == pytest.approx(10 * math.log10(rounded / searched), abs=2e-3)
         assert float(found.gain_over_rounding) >= 0
+
+
+@pytest.mark.parametrize("kind", ["colours", "profile", "points in turn", "responses"])
+def test_blocks_add_up_to_the_image_of_all_frames(kind):
+    draw, panel, profile, powers, waves = torch.Generator().manual_seed(6), Modulator((12, 12), 8e-6, 2), None, None, 1
+    if kind == "colours":
+        powers, waves = torch.rand(5, 3, generator=draw), 3
+    if kind == "profile":
+        profile = torch.rand(12, 12, generator=draw)
+    if kind == "points in turn":
+        profile = Source([(0.0, 1e-3 * s) for s in range(5)], torch.eye(5))
+    if kind == "responses":
+        tables = [torch.rand(4, generator=draw).sort()[0] * 6 for _ in range(5)]
+        panel = Modulator((12, 12), 8e-6, 2, response=[spatial_light_modulator(bits=2, lut=one) for one in tables])
+    display = Display(panel, [639e-9, 532e-9, 473e-9][:waves], [1e-3, 2e-3], 5, powers, profile)
+    problem = Problem(display, torch.ones(display.shape), torch.nn.functional.mse_loss, torch.rand(5, 12, 12), quick(2))
+    search = levels._InBlocks(LevelSearch(), problem, [[0, 3], [1], [2, 4]])
+    whole = display.recorded_by(problem.observer, problem.start)
+    assert float((search.images - whole).abs().max()) < 1e-5 * float(whole.max())
 
 
 def test_two_frames_at_a_time_are_better_than_all_at_once(monkeypatch):

@@ -200,6 +200,8 @@ def optimise(
     amplitudes = None if first is None or amplitudes is None else first.shown(amplitudes)
     if gain is None and _chosen(display) == "levels" and powers is None:
         _warn_of_rounding(problem, phases)
+    # Of many frames, as much memory as what follows.
+    del problem, begun, solved
     phases, display = display.modulator.shown(phases), display if powers is None else display.lit_by(powers)
     held = Comparison(observer, target, None if focal is None else focal.masks)
     found = judged(display, phases, amplitudes, held)
