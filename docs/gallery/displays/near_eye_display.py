@@ -6,12 +6,12 @@ finds the pattern and the curvatures of the lens, which begins too weak for the 
 from importlib.resources import files
 import matplotlib.pyplot as plt
 import torch
-from odak.learn import perception, tools, wave
+from odak.learn import perception, wave
 from odak.learn.raytracing import system as optics
 from odak.learn.raytracing.system import surface
 shape, pitch, green, focal = (160, 240), 8e-6, 532e-9, 15e-3
-photo = tools.load_image(files("odak") / "assets" / "photo.png").mean(-1)
-photo = torch.nn.functional.adaptive_avg_pool2d(photo[None], shape)[0]
+photo = wave.light_of(files("odak") / "assets" / "photo.png", green).targets
+photo = torch.nn.functional.adaptive_avg_pool2d(photo, shape)[0]
 panel = wave.Display(wave.Modulator(shape, pitch), green, distances=5e-3)
 lens = surface(16.5, thickness=3.0, material="N-BK7"), surface(-16.5, thickness=5.0)
 mirror = surface(material="mirror", coating=optics.Coating([2.3], [60e-6], 1.5))
@@ -50,9 +50,11 @@ eye = [surface(-s.radius, thickness=-s.thickness, material=s.material, semi_diam
 near |= {"image": surface(12.0, semi_diameter=10), "fields": [-0.6, 0, 0.6]}
 whole = optics.optical_system([*lens, fold[0], mirror, fold[2], *eye], 2.0, **near)
 figure, axes = plt.subplot_mosaic("LTB;LPA", figsize=(14, 6), layout="constrained")
-pictures = {"": optics.draw_layout(whole), "the picture": photo, "seen before": before}
-pictures |= {"the panel": phases.detach()[0] % 6.28 / 6.28, "seen after": after}
-for key, (title, picture) in zip("LTBPA", pictures.items()):
+stored = [wave.picture_of(light[None], green)[0] for light in (photo, before, after)]
+pictures = {"": optics.draw_layout(whole)}
+pictures |= dict(zip(("the picture", "seen before", "seen after"), stored))
+pictures |= {"the panel": phases.detach()[0] % 6.28 / 6.28}
+for key, (title, picture) in zip("LTBAP", pictures.items()):
     axes[key].imshow(picture, cmap="gray", vmin=0, vmax=1)
     axes[key].set(title=title, xticks=[], yticks=[], frame_on=False)
 # Thumbnail: 0.702 0.545 0.992 0.985

@@ -20,16 +20,18 @@ from odak.learn.wave import (
     Modulator,
     Run,
     eyebox_map,
+    light_of,
     optimise,
+    picture_of,
 )
 
 # %%
 # A rendered scene and its depth: 1.5 mm in front of the panel to 1.5 mm behind it, where eyes see it at 98.5 to 101.5 mm.
 assets = files("odak") / "assets"
-picture = load_image(assets / "scene.png", torch_style=True)[:3].mean(0)
+picture = light_of(assets / "scene.png", 532e-9).targets[0]
 depth = load_image(assets / "scene_depth.png").float()
 picture, depth = (
-    torch.nn.functional.adaptive_avg_pool2d(part[None].float(), (64, 96))[0]
+    torch.nn.functional.adaptive_avg_pool2d(part[None], (64, 96))[0]
     for part in (picture, depth)
 )
 picture = (picture - picture.min()) / (picture.max() - picture.min())
@@ -75,7 +77,7 @@ titles += [f"focused at {1e3 * focus:.1f} mm" for focus in (near, far)]
 def draw(line, name, views):
     """Draw what is seen through three pupils and with two focuses."""
     for axis, view in zip(line, views):
-        axis.imshow(view.clamp(0, 1), cmap="gray", vmin=0, vmax=1)
+        axis.imshow(picture_of(view[None], 532e-9)[0], cmap="gray", vmin=0, vmax=1)
         axis.set(xticks=[], yticks=[])
     line[0].set_ylabel(name)
 
