@@ -2,7 +2,9 @@ from odak.learn._tensors import check_loss_inputs as check_loss_inputs
 from odak.learn.tools.matrix import blur_gaussian as blur_gaussian
 from odak.learn.tools.matrix import slice_rgbd_targets as slice_rgbd_targets
 
+from .appearance import Appearance as Appearance
 from .appearance import cam16_ucs_to_xyz as cam16_ucs_to_xyz
+from .appearance import color_appearance as color_appearance
 from .appearance import correlated_color_temperature as correlated_color_temperature
 from .appearance import dkl_to_xyz as dkl_to_xyz
 from .appearance import xyz_to_cam16_ucs as xyz_to_cam16_ucs

@@ -1,8 +1,9 @@
-"""Colours as they appear: CAM16-UCS, CAM02-UCS, opponents of Derrington, Krauskopf and Lennie, colour temperature."""
+"""Colours as they appear: models of appearance and their uniform spaces, opponent colours, colour temperature."""
 
 import functools
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -33,8 +34,10 @@ _MODELS = {
 _TO_OPPONENT = np.array([(2.0, 1.0, 1 / 20), (1.0, -12 / 11, 1 / 11), (1 / 9, 1 / 9, -2 / 9)])
 _FROM_OPPONENT = np.linalg.inv(_TO_OPPONENT)
 _SATURATION = np.array([1.0, 1.0, 21 / 20])
-# An average surround: factor of adaptation, impact of the surround, chromatic induction.
-_ADAPTING, _IMPACT, _INDUCTION = 1.0, 0.69, 1.0
+# Factor of adaptation, impact of the surround, chromatic induction.
+_SURROUNDS = {"average": (1.0, 0.69, 1.0), "dim": (0.9, 0.59, 0.9), "dark": (0.8, 0.525, 0.8)}
+# Unique red, yellow, green, blue and red again: angles and factors of eccentricity.
+_UNIQUE_HUES = (20.14, 90.0, 164.25, 237.53, 380.14), (0.8, 0.7, 1.0, 1.2, 0.8)
 _COMPRESSION, _HALF = 0.42, 27.13
 # Responses of the cones of CIE 170-1 by XYZ of CIE 1931; the first two add up to about the luminance.
 _LMS_2006 = np.array(
@@ -49,21 +52,61 @@ _SECOND_CONSTANT = 1.4388e-2
 _COLDEST, _HOTTEST, _STEP = 1001.0, 9.0, 1.0
 
 
+class Appearance(NamedTuple):
+    """Correlates of how colours appear, each ``[..., H, W]``, as :func:`color_appearance` finds them.
+
+    Attributes
+    ----------
+    lightness : torch.Tensor
+        J, 100 for the white.
+    chroma : torch.Tensor
+        C, colourfulness relative to the white.
+    hue : torch.Tensor
+        h, the angle in degrees, 0 … 360.
+    brightness : torch.Tensor
+        Q.
+    colorfulness : torch.Tensor
+        M.
+    saturation : torch.Tensor
+        s, colourfulness relative to the brightness of the colour itself.
+    hue_quadrature : torch.Tensor
+        H, 0 … 400: 0 unique red, 100 yellow, 200 green, 300 blue.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import color_appearance
+    >>> green = color_appearance(torch.tensor([0.0777, 0.1554, 0.0259]).reshape(3, 1, 1))
+    >>> 100 < green.hue_quadrature.item() < 200
+    True
+    """
+
+    lightness: torch.Tensor
+    chroma: torch.Tensor
+    hue: torch.Tensor
+    brightness: torch.Tensor
+    colorfulness: torch.Tensor
+    saturation: torch.Tensor
+    hue_quadrature: torch.Tensor
+
+
 @functools.lru_cache(maxsize=32)
-def _viewing(white, luminance, background, model):
+def _viewing(white, luminance, background, model, surround):
     """Return what depends on the conditions of viewing: the matrix from XYZ to responses, and numbers by name."""
     cones, compressed = _MODELS[model]
+    adapting, impact, chromatic = _SURROUNDS[surround]
     k = 1 / (5 * luminance + 1)
     level = 0.2 * k**4 * 5 * luminance + 0.1 * (1 - k**4) ** 2 * (5 * luminance) ** (1 / 3)
-    degree = _ADAPTING * (1 - math.exp((-luminance - 42) / 92) / 3.6)
+    degree = adapting * (1 - math.exp((-luminance - 42) / 92) / 3.6)
     degree = min(max(degree, 0.0), 1.0)
     gains = degree * white[1] / (cones @ np.array(white)) + 1 - degree
     matrix = compressed @ (gains[:, None] * cones)
     share = background / (100 * white[1])
     found = {
         "level": level,
-        "induction": 0.725 * share**-0.2,
-        "exponent": _IMPACT * (1.48 + math.sqrt(share)),
+        "impact": impact,
+        "chromatic": 50000 / 13 * chromatic * 0.725 * share**-0.2,
+        "exponent": impact * (1.48 + math.sqrt(share)),
         "chroma": (1.64 - 0.29**share) ** 0.73,
     }
     # Achromatic responses to the white and to the darkest grey.
@@ -72,7 +115,7 @@ def _viewing(white, luminance, background, model):
     return matrix, found | {"white": bright, "dark": dark / bright}
 
 
-def _checked_viewing(white, luminance, background, model):
+def _checked_viewing(white, luminance, background, model, surround="average"):
     white = _white(white)
     if isinstance(white, torch.Tensor):
         white = _validate.numbers(_validate.constants(white=white)[0])
@@ -81,6 +124,7 @@ def _checked_viewing(white, luminance, background, model):
         _validate.constant("adapting_luminance", luminance, positive=True),
         _validate.constant("background", background, positive=True),
         model,
+        surround,
     )
 
 
@@ -156,8 +200,18 @@ def uniform_colours(
     torch.Tensor
         J′, a′ and b′ ``[..., 3, H, W]``.
     """
-    matrix, view = _checked_viewing(white, adapting_luminance, background, model)
-    responses = mix(rows(matrix), tristimulus(image, white)[0])
+    view = _checked_viewing(white, adapting_luminance, background, model)
+    lightness, chroma, hue = _lightness_chroma_hue(tristimulus(image, white)[0], view)
+    colourfulness = torch.log1p(0.0228 * chroma * view[1]["level"] ** 0.25) / 0.0228
+    return torch.stack(
+        [1.7 * lightness / (1 + 0.007 * lightness), colourfulness * torch.cos(hue), colourfulness * torch.sin(hue)], -3
+    )
+
+
+def _lightness_chroma_hue(xyz, viewing):
+    """Return lightness, chroma and the angle of the hue in radians of XYZ, by what :func:`_viewing` returns."""
+    matrix, view = viewing
+    responses = mix(rows(matrix), xyz)
     power = signed_power(view["level"] * responses, _COMPRESSION, view["level"] * DARKEST)
     compressed = 400 * power / (power.abs() + _HALF)
     achromatic, a, b = mix(rows(_TO_OPPONENT), compressed).unbind(-3)
@@ -166,12 +220,88 @@ def uniform_colours(
     lightness = 100 * signed_power(relative, view["exponent"], view["dark"])
     hue = _hue(a, b)
     eccentricity = (torch.cos(hue + 2) + 3.8) / 4
-    t = 50000 / 13 * _INDUCTION * view["induction"] * eccentricity * root(a**2 + b**2) / total
+    t = view["chromatic"] * eccentricity * root(a**2 + b**2) / total
     chroma = signed_power(t, 0.9, 1e-6) * signed_power(relative, view["exponent"] / 2, view["dark"]) * view["chroma"]
-    colourfulness = torch.log1p(0.0228 * chroma * view["level"] ** 0.25) / 0.0228
-    return torch.stack(
-        [1.7 * lightness / (1 + 0.007 * lightness), colourfulness * torch.cos(hue), colourfulness * torch.sin(hue)], -3
-    )
+    return lightness, chroma, hue
+
+
+@decoded_in_float32
+def color_appearance(
+    image: torch.Tensor,
+    white: Sequence[float] = IEC_WHITE,
+    adapting_luminance: float = 64 / math.pi * 0.2,
+    background: float = 20.0,
+    surround: str = "average",
+    model: str = "CAM16",
+) -> Appearance:
+    """Return the correlates of a model of colour appearance: lightness, chroma, hue, brightness and others.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        XYZ ``[..., 3, H, W]``, Y being 1 for white.
+    white : sequence of float
+        XYZ of the white; D65 with Y = 1 by default.
+    adapting_luminance : float
+        Luminance in cd/m² that the eye is adapted to, usually a fifth of the luminance of the white.
+    background : float
+        Luminance of the background in per cent of the white with Y = 1.
+    surround : {"average", "dim", "dark"}
+        Light of the room: as bright as the picture, dimmer, or none as in a headset.
+    model : {"CAM16", "CAM02"}
+        CAM16, or CIECAM02 (CIE 159:2004).
+
+    Returns
+    -------
+    Appearance
+        The correlates. They are differentiable; at greys the gradients of chroma are 0.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the image does not hold three channels of real floats, a number is not positive, or a name is not known.
+
+    Notes
+    -----
+    Moroney et al., Proc. IS&T/SID 10th Color Imaging Conference, 23 (2002); Li et al., Color Res. Appl. 42, 703 (2017).
+    Hue quadrature is that of the table of unique hues in both, also between blue and red.
+
+    Examples
+    --------
+    In a dark room the same light looks lighter and less colourful:
+
+    >>> import torch
+    >>> from odak.learn.perception import color_appearance
+    >>> red = torch.tensor([0.2065, 0.1220, 0.0514]).reshape(3, 1, 1)
+    >>> for surround in ("average", "dark"):
+    ...     found = color_appearance(red, surround=surround)
+    ...     print(round(found.lightness.item()), round(found.colorfulness.item()), round(found.hue.item()))
+    33 49 19
+    43 45 19
+    """
+    _validate.one_of("surround", surround, tuple(_SURROUNDS))
+    _validate.one_of("model", model, tuple(_MODELS))
+    viewing = _checked_viewing(white, adapting_luminance, background, model, surround)
+    view = viewing[1]
+    lightness, chroma, angle = _lightness_chroma_hue(tristimulus(image, white)[0], viewing)
+    hue = torch.rad2deg(angle) % 360
+    # The achromatic response to the white, with the background's induction and the offset of the model.
+    white_response = 0.725 * (background / (100 * float(white[1]))) ** -0.2 * view["white"]
+    share = root(lightness / 100)
+    brightness = 4 / view["impact"] * share * (white_response + 4) * view["level"] ** 0.25
+    colorfulness = chroma * view["level"] ** 0.25
+    saturation = 100 * root(colorfulness / brightness.clamp_min(1e-12))
+    return Appearance(lightness, chroma, hue, brightness, colorfulness, saturation, _quadrature(hue))
+
+
+def _quadrature(hue):
+    """Return the hue as parts of the unique hues on its two sides, 0 … 400."""
+    angles, factors = (torch.tensor(values, dtype=hue.dtype).to(hue.device) for values in _UNIQUE_HUES)
+    turned = torch.where(hue < angles[0], hue + 360, hue)
+    below = (torch.bucketize(turned.detach(), angles, right=True) - 1).clamp(0, 3)
+    before = (turned - angles[below]) / factors[below]
+    after = (angles[below + 1] - turned) / factors[below + 1]
+    return 100 * (below + before / (before + after))
 
 
 @decoded_in_float32
@@ -246,7 +376,7 @@ def of_uniform_colours(
     t = signed_power(chroma / view["chroma"], 1 / 0.9, 1e-12)
     achromatic = view["white"] * signed_power(share, 1 / view["exponent"], view["dark"] ** view["exponent"])
     cosine, sine = torch.cos(hue), torch.sin(hue)
-    scale = 50000 / 13 * _INDUCTION * view["induction"] * (torch.cos(hue + 2) + 3.8) / 4
+    scale = view["chromatic"] * (torch.cos(hue + 2) + 3.8) / 4
     # t·(R + G + 21 B/20 + 0.305) = scale·r, with R, G, B linear in the achromatic response and in r·cos h, r·sin h.
     from_achromatic, from_a, from_b = map(float, _SATURATION @ _FROM_OPPONENT)
     radius = t * (from_achromatic * achromatic + 0.305) / (scale - t * (from_a * cosine + from_b * sine))

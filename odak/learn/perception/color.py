@@ -98,7 +98,10 @@ def decoded_in_float32(function: Callable[P, R]) -> Callable[P, R]:
             return function(*args, **options)
         args = tuple(in_float32(value) if isinstance(value, torch.Tensor) else value for value in args)
         options = {k: in_float32(v) if isinstance(v, torch.Tensor) else v for k, v in options.items()}
-        return function(*args, **options).to(pictures[0].dtype)  # type: ignore[attr-defined]
+        found: Any = function(*args, **options)
+        if isinstance(found, tuple):
+            return type(found)(*(part.to(pictures[0].dtype) for part in found))
+        return found.to(pictures[0].dtype)
 
     return careful
 

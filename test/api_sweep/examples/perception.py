@@ -247,6 +247,7 @@ ALLOWED = {
     (f"{HERE}.display_color_hvs", "pixel_pitch", "*"): "kept for the caller, counts nowhere",
     (f"{HERE}.display_color_hvs", "read_spectrum", "*"): "kept for the caller, counts nowhere",
     (f"{HERE}.display_color_hvs.forward", "gaze", "*"): "accepted, counts nowhere",
+    (f"{HERE}.color_appearance", "image", "in half precision"): "its rounding turns the hue of what is nearly grey",
     (f"{HERE}.rgb_to_ictcp", "*", "infinity inside"): "values beyond the range count as its end, as documented",
     (f"{HERE}.ictcp_to_rgb", "*", "infinity inside"): "values beyond the range count as its end, as documented",
     (f"{HERE}.display_color_hvs", "primaries_spectrum", "a text"): "a text is the name of a file, which is not there",

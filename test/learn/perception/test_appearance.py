@@ -34,10 +34,92 @@ def test_cam16_ucs_is_that_of_colour_science(colour, viewing, expected):
     torch.testing.assert_close(p.cam16_ucs_to_xyz(found, *viewing), pixel(colour), rtol=1e-9, atol=1e-13)
 
 
+@pytest.mark.parametrize(
+    ("model", "surround", "colour", "expected"),
+    [
+        (
+            "CAM02",
+            "dim",
+            COLOUR,
+            (
+                40.33324869514672,
+                65.66067536598233,
+                22.085867617948033,
+                156.08490934528422,
+                58.49701180085272,
+                61.21902133558238,
+                2.4457242847332408,
+            ),
+        ),
+        (
+            "CAM02",
+            "average",
+            (0.1, 0.2, 0.5),
+            (
+                38.18678758567364,
+                81.80244320579914,
+                210.6924825759616,
+                129.91012714614223,
+                72.87769214794501,
+                74.89896246175132,
+                267.49666209666253,
+            ),
+        ),
+        (
+            "CAM16",
+            "average",
+            (0.1, 0.2, 0.5),
+            (
+                39.330343910205315,
+                76.62935953577225,
+                210.890641453617,
+                131.84786469069778,
+                68.26899851502606,
+                71.95735904382705,
+                267.7521339635842,
+            ),
+        ),
+        (
+            "CAM16",
+            "dark",
+            (0.1, 0.2, 0.5),
+            (
+                49.17162851819122,
+                70.95954423334864,
+                211.05180269080375,
+                193.6374676343095,
+                63.2177673053885,
+                57.137979593254165,
+                267.9597267766403,
+            ),
+        ),
+    ],
+)
+def test_correlates_of_appearance_are_those_of_colour_science(model, surround, colour, expected):
+    found = p.color_appearance(pixel(colour), (0.9505, 1.0, 1.0888), 50.0, 18.0, surround, model)
+    assert [float(value) for value in found] == pytest.approx(expected, rel=1e-9)
+
+
+def test_white_and_greys_have_the_correlates_that_models_define():
+    found = p.color_appearance(torch.cat([pixel(IEC_WHITE), 0.3 * pixel(IEC_WHITE)], -1), model="CAM02")
+    assert found.lightness[..., 0].item() == pytest.approx(100, rel=1e-12)
+    # Adaptation is incomplete, so that greys keep a little of the light's colour.
+    assert found.saturation.max() < 15
+    # Between unique blue (237.53°, weight 1.2) and unique red (20.14°, weight 0.8), by the table of CIE 159:2004.
+    hue = p.color_appearance(pixel(COLOUR)).hue.item() + 360
+    wanted = 300 + 100 / (1 + 1.2 / 0.8 * (380.14 - hue) / (hue - 237.53))
+    assert p.color_appearance(pixel(COLOUR)).hue_quadrature.item() == pytest.approx(wanted, rel=1e-12)
+    with pytest.raises(ValueError, match="surround"):
+        p.color_appearance(pixel(COLOUR), surround="black")
+    with pytest.raises(ValueError, match="model"):
+        p.color_appearance(pixel(COLOUR), model="CAM97")
+
+
 def test_gradients_of_appearance():
     generator = torch.Generator().manual_seed(0)
     colours = (0.1 + 0.8 * torch.rand(1, 3, 2, 2, dtype=torch.float64, generator=generator)).requires_grad_()
-    for function in (p.xyz_to_cam16_ucs, p.xyz_to_dkl):
+    correlates = lambda image: torch.stack(p.color_appearance(image))  # noqa: E731
+    for function in (p.xyz_to_cam16_ucs, p.xyz_to_dkl, correlates):
         assert torch.autograd.gradcheck(function, colours)
     for function, there in ((p.cam16_ucs_to_xyz, p.xyz_to_cam16_ucs), (p.dkl_to_xyz, p.xyz_to_dkl)):
         assert torch.autograd.gradcheck(function, there(colours).detach().requires_grad_())
