@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from odak import _show, _validate
-from odak._warnings import ArgumentWarning, warn
+from odak._warnings import AccuracyWarning, ArgumentWarning, warn
 from odak.tools.paths import replacing, validate_path, write_file
 
 # Value of OpenCV's property CAP_PROP_AUTO_EXPOSURE that switches automatic exposure off.
@@ -46,7 +46,8 @@ class ScreenModulator(_show.Shown):
     -----
     Needs the package pygame-ce (``pip install pygame-ce``). Each object has a window of its own, above all others, so
     that two panels of one table are two objects, each on its screen. Screens must not correct colours or scale: switch
-    off night modes, and set a scale of 100 %.
+    off night modes, and set a scale of 100 %. Under Windows and X11 :meth:`show` compares the screen with the levels
+    every two seconds, and an :class:`odak.AccuracyWarning` says where another window, a cursor or a scale alters them.
 
     Examples
     --------
@@ -91,7 +92,7 @@ class ScreenModulator(_show.Shown):
             )
         self._display = display
         self._window: Any = _window_on(pygame, display, self.shape)
-        _open[display] = self
+        _open[display], self._looked = self, -_LOOK
         pygame.mouse.set_visible(False)
 
     def show(self, levels: np.ndarray) -> None:
@@ -105,6 +106,27 @@ class ScreenModulator(_show.Shown):
         # Without this, window systems take the window for one that hangs.
         self._pygame.event.pump()
         time.sleep(self.settling_time)
+        if time.monotonic() - self._looked >= _LOOK:
+            self._look(grey)
+            self._looked = time.monotonic()
+
+    def _look(self, grey: np.ndarray) -> None:
+        """Warn if the screen shows something else than levels."""
+        for _ in range(_LATE):
+            seen = _seen_in(self._pygame, self._window)
+            if seen is None or seen.shape[:2] != grey.shape:
+                return
+            if not (wrong := (seen != grey[..., None]).any(-1)).any():
+                return
+            # Desktops draw windows some frames later.
+            time.sleep(0.1)
+        row, column = (int(np.flatnonzero(wrong.any(axis))[0]) for axis in (1, 0))
+        warn(
+            f"screen {self._display} shows other levels than it should at {wrong.mean():.1%} of the pixels, from row "
+            f"{row} and column {column} on: close what covers it, switch off night modes and notifications, and set a "
+            "scale of 100 %",
+            AccuracyWarning,
+        )
 
     def close(self) -> None:
         """Close the window; windows on other screens stay."""
@@ -145,6 +167,8 @@ class ScreenModulator(_show.Shown):
 
 # Modulators that are open by the number of their screen: one each.
 _open: weakref.WeakValueDictionary[int, ScreenModulator] = weakref.WeakValueDictionary()
+# Seconds between two looks at what the screen of a modulator shows, and captures of it that may be late.
+_LOOK, _LATE = 2.0, 5
 # SDL's position of a window in the middle of a screen, less the number of the screen.
 _CENTRED = 0x2FFF0000
 
@@ -163,6 +187,19 @@ def _window_on(pygame: Any, display: int, shape: Sequence[int]) -> Any:
     rows, columns = shape
     place = (_CENTRED | display,) * 2
     return pygame.Window("odak", (columns, rows), place, borderless=True, always_on_top=True)
+
+
+def _seen_in(pygame: Any, window: Any) -> np.ndarray | None:
+    """Return what the screen shows in a window ``[rows, columns, 3]``, None where the window system does not tell."""
+    from PIL import ImageGrab
+
+    if pygame.display.get_driver() not in ("windows", "x11") or os.environ.get("WAYLAND_DISPLAY"):
+        return None
+    (left, upper), (columns, rows) = window.position, window.size
+    try:
+        return np.asarray(ImageGrab.grab((left, upper, left + columns, upper + rows), all_screens=True))[..., :3]
+    except OSError:
+        return None
 
 
 class VideoCamera(_show.Shown):
@@ -347,10 +384,12 @@ class GenICamCamera(_show.Shown):
             ("AcquisitionMode", "Continuous"),
             ("PixelFormat", pixel_format),
             ("ExposureMode", "Timed"),
+            ("ExposureTimeMode", "Common"),
             ("ExposureAuto", "Off"),
             ("GainAuto", "Off"),
             ("BlackLevelAuto", "Off"),
             ("GammaEnable", False),
+            ("LUTEnable", False),
             ("TriggerSelector", "FrameStart"),
             ("TriggerMode", "On"),
             ("TriggerSource", "Software"),
@@ -362,18 +401,19 @@ class GenICamCamera(_show.Shown):
             raise ValueError(f"the camera does not take the format {pixel_format!r}")
         self.shape: tuple[int, int] = (int(self._nodes.Height.value), int(self._nodes.Width.value))
         self.region: tuple[int, int, int, int] | None = None
-        node = self._nodes.ExposureTime
-        self.exposure_limits: tuple[float, float] = (1e-6 * float(node.min), 1e-6 * float(node.max))
+        # Cameras of versions 1.x name it in another way.
+        self._time = self._nodes.ExposureTime if hasattr(self._nodes, "ExposureTime") else self._nodes.ExposureTimeAbs
+        self.exposure_limits: tuple[float, float] = (1e-6 * float(self._time.min), 1e-6 * float(self._time.max))
         self._camera.start()
 
     @property
     def exposure(self) -> float:
         """Exposure time in seconds."""
-        return 1e-6 * float(self._nodes.ExposureTime.value)
+        return 1e-6 * float(self._time.value)
 
     @exposure.setter
     def exposure(self, value: float) -> None:
-        self._nodes.ExposureTime.value = 1e6 * float(_validate.number("exposure", value, positive=True))
+        self._time.value = 1e6 * float(_validate.number("exposure", value, positive=True))
 
     def capture(self, count: int = 1) -> np.ndarray:
         """Return captures, uint8 or uint16 ``[count, rows, columns]`` of the region."""

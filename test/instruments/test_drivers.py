@@ -61,6 +61,20 @@ if len(sys.argv) > 1:
     body = np.frombuffer(data[header[0] + 12 * header[19] :], np.uint8).reshape(header[5], header[12])
     seen = body[:, : 4 * header[4]].reshape(header[5], header[4], 4)[..., :3]
     print("exact", bool((seen == levels[..., None]).all()))
+    import warnings, pygame
+    from odak.instruments import drivers
+    drivers._LOOK = 0.0
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        modulator.show(levels)
+    print("warnings of a window that nothing covers:", len(caught))
+    cover = pygame.Window("cover", (64, 50), (16, 10), borderless=True, always_on_top=True)
+    cover.get_surface()
+    cover.flip()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        modulator.show(levels)
+    print(*(warning.message for warning in caught))
 modulator.close()
 modulator.close()
 try:
@@ -100,6 +114,11 @@ def test_a_virtual_display_shows_the_levels_exactly(tmp_path):
         finally:
             server.terminate()
     assert found.returncode == 0 and "exact True" in found.stdout, found.stdout + found.stderr
+    assert "warnings of a window that nothing covers: 0" in found.stdout
+    # Of 200 x 320 pixels, 50 x 64 are 5 %, of which one in 256 is as dark as the window.
+    assert (
+        "screen 0 shows other levels than it should at 5.0% of the pixels, from row 10 and column 16 on" in found.stdout
+    )
 
 
 def test_frames_of_a_video_are_captured(tmp_path):
@@ -223,13 +242,13 @@ class StandIn(types.SimpleNamespace):
         names = ("PixelFormat", "ExposureAuto", "TriggerSelector", "TriggerMode", "TriggerSource")
         self.nodes = node(**{name: node(value="") for name in names})
         self.nodes.Height, self.nodes.Width = node(value=12), node(value=16)
-        self.nodes.ExposureTime = node(value=5000.0, min=20.0, max=1e6)
+        self.nodes.ExposureTime = self.time = node(value=5000.0, min=20.0, max=1e6)
         self.nodes.TriggerSoftware = node(execute=self.expose)
         self.remote_device = node(node_map=self.nodes)
 
     def expose(self):
         assert self.nodes.TriggerMode.value == "On" and self.nodes.TriggerSource.value == "Software"
-        level = min(self.nodes.ExposureTime.value / 10, (1 << self.depth) - 1)
+        level = min(self.time.value / 10, (1 << self.depth) - 1)
         ramp = np.arange(12 * 16) * level / (12 * 16)
         self.waiting.append(ramp.astype(np.uint16 if self.depth > 8 else np.uint8))
 
@@ -239,7 +258,7 @@ class StandIn(types.SimpleNamespace):
 
     @contextlib.contextmanager
     def fetch(self, timeout):
-        assert timeout > 1e-6 * self.nodes.ExposureTime.value
+        assert timeout > 1e-6 * self.time.value
         if self.late:
             self.late = False
             raise TimeoutError("no frame in time")
@@ -321,7 +340,7 @@ def test_a_genicam_camera_unpacks_and_shifts_its_data(monkeypatch, tmp_path, nam
     depth = bits or int(re.search(r"\d+", name)[0])
     values = np.random.default_rng(0).integers(1 << depth, size=12 * 16)
     camera = StandIn(depth)
-    for node in ("AcquisitionMode", "ExposureMode", "GammaEnable", "BlackLevelAuto"):
+    for node in ("AcquisitionMode", "ExposureMode", "GammaEnable", "LUTEnable", "BlackLevelAuto"):
         setattr(camera.nodes, node, types.SimpleNamespace(value="unset"))
 
     def packed():
@@ -337,6 +356,9 @@ def test_a_genicam_camera_unpacks_and_shifts_its_data(monkeypatch, tmp_path, nam
         return values.astype(np.uint8) if depth == 8 else (values << (16 - depth)).astype(np.uint16)
 
     camera.nodes.TriggerSoftware.execute = lambda: camera.waiting.append(packed())
+    if name == "Mono16":
+        # As in versions 1.x of the convention.
+        camera.nodes.ExposureTimeAbs = camera.nodes.__dict__.pop("ExposureTime")
     made = types.SimpleNamespace(
         device_info_list=[types.SimpleNamespace(serial_number="1")],
         **dict.fromkeys(("add_file", "reset", "update"), lambda *_: None),
@@ -349,7 +371,9 @@ def test_a_genicam_camera_unpacks_and_shifts_its_data(monkeypatch, tmp_path, nam
     assert found.bits == depth and (found.capture(1)[0].ravel() == values).all()
     nodes = camera.nodes
     assert (nodes.AcquisitionMode.value, nodes.ExposureMode.value) == ("Continuous", "Timed")
-    assert nodes.GammaEnable.value is False and nodes.BlackLevelAuto.value == "Off"
+    assert nodes.GammaEnable.value is nodes.LUTEnable.value is False and nodes.BlackLevelAuto.value == "Off"
+    found.exposure = 2e-3
+    assert camera.time.value == 2000.0 and found.exposure == 2e-3
     with pytest.raises(ValueError, match="pixel_format must be Mono or Bayer"):
         instruments.GenICamCamera(3.45e-6, producer=tmp_path / "maker.cti", pixel_format="RGB8")
 
