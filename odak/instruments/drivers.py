@@ -9,7 +9,7 @@ import os
 import re
 import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -292,16 +292,15 @@ class VideoCamera(_show.Shown):
 
     def capture(self, count: int = 1) -> np.ndarray:
         """Return captures, uint8 or uint16 ``[count, rows, columns]`` of the region."""
-        row, column, rows, columns = self.region or (0, 0, *self.shape)
-        frames = []
-        for number in range(self._skip + _validate.integer("count", count, minimum=1)):
-            fine, frame = self._stream.read()
-            if not fine:
-                raise OSError(f"the camera sent no frame {number + 1} of {self._skip + count}")
-            if number >= self._skip:
-                frame = frame if frame.ndim == 2 else frame[..., min(1, frame.shape[-1] - 1)]
-                frames.append(frame[row : row + rows, column : column + columns])
-        return np.stack(frames)
+        for _ in range(self._skip):
+            self._frame()
+        return captured(self, count, self._frame)
+
+    def _frame(self) -> np.ndarray:
+        fine, frame = self._stream.read()
+        if not fine:
+            raise OSError("the camera sent no frame")
+        return frame if frame.ndim == 2 else frame[..., min(1, frame.shape[-1] - 1)]
 
     def close(self) -> None:
         """Release the camera."""
@@ -417,24 +416,22 @@ class GenICamCamera(_show.Shown):
 
     def capture(self, count: int = 1) -> np.ndarray:
         """Return captures, uint8 or uint16 ``[count, rows, columns]`` of the region."""
-        row, column, rows, columns = self.region or (0, 0, *self.shape)
-        frames = []
-        for _ in range(_validate.integer("count", count, minimum=1)):
-            # Zero would wait without end.
-            while (late := self._camera.try_fetch(timeout=1e-3)) is not None:
-                late.queue()
-            self._nodes.TriggerSoftware.execute()
-            try:
-                with self._camera.fetch(timeout=self._timeout + self.exposure) as buffer:
-                    part = buffer.payload.components[0]
-                    frame = self._counts(np.array(part.data, copy=True), part.height, part.width)
-            except Exception:
-                # The frame may still come, and would be taken for the next one: stopping discards it.
-                self._camera.stop()
-                self._camera.start()
-                raise
-            frames.append(frame[row : row + rows, column : column + columns])
-        return np.stack(frames)
+        return captured(self, count, self._frame)
+
+    def _frame(self) -> np.ndarray:
+        # Zero would wait without end.
+        while (late := self._camera.try_fetch(timeout=1e-3)) is not None:
+            late.queue()
+        self._nodes.TriggerSoftware.execute()
+        try:
+            with self._camera.fetch(timeout=self._timeout + self.exposure) as buffer:
+                part = buffer.payload.components[0]
+                return self._counts(np.array(part.data, copy=True), part.height, part.width)
+        except Exception:
+            # The frame may still come, and would be taken for the next one: stopping discards it.
+            self._camera.stop()
+            self._camera.start()
+            raise
 
     def _counts(self, data: np.ndarray, rows: int, columns: int) -> np.ndarray:
         """Return counts ``[rows, columns]`` from the data of a frame."""
@@ -505,13 +502,12 @@ class MicroManagerCamera(_show.Shown):
 
     def capture(self, count: int = 1) -> np.ndarray:
         """Return captures, unsigned integers ``[count, rows, columns]`` of the region."""
-        row, column, rows, columns = self.region or (0, 0, *self.shape)
-        frames = []
-        for _ in range(_validate.integer("count", count, minimum=1)):
-            self._core.setCameraDevice(self._device)
-            self._core.snapImage()
-            frames.append(np.array(self._core.getImage())[row : row + rows, column : column + columns])
-        return np.stack(frames)
+        return captured(self, count, self._frame)
+
+    def _frame(self) -> np.ndarray:
+        self._core.setCameraDevice(self._device)
+        self._core.snapImage()
+        return np.array(self._core.getImage())
 
 
 class MicroManagerModulator(_show.Shown):
@@ -737,6 +733,13 @@ def unpacked(data: np.ndarray, bits: int, packing: str) -> np.ndarray:
     return np.stack(pairs, axis=-1).ravel()
 
 
+def captured(camera: Any, count: int, frame: Callable[[], np.ndarray]) -> np.ndarray:
+    """Return captures ``[count, rows, columns]`` of the region of a camera, from a function that takes a whole one."""
+    row, column, rows, columns = camera.region or (0, 0, *camera.shape)
+    window = np.s_[row : row + rows, column : column + columns]
+    return np.stack([frame()[window] for _ in range(_validate.integer("count", count, minimum=1))])
+
+
 def checked_levels(levels: Any, shape: Sequence[int], bits: int) -> np.ndarray:
     """Return a pattern of levels after checking its shape, type and range.
 
@@ -777,13 +780,18 @@ def _imported(module: str, package: str, how: str = ": pip install {}") -> Any:
         raise ImportError(f"this driver needs {package}{how.format(package)}") from None
 
 
+def existing_file(name: str, path: str | os.PathLike[str]) -> str:
+    """Return the path of a file, and raise an error that names the argument if there is none."""
+    found = validate_path(path, name=name)
+    if not os.path.isfile(found):
+        raise ValueError(f"{name} must be a file that exists, got {found!r}")
+    return found
+
+
 def _producers(producer) -> list[str]:
     """Return the GenTL producers to load."""
     if producer is not None:
-        path = validate_path(producer, name="producer")
-        if not os.path.isfile(path):
-            raise ValueError(f"producer must be a .cti file that exists, got {path!r}")
-        return [path]
+        return [existing_file("producer", producer)]
     folders = os.environ.get("GENICAM_GENTL64_PATH", "").split(os.pathsep)
     found = [path for folder in folders if folder for path in sorted(glob.glob(os.path.join(folder, "*.cti")))]
     if not found:
@@ -795,9 +803,7 @@ def _core_of(configuration) -> Any:
     """Return Micro-Manager's core with the devices of a configuration."""
     if not isinstance(configuration, (str, os.PathLike)):
         return configuration
-    path = validate_path(configuration, name="configuration")
-    if not os.path.isfile(path):
-        raise ValueError(f"configuration must be a file that exists, got {path!r}")
+    path = existing_file("configuration", configuration)
     core = _imported("pymmcore_plus", "pymmcore-plus").CMMCorePlus()
     core.loadSystemConfiguration(path)
     return core

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from odak import _show, _validate
-from odak.instruments.drivers import _imported, checked_levels
-from odak.tools.paths import validate_path
+from odak.instruments.drivers import _imported, captured, checked_levels, existing_file
 
 
 class RaspberryPiCamera(_show.Shown):
@@ -91,9 +90,9 @@ class RaspberryPiCamera(_show.Shown):
 
     def _start(self) -> None:
         self._camera.start()
-        self._exposure = 1e-6 * self._frame()[1]["ExposureTime"]
+        self._exposure = 1e-6 * self._raw()[1]["ExposureTime"]
 
-    def _frame(self) -> tuple[np.ndarray, dict[str, Any]]:
+    def _raw(self) -> tuple[np.ndarray, dict[str, Any]]:
         request = self._camera.capture_request(flush=True)
         try:
             return np.array(request.make_array("raw")), request.get_metadata()
@@ -102,15 +101,13 @@ class RaspberryPiCamera(_show.Shown):
 
     def capture(self, count: int = 1) -> np.ndarray:
         """Return captures, uint8 or uint16 ``[count, rows, columns]`` of the region."""
-        row, column, rows, columns = self.region or (0, 0, *self.shape)
-        frames = []
-        for _ in range(_validate.integer("count", count, minimum=1)):
-            frame = self._frame()[0]
-            # Lines are arrays of bytes that end with unused ones.
-            frame = (frame.view(np.uint16) if self._wide else frame)[: self._size[0], : self._size[1]]
-            frame = frame[self._first[0] :: self._step, self._first[1] :: self._step] >> self._shift
-            frames.append(frame[row : row + rows, column : column + columns])
-        return np.stack(frames)
+        return captured(self, count, self._frame)
+
+    def _frame(self) -> np.ndarray:
+        frame = self._raw()[0]
+        # Lines are arrays of bytes that end with unused ones.
+        frame = (frame.view(np.uint16) if self._wide else frame)[: self._size[0], : self._size[1]]
+        return frame[self._first[0] :: self._step, self._first[1] :: self._step] >> self._shift
 
     def close(self) -> None:
         """Stop the camera and release it."""
@@ -244,9 +241,9 @@ class MeadowlarkModulator(_show.Shown):
         settling_time: float = 0.02,
         timeout: float = 5.0,
     ):
-        self._path = _existing("library", library)
+        self._path = existing_file("library", library)
         self.pitch: float = float(_validate.number("pitch", pitch, positive=True))
-        voltages = None if lut is None else os.fsencode(_existing("lut", lut))
+        voltages = None if lut is None else os.fsencode(existing_file("lut", lut))
         self._sdk = _validate.one_of("sdk", sdk, ("overdrive-plus", "plus", "hdmi"))
         self._board = _validate.integer("board", board, minimum=1)
         self.settling_time: float = float(_validate.number("settling_time", settling_time, least=0))
@@ -392,24 +389,22 @@ class ThorlabsCamera(_show.Shown):
 
     def capture(self, count: int = 1) -> np.ndarray:
         """Return captures, uint16 ``[count, rows, columns]`` of the region."""
-        row, column, rows, columns = self.region or (0, 0, *self.shape)
-        frames = []
-        for _ in range(_validate.integer("count", count, minimum=1)):
-            self._camera.image_poll_timeout_ms = 0
-            while self._camera.get_pending_frame_or_null() is not None:
-                continue
-            self._camera.image_poll_timeout_ms = round(1e3 * (self._timeout + self.exposure))
-            self._camera.issue_software_trigger()
-            frame = self._camera.get_pending_frame_or_null()
-            if frame is None:
-                # The frame may still come, and would be taken for the next one: disarming discards it.
-                self._camera.disarm()
-                self._camera.arm(2)
-                raise OSError(f"the camera sent no frame within {self._timeout:g} s after the exposure")
-            # The buffer is the camera's own, and is used again.
-            image = np.array(frame.image_buffer).reshape(self.shape)
-            frames.append(image[row : row + rows, column : column + columns])
-        return np.stack(frames)
+        return captured(self, count, self._frame)
+
+    def _frame(self) -> np.ndarray:
+        self._camera.image_poll_timeout_ms = 0
+        while self._camera.get_pending_frame_or_null() is not None:
+            continue
+        self._camera.image_poll_timeout_ms = round(1e3 * (self._timeout + self.exposure))
+        self._camera.issue_software_trigger()
+        frame = self._camera.get_pending_frame_or_null()
+        if frame is None:
+            # The frame may still come, and would be taken for the next one: disarming discards it.
+            self._camera.disarm()
+            self._camera.arm(2)
+            raise OSError(f"the camera sent no frame within {self._timeout:g} s after the exposure")
+        # The buffer is the camera's own, and is used again.
+        return np.array(frame.image_buffer).reshape(self.shape)
 
     def close(self) -> None:
         """Stop the camera and release it."""
@@ -417,10 +412,3 @@ class ThorlabsCamera(_show.Shown):
             self._camera.disarm()
             self._camera.dispose()
         self._sdk.dispose()
-
-
-def _existing(name: str, path: str | os.PathLike[str]) -> str:
-    found = validate_path(path, name=name)
-    if not os.path.isfile(found):
-        raise ValueError(f"{name} must be a file that exists, got {found!r}")
-    return found
