@@ -34,7 +34,9 @@ class Kept:
     def __call__(self, make: Callable[..., torch.Tensor], path: "Path", *given: Any) -> torch.Tensor:
         """Return what ``make(path, device, *given)`` does; `make` is a method of the class of the path."""
         if torch.compiler.is_dynamo_compiling():
-            return _constant(make, path, self.device, *given)[0]
+            # Versions of torch before 2.13 take no object of a frozen class as an argument here; of a method the object
+            # is none, and only its identity makes the graph depend on it.
+            return path._constant(id(path), make, self.device, *given)[0]
         # Sources of several wavelengths have a path for each.
         key = make, path.wavelengths, *given
         if key not in self.tensors:
@@ -45,16 +47,6 @@ class Kept:
     def __reduce__(self) -> tuple[Any, ...]:
         # Copies and files of a display are without them.
         return Kept, (self.device,)
-
-
-@_array.constant_in_graphs
-def _constant(make, path, device, *given) -> tuple[torch.Tensor]:
-    """Return what a path makes, for a graph of torch.compile to hold, which recognises it by the path.
-
-    The result is in a tuple because one graph can hold several tuples, but only one tensor from each function.
-    """
-    with _torch_private.outside_functional_transforms(), torch.no_grad(), _torch_private.keeping():
-        return (make(path, device, *given),)
 
 
 @dataclass(frozen=True)
@@ -106,6 +98,17 @@ class Path:
     jitter: ClassVar[float] = 0.0
     # Whether images are on retinas, which may all see the same, and see no depth of a picture.
     on_retinas: ClassVar[bool] = False
+
+    @_array.constant_in_graphs
+    def _constant(
+        self, identity: int, make: Callable[..., torch.Tensor], device: torch.device, *given: Any
+    ) -> tuple[torch.Tensor]:
+        """Return what the path makes, for a graph of torch.compile to hold, which recognises it by its identity.
+
+        The result is in a tuple because one graph can hold several tuples, but only one tensor from each function.
+        """
+        with _torch_private.outside_functional_transforms(), torch.no_grad(), _torch_private.keeping():
+            return (make(self, device, *given),)
 
     @classmethod
     def leads(cls, modulator: Modulator, ends: Any) -> bool:
