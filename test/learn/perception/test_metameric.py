@@ -207,7 +207,7 @@ def test_a_trusted_target_is_identified_by_its_address():
 
 @pytest.mark.parametrize("kind", [MetamericLoss, MetamerMSELoss])
 def test_a_gaze_for_each_picture_of_a_batch(kind, monkeypatch):
-    options = {"iterations": 2} if kind is MetamerMSELoss else {}
+    options = {"iterations": 1} if kind is MetamerMSELoss else {}
     image, target = noise(3, 3, 32, 32).requires_grad_(), noise(3, 3, 32, 32, seed=1)
     gazes = torch.tensor([[0.2, 0.3], [0.9, 0.5], [0.2, 0.3]])
     loss, one = kind(**SHALLOW, **options), kind(**SHALLOW, **options)
@@ -319,14 +319,14 @@ def test_foveated_metamer(texture):
 
 def test_uniform_metamer(texture):
     loss = MetamericLossUniform(pooling_size=16, n_pyramid_levels=4)
-    metamer = loss.gen_metamer(texture)
+    metamer = loss.gen_metamer(texture, iterations=15)
     assert metamer.shape == texture.shape
     rough = metamer.diff(dim=2).std((0, 1, 2))
     assert float(rough[:16].mean()) < 0.5 * float(rough[48:].mean())
     flat = torch.nn.functional.interpolate(uniform_blur(texture, 16), (64, 64))
     assert float(loss(metamer, texture)) < 0.3 * float(loss(flat, texture))
     assert psnr(metamer, texture) < 25
-    one, other = (loss.gen_metamer(texture, seed=seed, iterations=1) for seed in (0, 1))
+    one, other = (loss.gen_metamer(texture[:, :1, :32, :32], seed=seed, iterations=1) for seed in (0, 1))
     assert not torch.equal(one, other)
     assert loss.gen_metamer(texture[:, :1, :50, :60], iterations=1).shape == (1, 1, 50, 60)
 

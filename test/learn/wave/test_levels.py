@@ -70,7 +70,7 @@ def test_runs_come_near_the_best_of_all_patterns():
 def test_levels_are_better_than_rounded_phases(bits, frames, gain):
     display = Display(Modulator((24, 24), 8e-6, bits=bits), 532e-9, 2e-3, frames=frames)
     target = picture(24, 24)
-    searched = optimise(display, target, run=quick(150), observer=REGISTERED)
+    searched = optimise(display, target, run=quick(80), observer=REGISTERED)
     with pytest.warns(AccuracyWarning, match=rf"rounding to the {2**bits} levels of the panel costs \d+\.\d dB"):
         rounded = optimise(display, target, solver="lbfgs", run=quick(60), observer=REGISTERED)
     assert float(searched.psnr) > float(rounded.psnr) + gain
@@ -95,8 +95,8 @@ def test_as_good_as_a_direct_search():
             losses = (scale * images - target).square().mean((1, 2))
             if float(losses.min()) < best * (1 - 1e-4):
                 best, changed, start = float(losses.min()), True, tried[int(losses.argmin())]
-    found = [optimise(display, target, run=quick(120, seed=s), observer=REGISTERED).phases for s in range(4)]
-    assert min(loss_of(display, target, phases) for phases in found) < 1.4 * best
+    found = (optimise(display, target, run=quick(120, seed=s), observer=REGISTERED).phases for s in range(4))
+    assert any(loss_of(display, target, phases) < 1.4 * best for phases in found)
 
 
 @pytest.mark.parametrize("iterations", [1, 2, 5])
@@ -120,7 +120,7 @@ def test_never_worse_than_the_rounded_phases_it_starts_from(iterations):
 @pytest.mark.parametrize("bits", [1, 2, 3, 4])
 def test_not_worse_than_rounding_at_the_same_iterations(bits):
     """Where rounding costs little, most of the iterations find phases without levels."""
-    display, target = Display(Modulator((48, 48), 8e-6, bits=bits), 532e-9, 5e-3), picture(48, 48)
+    display, target = Display(Modulator((24, 32), 8e-6, bits=bits), 532e-9, 3e-3), picture(24, 32)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AccuracyWarning)
         rounded = optimise(display, target, solver="lbfgs", run=quick(60))

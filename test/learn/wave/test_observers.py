@@ -272,7 +272,7 @@ def test_the_judge_holds_the_orders_asked_for_and_says_what_they_leave_out(rando
     phases = random.uniform(0, 6, (2, 12, 10)) * [[[0.1]], [[1.0]]]
     powers = torch.tensor([[0.3, 0.9], [0.7, 0.1]])
     display = Display(Modulator((12, 10), PITCH, bits=None), [WAVELENGTH, 639e-9], 2e-3, 2, powers, iris=None)
-    for orders in (2, 4):
+    for orders in (2,):
         transfer, reach = freely(PITCH, WAVELENGTH, 2e-3)
         truth = Seen(np.exp(1j * phases), [0.3, 0.7], SquareStop((12, 10), orders * reach, orders), transfer)
         seen = truth.means(np.arange(12), np.arange(10), points=5 * orders)
@@ -282,7 +282,7 @@ def test_the_judge_holds_the_orders_asked_for_and_says_what_they_leave_out(rando
     assert torch.equal(default, display.judge(torch.from_numpy(phases), orders=3)[0])
     # Energies by quadrature over frequencies; all light is the lit area.
     width = 0.9**0.5
-    for orders in (1, 2, 3, 5):
+    for orders in (1, 3, 4):
         stop, within = SquareStop((12, 10), orders=orders), []
         weights = np.outer(*(w for _, w in stop.nodes))
         for frame in phases:

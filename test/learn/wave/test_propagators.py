@@ -244,8 +244,12 @@ def test_powers_of_another_kind_than_the_display_was_made_for(phases):
             return run(phases)
 
         torch.testing.assert_close(torch.func.vmap(with_powers)(each), whole)
-    slopes = torch.autograd.functional.jacobian(with_powers, each[0])
-    torch.testing.assert_close(torch.func.jacrev(with_powers)(each[0]), slopes)
+
+    def of_a_corner(one):
+        return with_powers(one)[..., :2, :2]
+
+    slopes = torch.autograd.functional.jacobian(of_a_corner, each[0])
+    torch.testing.assert_close(torch.func.jacrev(of_a_corner)(each[0]), slopes)
 
 
 @pytest.mark.parametrize("frames", [1, 2, 5])

@@ -56,7 +56,7 @@ def test_glass_becomes_real_and_stays_good():
 def test_elements_can_be_ground_by_default():
     """Rims and centres by diameter, of sags and rays that are computed here; an asked edge replaces the rule."""
     plates, demands = ["N-LAK33B", "stop", "SF5", "N-LAK33B"], LensRequirements(50.0, 4.0, 14.0)
-    search = DesignSearch(starts=3, stages=2, iterations=5, polish=0)
+    search = DesignSearch(starts=2, stages=2, iterations=4, polish=0)
     lens = automatic_design(plates, demands, search=search).system
     heights = ray_paths(lens, launch(lens, "rings", 12))[..., 1:, :2].norm(dim=-1).amax((0, 1, 2))
     for i in (0, 3, 5):
