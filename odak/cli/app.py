@@ -167,12 +167,16 @@ def hologram(values: dict[str, Any], spread: SpreadSettings) -> None:
     of each are written to a folder of its name in the output folder. Results of the same options that exist already
     are kept; results of other options are listed before they are replaced.
 
+    Films (.mp4, .mov, .avi, .mkv, .webm) are computed frame by frame, each from the patterns of the one before; their
+    folders, frame_00001 and so on, and summary.json with the quality and the flicker are written to the output folder.
+
     Examples::
 
         odak hologram photo --grey --output output
         odak hologram photo.png --quality good --frames 4
     """
     from odak.cli.files import completed
+    from odak.cli.job import is_film
 
     images, tiles, given = spread.images, values.get("tiles", False), values["given"]
     if tiles and (len(images) > 1 or spread.watch or (spread.cluster or "local") != "local"):
@@ -192,6 +196,8 @@ def hologram(values: dict[str, Any], spread: SpreadSettings) -> None:
             raise InputError(f"{option_name(name)} has no effect without --cluster")
     if many:
         raise typer.Exit(_many(spread, values))
+    if is_film(images[0]):
+        raise typer.Exit(_film(images[0], values))
     job = Job(**values, image=images[0])
     report = _single(job, None if spread.cluster is None else spread.workers or os.cpu_count())
     if not job.quiet:
@@ -199,6 +205,22 @@ def hologram(values: dict[str, Any], spread: SpreadSettings) -> None:
     if report.get("interrupted"):
         typer.echo(f"odak: {report['reached']}: the best patterns so far are in {job.output}", err=True)
         raise typer.Exit(INTERRUPTED)
+
+
+def _film(film: str, values: dict[str, Any]) -> int:
+    """Compute the holograms of a film, print the quality of each frame, and return the exit code."""
+    from odak.cli.film import run
+
+    settings = RunSettings(**{name: values[name] for name in ("output", "quiet", "again")})
+
+    def told(number: int, count: int, report: dict) -> None:
+        if not settings.quiet:
+            typer.echo(f"frame {number} of {count}: PSNR {report['psnr_db']:.2f} dB")
+
+    summary = run(film, values, _notices(settings), told)
+    if summary["flicker"] is not None and not settings.quiet:
+        typer.echo(f"flicker {summary['flicker']:.3g}, in squared multiples of what is just visible")
+    return INTERRUPTED if summary["interrupted"] else 0
 
 
 def _single(job: Job, workers: int | None) -> dict:

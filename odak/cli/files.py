@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 REPORT, FINGERPRINT, DIGESTS = "report.json", "fingerprint", "sha256"
 LOCK = ".odak.lock"
 # Parameters without effect on the result: the device and the printed output.
-_IRRELEVANT = ("image", "depth_map", "device", "preset")
+_IRRELEVANT = ("image", "depth_map", "device", "preset", "start")
 
 
 def writable_folder(folder: Path, name: str = "--output") -> Path:
@@ -289,12 +289,13 @@ def digest_of(path: Path) -> str:
 
 
 def sources(job: Job) -> list[Path]:
-    """Return the files of the picture and, if there are any, of its depth map and the modulator's response."""
+    """Return the files of the picture and, if there are any, of its depth map, the response and the start."""
     known = [Path(os.path.expanduser(name)) for name in (job.calibration, job.lut) if name is not None]
     return [
         image_path(job.image),
         *([] if job.depth_map is None else [depth_map_path(job.depth_map)]),
         *(path for path in known if path.is_file()),
+        *([] if job.start is None else sorted(Path(os.path.expanduser(job.start)).glob("hologram*.png"))),
     ]
 
 

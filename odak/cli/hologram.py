@@ -6,6 +6,7 @@ distance.
 
 import dataclasses
 import math
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -452,7 +453,13 @@ class Saving:
         begun = problem.start.clone()
         with report.progress(self.name, self.count, job.quiet, job.settles, partial=True) as self.clock:
             try:
-                begun = starting_phases(display, problem.target, _start(job, display), problem.run.seed, into=begun)
+                begun = starting_phases(
+                    display,
+                    problem.target,
+                    _start(job, display, [path.name for path in self.paths]),
+                    problem.run.seed,
+                    into=begun,
+                )
                 problem = replace(problem, start=begun)
                 if self.count > 1 and job.method != "gs":
                     self._show_start(problem)
@@ -507,8 +514,22 @@ def _solver(job: Job, target: Target, volume: Volume) -> Any:
     return solver if job.scale else By(lambda problem: solver.solve(replace(problem, free=False)))
 
 
-def _start(job: Job, display: wave.Display) -> Any:
-    """Return the start of a job: the library's name of one, or phases ``[frames, rows, columns]``."""
+def _start(job: Job, display: wave.Display, names: Sequence[str] = ()) -> Any:
+    """Return the start of a job: the library's name of one, or phases ``[frames, rows, columns]``.
+
+    `names` are those of the pattern files, of which the folder of an earlier result may hold some to begin with.
+    """
+    if job.start is not None:
+        known = [Path(os.path.expanduser(job.start)) / name for name in names]
+        try:
+            phases = [files.load_pattern(path, job.bits, files.response_of(job)) for path in known]
+            found = torch.stack([phase.reshape(job.resolution) for phase in phases])
+        except (OSError, ValueError, RuntimeError) as error:
+            raise InputError(
+                f"--start must hold {', '.join(names)} of {job.resolution[0]} x {job.resolution[1]} pixels: {error}"
+            ) from None
+        found = found - grating_phase(job.resolution, found.device) if job.grating else found
+        return found.to(display.powers)
     known = {"gs": "gs", "double-phase": "double phase", "flat": "flat", "uniform": "random", None: "flat"}
     if job.initial_phase in known and job.method != "double-phase":
         return known[job.initial_phase]

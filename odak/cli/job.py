@@ -52,6 +52,8 @@ MOST_PLANES = 1024
 _COLOURS = ", ".join(map(str, map(in_units, COLOUR_WAVELENGTHS)))
 SMALLEST_SIDE = 16
 SHIPPED_IMAGES = {"chart": "chart.png", "photo": "photo.png", "scene": "scene.png"}
+# Films, by the endings of their names.
+FILMS = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".webm")
 SHIPPED_DEPTH_MAPS = {"scene": "scene_depth.png"}
 PITCH = "LENGTH[,LENGTH]"
 LARGEST_PITCH, LARGEST_RANGE = 1e-3, 100.0
@@ -185,6 +187,9 @@ class Job(DeviceSettings):
         rad (slight), a lens whose focal length is twice the distance (quadratic), normal noise of 1 rad (normal),
         uniform noise over 2 pi (uniform). With sgd also the double phase of the picture, or ten accelerated iterations
         of Gerchberg-Saxton (gs).
+    start : str, optional
+        Folder of earlier results for the same modulator and colours, whose patterns the iterations begin with in place
+        of an initial phase. For a picture that differs little, these need fewer iterations.
     seed : int
         Seed of the random initial phases.
     grating : bool
@@ -260,6 +265,7 @@ class Job(DeviceSettings):
         shown="gs with sgd, flat with the method double-phase, uniform with the method gs, none with the method "
         "network, otherwise slight",
     )
+    start: str | None = option(None, metavar="FOLDER")
     seed: int = option(0, check=at_least(0))
     grating: bool = option(False)
     bits: int = option(8, check=between(1, 16))
@@ -360,6 +366,7 @@ class Job(DeviceSettings):
         without = {
             "--frames": self.frames not in (None, 1),
             "--initial-phase": self.initial_phase not in (None, TILES_PHASE),
+            "--start": self.start is not None,
             "--no-scale": not self.scale,
             f"--optimizer {self.optimizer}": self.optimizer not in (None, "adam"),
             "--grating": self.grating,
@@ -376,6 +383,12 @@ class Job(DeviceSettings):
             self._set("initial_phase", TILES_PHASE)
             return
         chosen = self.initial_phase
+        if self.start is not None:
+            if not self.descends or chosen is not None:
+                used = f"--method {self.method}" if chosen is None else "--initial-phase"
+                raise InputError(f"--start has no effect with {used}")
+            if not any(Path(os.path.expanduser(self.start)).glob("hologram*.png")):
+                raise InputError(f"--start must be a folder with results of odak hologram, got {self.start!r}")
         if self.method == "network":
             if chosen is not None:
                 raise InputError("--initial-phase has no effect with --method network, which makes the phase itself")
@@ -542,6 +555,11 @@ def pattern_name(wavelength: float, frame: int | None = None) -> str:
         Number of the frame, counted from one, where there are several: ``hologram_532nm_frame1.png``.
     """
     return f"hologram_{wavelength * 1e9:.6g}nm{'' if frame is None else f'_frame{frame}'}.png"
+
+
+def is_film(image: str) -> bool:
+    """Return whether the name of a file is that of a film."""
+    return Path(image).suffix.lower() in FILMS
 
 
 def image_path(image: str) -> Path:
