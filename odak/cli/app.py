@@ -404,12 +404,14 @@ def design(settings: DesignSettings) -> None:
     report = run(settings, _notices(settings))
     unit, found = report["unit"], report["first_order"]
     _say(settings, *report["did"], f"focal length {found['focal_length']:.6g} {unit}, F/{found['f_number']:.3g}")
-    for place in report["fields"]:
+    rows = [(f"field {place['label']}", place) for place in report["fields"]]
+    rows += [(f"{place['temperature']:g} °C", place) for place in report["temperatures"]]
+    for name, place in rows:
         before, after = (
             "rays lost" if value is None else f"{value * MICROMETRES[unit]:.3g} µm"
             for value in (place["rms_spot_at_start"], place["rms_spot"])
         )
-        _say(settings, f"field {place['label']}: RMS spot {before} -> {after}")
+        _say(settings, f"{name}: RMS spot {before} -> {after}")
     for item in report["elements"]:
         sizes = " ".join(f"{name} {item[name]:.3g} {unit}" for name in ("diameter", "center", "edge"))
         _say(settings, f"element of {item['material']}: {sizes}")

@@ -25,6 +25,7 @@ from odak.learn.raytracing.system import (
     automatic_design,
     distortion,
     first_order,
+    in_environment,
     layout_figure,
     lens_design,
     optical_system,
@@ -120,6 +121,10 @@ def run(job: DesignSettings, notices: files.Notices = files.SILENT) -> dict:
         "unit": lens.unit,
         "first_order": {name: finite(value) for name, value in first_order(lens)._asdict().items()},
         "fields": _judged(start, lens, job.aim),
+        "temperatures": [
+            {"temperature": degrees} | dict(zip(("rms_spot_at_start", "rms_spot"), spots, strict=True))
+            for degrees, spots in _over_temperatures(job, start, lens)
+        ],
         "elements": elements_of(lens, job.aim),
         "merit": merit,
         "seconds": time.perf_counter() - begun,
@@ -154,6 +159,15 @@ def _judged(start: optical_system, lens: optical_system, aim: str) -> list[dict]
         | {"rms_spot_at_start": finite(a), "rms_spot": finite(b), "distortion": finite(c)}
         for i, (field, a, b, c) in enumerate(zip(lens.fields, before, after, bent, strict=True))
     ]
+
+
+def _over_temperatures(job: DesignSettings, *systems: optical_system):
+    """Yield each temperature of a design and the root mean square of the spots of systems there."""
+    for degrees in job.temperatures() or ():
+        with torch.no_grad():
+            warm = [in_environment(item, degrees, mount=job.mount) for item in systems]
+            spots = [rms_spot(item, "rings", RINGS, vignetting=False, aim=job.aim) for item in warm]
+        yield degrees, [finite(found.square().mean().sqrt()) for found in spots]
 
 
 def elements_of(lens: optical_system, aim: str = "paraxial") -> list[dict]:
@@ -289,6 +303,9 @@ def _from_system(job: DesignSettings, step: Callable[[], Any]):
     merit, names, chosen = _optimised(system, own, goal, job, f, metre, step)
     _set_semi_diameters(system, job.aim)
     did.append("varied " + ", ".join(names))
+    if job.temperature is not None:
+        degrees = ", ".join(f"{value:g}" for value in job.temperatures() or ())
+        did.append(f"counted the spots at {degrees} °C in mounts that expand by {job.mount:g} per kelvin")
     if chosen:
         did.append(_substituted(chosen))
     did.append(f"held the focal length at {f:.9g} {system.unit}; semi-diameters follow the beam")
@@ -349,7 +366,16 @@ def _optimised(system, own, goal, job: DesignSettings, f: float, metre: float, s
     }
 
     def problem(makers: Sequence[str] | None = job.makers() or None) -> lens_design:
-        return standard_design(system, f, limits=limits, makers=makers, aspheric=bool(job.aspheric_terms), aim=job.aim)
+        return standard_design(
+            system,
+            f,
+            limits=limits,
+            makers=makers,
+            aspheric=bool(job.aspheric_terms),
+            aim=job.aim,
+            temperatures=job.temperatures(),
+            mount=job.mount,
+        )
 
     def keeps_rays(design: lens_design) -> bool:
         with torch.no_grad():

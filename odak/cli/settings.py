@@ -309,6 +309,10 @@ class DesignSettings(RunSettings):
         Vary the glasses, then take glasses of these makers: schott,ohara.
     zmx : bool
         Write lens.zmx, a Zemax file, too.
+    temperature : str, optional
+        Temperatures in degrees Celsius at which spots and limits count alike, such as -20,20,60; with a SYSTEM.
+    mount : float
+        Coefficient of expansion of the mounts, per kelvin, with temperatures.
     """
 
     system: str | None = argument(None, "[SYSTEM]")
@@ -333,9 +337,15 @@ class DesignSettings(RunSettings):
     glasses: tuple[Path, ...] = option((), metavar="FILE")
     substitute: str | None = option(None, metavar="MAKERS")
     zmx: bool = option(False)
+    temperature: str | None = option(None, metavar="DEGREES,...")
+    mount: float = option(0.0, metavar="PER_KELVIN")
 
     def check(self) -> None:
-        """Check the makers of glass, the chief rays, and what flat plates or a SYSTEM leave open."""
+        """Check the makers of glass, temperatures, chief rays, and what flat plates or a SYSTEM leave open."""
+        if self.temperature is not None:
+            self._check_temperatures()
+        elif self.mount:
+            raise InputError("--mount needs --temperature, to which the mount expands")
         for name in LENS_LENGTHS:
             value = getattr(self, name)
             if value is not None and value >= 5:
@@ -364,6 +374,25 @@ class DesignSettings(RunSettings):
             raise InputError(f"--aim {self.aim} needs a SYSTEM; flat plates are designed with paraxial pupils")
         if self.f_number is not None and self.f_number < 0.5:
             raise InputError(f"--f-number must be at least 0.5, the limit of a lens in air; got {self.f_number:g}")
+
+    def _check_temperatures(self) -> None:
+        """Check that a lens is given that can be designed over temperatures."""
+        if self.system is None:
+            raise InputError("--temperature needs a SYSTEM; a lens from flat plates can be the SYSTEM of a second run")
+        if self.substitute is not None:
+            raise InputError("--temperature keeps the glasses: dn/dT of others is unknown; leave out --substitute")
+        self.temperatures()
+
+    def temperatures(self) -> list[float] | None:
+        """Return the temperatures of the design, None without."""
+        if self.temperature is None:
+            return None
+        try:
+            return [_validate.number("--temperature", float(word)) for word in self.temperature.split(",")]
+        except ValueError:
+            raise InputError(
+                f"--temperature must be degrees separated by commas, such as -20,20,60; got {self.temperature!r}"
+            ) from None
 
     def makers(self) -> list[str]:
         """Return the makers whose glasses replace the glasses of the lens."""

@@ -12,9 +12,11 @@ from odak.cli import lens_design, main
 from odak.learn.raytracing.system import (
     automatic,
     first_order,
+    in_environment,
     load_system,
     optical_system,
     read_zmx,
+    rms_spot,
     save_system,
     surface,
     trace_fields,
@@ -117,6 +119,23 @@ def test_a_lens_is_improved_to_what_is_asked(name, asked, tmp_path, capsys):
     again, _ = read_zmx(tmp_path / "lens.zmx")
     thicknesses = [float(item.thickness) for item in again.surfaces]
     assert thicknesses == [item["thickness"] for item in json.loads((tmp_path / "lens.json").read_text())["surfaces"]]
+
+
+@pytest.mark.slow
+def test_a_lens_is_designed_over_temperatures(tmp_path, capsys):
+    words = ["--temperature", "-20,60", "--mount", "1e-5", "--iterations", "2"]
+    assert main(["design", "singlet", "--output", str(tmp_path), *words]) == 0
+    out, report = capsys.readouterr().out, json.loads((tmp_path / "report.json").read_text())
+    lens = load_system(tmp_path / "lens.json")
+    assert [row["temperature"] for row in report["temperatures"]] == [-20.0, 60.0]
+    for row in report["temperatures"]:
+        warm = in_environment(lens, row["temperature"], mount=1e-5)
+        spots = rms_spot(warm, "rings", 8, vignetting=False)
+        assert row["rms_spot"] == pytest.approx(float(spots.square().mean().sqrt()), rel=1e-9)
+        assert f"{row['temperature']:g} °C: RMS spot" in out
+    assert sum(row["rms_spot"] ** 2 for row in report["temperatures"]) < sum(
+        row["rms_spot_at_start"] ** 2 for row in report["temperatures"]
+    )
 
 
 @pytest.mark.parametrize("full", [False, pytest.param(True, marks=pytest.mark.slow)])
@@ -232,6 +251,11 @@ DEMANDS = ["--focal-length", "50mm", "--f-number", "4", "--field", "10"]
         (["nothing"], "SYSTEM must be one of"),
         (["singlet", "--f-number", "0.4", "--iterations", "1"], "rays are lost beyond"),
         (["singlet", "--output", "/proc/none"], "--output cannot be written to"),
+        (["singlet", "--temperature", "0,warm"], "--temperature must be degrees separated by commas"),
+        (["singlet", "--temperature", "0,-300"], "--temperature"),
+        (["singlet", "--temperature", "0,60", "--substitute", "schott"], "--temperature keeps the glasses"),
+        ([*DEMANDS, "--elements", "3", "--temperature", "0,60"], "--temperature needs a SYSTEM"),
+        (["singlet", "--mount", "1e-5"], "--mount needs --temperature"),
     ],
 )
 def test_what_will_not_do_is_said_in_line_and_nothing_is_written(arguments, message, tmp_path, monkeypatch, capsys):

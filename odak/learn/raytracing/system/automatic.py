@@ -15,11 +15,12 @@ from odak.catalog import Material, glass_makers
 from odak.catalog.materials import MICROMETRES
 from odak.learn.raytracing.system.analysis import distortion as relative_distortion
 from odak.learn.raytracing.system.analysis import rms_spot
-from odak.learn.raytracing.system.design import Solve, Variable, lens_design
+from odak.learn.raytracing.system.design import Solve, Variable, lens_design, zoom_design
 from odak.learn.raytracing.system.operands import Operand, glass_pool
 from odak.learn.raytracing.system.paraxial import first_order, matrix, signed_indices
 from odak.learn.raytracing.system.pupils import trace_fields
 from odak.learn.raytracing.system.surfaces import checked_system, optical_system, reference_of, surface
+from odak.learn.raytracing.system.zooms import configurations
 
 # Standard deviations of the random curvatures that designs of spheres and of aspheres begin with, in units of 1/focal
 # length. Aspheres, of which there are many and which are close to each other, begin flatter.
@@ -466,6 +467,8 @@ def standard_design(
     makers: Sequence[str] | None = None,
     aspheric: bool = False,
     aim: str = "paraxial",
+    temperatures: Sequence[float] | None = None,
+    mount: float = 0.0,
 ) -> lens_design:
     """Return the usual design of a lens: everything that may change varies, and its spots are the merit.
 
@@ -488,18 +491,24 @@ def standard_design(
         Whether all surfaces with coefficients become aspheres, and not only those that are.
     aim : str
         "paraxial" or "real", how :func:`launch` aims.
+    temperatures : sequence of float, optional
+        Temperatures in degrees Celsius, at each of which spots and limits count alike, without refocusing.
+    mount : float
+        Coefficient of expansion of the mounts per kelvin, with temperatures.
 
     Returns
     -------
     lens_design
-        Variables are curvatures, thicknesses, the defocus, and conic constants and coefficients of aspheres. The last
+        With temperatures a :class:`zoom_design`, whose variables and solves are of the lens at 20 °C. Variables are
+        curvatures, thicknesses, the defocus, and conic constants and coefficients of aspheres. The last
         curvature is solved for the focal length. Plane plates and a stop in front stay where they are, edges may stay
         as thin as they are.
 
     Raises
     ------
     ValueError
-        If no curvature or, with `makers`, no glass could vary, or a limit is unknown or out of range.
+        If no curvature or, with `makers`, no glass could vary, a limit is unknown or out of range, or glasses vary
+        with temperatures, at which their dn/dT would be unknown.
 
     Examples
     --------
@@ -560,7 +569,11 @@ def standard_design(
             lower = limits["edge"] if "edge" in limits and places[0] in glass else min(least * size, now)
             operands.append(Operand("edge_thickness", lower=lower, options=options))
     operands += _standard_limits(system, limits, size, aim)
-    return lens_design(system, operands, variables, solves=solves, aim=aim)
+    if temperatures is None:
+        return lens_design(system, operands, variables, solves=solves, aim=aim)
+    degrees = _validate.several("temperatures", temperatures)
+    zoom = configurations(system, [("temperature", None, degrees), ("mount", None, [mount] * len(degrees))])
+    return zoom_design(zoom, operands, variables, solves=solves, aim=aim)
 
 
 def _what_varies(system: optical_system) -> tuple[list[int], list[int], list[int]]:

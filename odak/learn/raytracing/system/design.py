@@ -25,6 +25,7 @@ from odak.learn.raytracing.system.operands import (
 from odak.learn.raytracing.system.optimise import LADDER, least_squares, linearised_forward
 from odak.learn.raytracing.system.paraxial import check_media, entrance_pupil, matrix, signed_indices
 from odak.learn.raytracing.system.pupils import AIMS, Pupil, pupil_of
+from odak.learn.raytracing.system.specification import SETTINGS
 from odak.learn.raytracing.system.surfaces import Prescription, checked_system, is_break, optical_system
 from odak.learn.raytracing.system.zooms import configurations
 
@@ -770,7 +771,8 @@ class zoom_design(lens_design):
     pickups : sequence of Pickup
         Numbers that follow others.
     solves : sequence of Solve
-        Solves of numbers that the settings have.
+        Solves of numbers that the settings have; of any numbers where the settings are temperatures, pressures and
+        mounts alone.
     pupil : str or torch.Tensor
         Pattern of :func:`pupil_samples`, or points; of :class:`lens_design`.
     count : int
@@ -843,7 +845,9 @@ class zoom_design(lens_design):
         self.__dict__.update({name: value for name, value in first.__dict__.items() if name not in self.__dict__})
         self.system, self.heights = zoom.system, None
         own = {(name, place) for name, place, _ in zoom.settings}
-        for name, place in sorted(self.solved - own):
+        # Where the environment alone differs, solves are of the same numbers everywhere, those at 20 °C.
+        alone = all(name in SETTINGS["environment"] for name, _ in own)
+        for name, place in () if alone else sorted(self.solved - own):
             raise ValueError(f"solves must be for what the settings have, got one for the {name} of surface {place}")
         values: list[tuple[Any, ...]] = []
         self.columns, self.rows = {}, [[0] * len(first.values) for _ in self.each]

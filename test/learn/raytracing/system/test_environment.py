@@ -18,6 +18,7 @@ from odak.learn.raytracing.system import (
     optical_system,
     read_zmx,
     rms_spot,
+    standard_design,
     surface,
     system_from_dict,
     system_to_dict,
@@ -296,6 +297,41 @@ def test_a_design_of_several_temperatures_varies_the_cold_numbers():
         own = system.prescription()
         for name in ("curvature", "thickness", "index"):
             assert torch.allclose(getattr(numbers, name)[i], getattr(own, name), rtol=1e-14, atol=1e-15)
+
+
+def test_a_standard_design_counts_the_spots_at_each_temperature():
+    """The merit is that of lenses in each environment, the focal length is held at 20 °C by a shared curvature."""
+    lens, places = load_system("cooke_triplet"), (-20.0, 60.0)
+    focal_length = float(first_order(lens).focal_length)
+    design = standard_design(lens, temperatures=places, mount=23.6e-6)
+    values = design.values.clone()
+    values[design.columns["curvature"][0]] *= 1.0005
+    design.apply(values)
+    assert float(first_order(lens).focal_length) == pytest.approx(focal_length, rel=1e-12)
+    spots = [row[1] for row in design.report() if row[0].kind == "spot"]
+    assert len(spots) == 2
+    for own, degrees in zip(spots, places, strict=True):
+        warm = in_environment(lens, degrees, mount=23.6e-6)
+        alone = standard_design(warm, float(first_order(warm).focal_length))
+        (other,) = (row[1] for row in alone.report() if row[0].kind == "spot")
+        assert torch.allclose(own, other, rtol=1e-7, atol=1e-12)
+    assert not torch.allclose(spots[0], spots[1], rtol=1e-2)
+    with pytest.raises(ValueError, match="variables must not be glasses"):
+        standard_design(load_system("cooke_triplet"), makers=["schott"], temperatures=places)
+
+
+@pytest.mark.slow
+def test_a_design_over_temperatures_is_better_over_them():
+    """Of a lens in aluminium, whose focus moves to either side, the worst of the spots becomes smaller."""
+
+    def worst(temperatures):
+        lens = load_system("cooke_triplet")
+        standard_design(lens, temperatures=temperatures, mount=60e-6).optimise(5)
+        warm = [in_environment(lens, degrees, mount=60e-6) for degrees in (0.0, 60.0)]
+        return max(float(rms_spot(item, "rings", 4, vignetting=False).square().mean().sqrt()) for item in warm)
+
+    # At 20 °C alone the focus is sharp there; between 0 and 60 °C it belongs at 30 °C.
+    assert worst([0.0, 60.0]) < 0.95 * worst(None)
 
 
 def test_settings_of_temperatures_are_checked():
