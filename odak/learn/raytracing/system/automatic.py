@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _show, _validate
-from odak._lengths import focal_length_in, in_unit, light_in
+from odak._lengths import expansion_in, focal_length_in, in_unit, light_in
 from odak._warnings import ConvergenceWarning, warn
 from odak.catalog import Material, glass_makers
 from odak.catalog.materials import MICROMETRES
@@ -524,6 +524,7 @@ def standard_design(
     _validate.instance("limits", limits, Mapping, "a mapping")
     makers = _checked_makers(makers)
     aspheric = _validate.flag("aspheric", aspheric)
+    mount = expansion_in("mount", _validate.constant("mount", mount))
     for name, value in limits.items():
         _validate.one_of("name of limits", name, STANDARD_LIMITS)
         _validate.number(f"{name} of limits", value, least=0)
