@@ -68,8 +68,8 @@ def light_field() -> torch.Tensor:
     looking = Eyes(away, [(0.0, 0.0)], 4e-3, focus=0.096)
     seen = []
     for seed, (light, laser) in enumerate(zip(light_of(scene, lasers).targets, lasers, strict=True)):
-        display = Display(Modulator((240, 320), 8e-6), laser, eyes, frames=4)
-        hologram = optimise(display, DepthScene(light, depth), run=Run(40, progress=False, seed=seed))
+        display = Display(Modulator((240, 320), 8e-6), laser, eyes, frames=6)
+        hologram = optimise(display, DepthScene(light, depth), run=Run(30, progress=False, seed=seed))
         image = display.looked_at(looking).judge(hologram.phases)[0][0, 0]
         wanted = DepthScene(light, depth).images(display.looked_at(looking))[0, 0]
         seen.append(image * (image * wanted).sum() / image.square().sum())
