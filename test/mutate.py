@@ -1,6 +1,6 @@
 """Break a file in one place at a time and see whether its tests notice.
 
-    python test/mutate.py odak/wave/transfer_functions.py test/wave/test_closed_forms.py [test …] [-k …] [--list]
+    python test/mutate.py odak/wave/transfer_functions.py TEST [TEST …] [-k …] [--list] [--sample N]
 
 Each mutant changes one operator, comparison, constant or function name of the file; whatever makes a test fail kills
 it. The tests are collected and run once, to see which of them run which function. Then each mutant of a function gets a
@@ -19,6 +19,7 @@ import importlib.machinery
 import inspect
 import io
 import os
+import random
 import signal
 import sys
 import time
@@ -263,20 +264,25 @@ def main() -> None:
     parser.add_argument("file", type=Path)
     parser.add_argument("tests", nargs="*")
     parser.add_argument("-k", default="", help="choose among the tests, as pytest does")
+    parser.add_argument("--sample", type=int, help="draw this many of the mutants")
+    parser.add_argument("--seed", type=int, default=55, help="seed of that draw, 55 by default")
     parser.add_argument("--list", action="store_true", help="show the mutants and run nothing")
     arguments = parser.parse_args()
     tests = [*arguments.tests, "-k", arguments.k] if arguments.k else arguments.tests
     path = arguments.file.resolve()
     tree = ast.parse(path.read_text(encoding="utf-8"))
     count = mutant(tree, 0)[1].seen
-    found = [(number, *mutant(tree, number)) for number in range(1, count + 1)]
+    numbers = range(1, count + 1)
+    if arguments.sample and arguments.sample < count:
+        numbers = sorted(random.Random(arguments.seed).sample(numbers, arguments.sample))
+    found = [(number, *mutant(tree, number)) for number in numbers]
     mutants = [(number, changed, _owner(tree, mutator.line)) for number, changed, mutator in found]
     lines = {n: f"{n}: line {mutator.line}: {_difference(tree, changed)}" for n, changed, mutator in found}
     if arguments.list:
         return print(*lines.values(), sep="\n")
     survivors = _survivors(path, tree, mutants, tests)
     print(*(lines[number] for number in survivors), sep="\n")
-    print(f"{path.name}: {count - len(survivors)} of {count} killed")
+    print(f"{path.name}: {len(found) - len(survivors)} of {len(found)} killed")
 
 
 def _survivors(path: Path, tree: ast.Module, mutants: list, tests: list[str]) -> list[int]:

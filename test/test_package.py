@@ -339,7 +339,6 @@ def test_the_package_does_not_grow():
 TESTED_IN = {
     "odak.cli.eyebox_views": "cli/test_eyebox.py",
     "odak.cli.job": "cli/test_hologram.py",
-    "odak.cli.report": "cli/test_hologram.py",
     "odak.cli.settings": "cli/test_options.py",
     "odak.cli.target": "cli/test_hologram.py",
     "odak.instruments.array_files": "instruments/test_captures.py",
@@ -377,7 +376,6 @@ TESTED_IN = {
     "odak.raytracing.arguments": "raytracing/test_ray.py",
     "odak.raytracing.batches": "learn/raytracing/test_large_batches.py",
     "odak.raytracing.components": "raytracing/test_ray.py",
-    "odak.raytracing.geometry": "raytracing/test_ray.py",
     "odak.raytracing.intersections": "raytracing/test_boundary.py",
     "odak.raytracing.primitives": "raytracing/test_ray.py",
     "odak.raytracing.recompute": "learn/raytracing/test_large_batches.py",

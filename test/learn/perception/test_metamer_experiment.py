@@ -9,7 +9,8 @@ import types
 import pytest
 import torch
 
-from odak.learn.perception import Metamer, PooledModel, Viewing, export_experiment
+from odak.learn.perception import Metamer, PooledModel, Viewing, export_experiment, metamer_experiment
+from odak.learn.tools import load_image
 
 VIEW = Viewing(0.4, 0.7)
 
@@ -67,6 +68,42 @@ def test_the_script_of_an_experiment_shows_each_trial_and_writes_the_answers(tmp
     assert pictures[0][1] == pytest.approx((0.4 / 0.7 * 70, 0.4 / 0.7 * 70 * 16 / 24))
     lines = (folder / "answers.csv").read_text().split()
     assert [line.rsplit(",", 1)[1] for line in lines[1:]] == [str(int(t["answer"] == "a")) for t in trials]
+
+
+def test_the_files_hold_the_pictures_in_colour(tmp_path):
+    picture = noise(1, 3, 8, 16)
+    picture[0, :, 0, 0] = 1
+    samples = Metamer(torch.nn.AvgPool2d(4), picture, samples=2)
+    trials = export_experiment(samples, tmp_path, VIEW, repeats=8)
+    names = ("mask_1", "mask_2", "picture", "sample_1", "sample_2")
+    assert sorted(path.stem for path in tmp_path.glob("*.png")) == list(names)
+    for name, wanted in zip(names[2:], (picture[0], *samples.pictures[:, 0]), strict=True):
+        found = load_image(str(tmp_path / f"{name}.png"), normalizeby=255, torch_style=True)
+        torch.testing.assert_close(found.double(), wanted.double().clamp(0, 1), rtol=0, atol=0.51 / 255)
+    settings = json.loads((tmp_path / "settings.json").read_text())
+    assert settings["height_degrees"] == pytest.approx(2 * math.degrees(math.atan(0.1 / 0.7)))
+    assert settings["width_over_distance"] == pytest.approx(0.4 / 0.7)
+    assert (settings["seconds"], settings["pause_seconds"], settings["masks"]) == (0.2, 0.5, 2)
+    assert export_experiment(samples, tmp_path, VIEW, repeats=8, seed=0) == trials
+    # Four cases of each pair with the picture, twice each.
+    with_picture = export_experiment(samples, tmp_path, VIEW, repeats=8, original=True)
+    cases = [tuple(trial.values()) for trial in with_picture]
+    assert len(cases) == 16 and len(set(cases)) == 8 and all(cases.count(case) == 2 for case in cases)
+
+
+def test_masks_keep_the_spectrum_and_the_mean_of_a_picture():
+    picture = 0.5 + 0.04 * noise(3, 8, 12)
+    mask = metamer_experiment._scrambled(picture, torch.Generator().manual_seed(5))
+    before, after = torch.fft.fft2(picture), torch.fft.fft2(mask)
+    torch.testing.assert_close(after.abs(), before.abs())
+    torch.testing.assert_close(after[:, 0, 0], before[:, 0, 0])
+    # The phases differ, by the same in all channels.
+    turned = (after / before)[:, 1:, 1:]
+    torch.testing.assert_close(turned[1:], turned[:1].expand(2, -1, -1))
+    assert (turned[0] - 1).abs().mean() > 0.5
+    loud = metamer_experiment._scrambled(torch.eye(12).repeat(1, 1, 1), torch.Generator().manual_seed(5))
+    assert loud.min() == 0 and loud.max() <= 1
+    assert metamer_experiment._scrambled(1 - torch.eye(12)[None], torch.Generator().manual_seed(5)).max() == 1
 
 
 @pytest.mark.parametrize(
