@@ -41,8 +41,8 @@ def test_normals_of_triangles():
     # Of length 1 for small and large triangles alike, and for a sliver whose angle is far above rounding.
     for corners in (1e-9 * TRIANGLE, 1e9 * TRIANGLE, np.array([[0.0, 0, 0], [1, 0, 0], [1, 1e-12, 0]])):
         np.testing.assert_allclose(geometry.triangle_normal(corners), [0, 0, 1])
-    # An angle of two spacings of floats may be rounding alone, one of eight is not.
-    for spacings, exists in ((2, False), (8, True)):
+    # An angle of up to four spacings of floats may be rounding alone.
+    for spacings, exists in ((3.5, False), (4.5, True)):
         sliver = np.array([[0.0, 0, 0], [1, 0, 0], [1, spacings * 2.0**-52, 0]])
         assert np.isfinite(geometry.triangle_normal(sliver)).all() == exists
         assert np.isfinite(geometry.barycentric(np.zeros(3), sliver)).all() == exists
@@ -106,6 +106,15 @@ def test_lines_cross_wherever_they_start():
         found = geometry.crossing_of_lines(np.zeros(3), length * across, across, length * along)
         assert found[2] and found[0] == pytest.approx(1 / length)
         assert not geometry.crossing_of_lines(np.zeros(3), length * across, along, across)[2]
+    found = geometry.crossing_of_lines(np.zeros(3), 1e-9 * across, across, along)
+    assert found[2] and found[0] == pytest.approx(1e9)
+    for spacings, crosses in ((3.5, False), (4.5, True)):
+        nearly = across + spacings * 2.0**-52 * along
+        assert (geometry.nearest_on_lines(np.zeros(3), across, along, nearly)[0] != 0) == crosses
+    # A parameter of 1e9 has a rounding error, for which 9e-7 is allowed here beside 2e-8.
+    for gap, crosses in ((2e-7, True), (2e-6, False)):
+        start = 1e-3 * across + [0, 0, gap]
+        assert geometry.crossing_of_lines(np.zeros(3), 1e-12 * across, start, along)[2] == crosses
 
 
 def test_rays_within_sheared_triangles():

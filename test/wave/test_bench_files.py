@@ -82,3 +82,23 @@ def test_the_schema_names_what_is_required():
             element = SOURCE if kind == "record" else {"kind": kind}
             with pytest.raises(ValueError, match=f"{min(names)}|needs"):
                 simulate_bench({"bench": BENCH, "elements": [element, {"kind": kind}]})
+
+
+def test_a_point_source_is_a_spherical_wave():
+    """a·d/r·exp(ik(r − d)) around its offset along rows and columns; a source without light has no share."""
+    source = {"kind": "point_source", "distance": "100mm", "offset": ["24um", "-16um"], "amplitude": 0.5}
+    *_, record = simulate_bench(described(source))
+    rows, columns = (np.arange(64) - 32) * 8e-6 - 24e-6, (np.arange(48) - 24) * 8e-6 + 16e-6
+    r = np.sqrt(rows[:, None] ** 2 + columns**2 + 0.1**2)
+    wanted = 0.5 * 0.1 / r * np.exp(2j * np.pi / 532e-9 * (r - 0.1))
+    np.testing.assert_allclose(record.field, wanted, atol=1e-7)
+    assert next(iter(simulate_bench(described(SOURCE | {"amplitude": 0})))).share_of_source is None
+
+
+def test_colours_of_pictures_are_averaged_without_transparency(tmp_path):
+    levels = np.zeros((64, 48, 4), np.uint8)
+    levels[...] = 255, 0, 0, 128
+    Image.fromarray(levels).save(tmp_path / "mask.png")
+    mask = {"kind": "mask", "picture": str(tmp_path / "mask.png")}
+    *_, record = simulate_bench(described(SOURCE, mask))
+    np.testing.assert_allclose(abs(record.field) ** 2, 1 / 3)

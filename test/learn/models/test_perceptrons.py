@@ -96,7 +96,8 @@ def test_weights_of_sines_are_spread_as_published(model_type, frequency):
         assert weight.abs().max() <= limit and weight.abs().max() > 0.98 * limit
         assert weight.std() == pytest.approx(limit / math.sqrt(3), rel=0.06)
         bound = 1 / math.sqrt(layer.in_features)
-        assert 0.9 * bound < layer.bias.detach().abs().max() <= bound
+        least, most = layer.bias.detach().aminmax()
+        assert 0.9 * bound < -least <= bound and 0.9 * bound < most <= bound
 
 
 def test_without_the_flag_weights_start_as_torch_has_them():
@@ -233,6 +234,17 @@ def test_levels_too_fine_for_the_table_share_hashed_entries(dimensions):
         entry = number % size
         seen = encoder(torch.tensor(corner, dtype=torch.float64) / cells).detach()
         torch.testing.assert_close(seen, encoder.table[entry].detach())
+
+
+def test_levels_of_a_hash_grid_grow_by_one_factor():
+    """From the coarsest to the finest (Müller et al. 2022, equations 2 and 3); the table holds what fits of each."""
+    grid = models.hash_grid_encoder(dimensions=2, levels=4, features=3, table_size=1000, coarsest=4, finest=108)
+    assert grid.resolutions.tolist() == [4, 12, 36, 108]
+    assert grid.sizes.tolist() == [25, 169, 1000, 1000] and grid.starts.tolist() == [0, 25, 194, 1194]
+    assert grid.table.shape == (2194, 3) and grid.output_features == 12
+    least, most = grid.table.detach().aminmax()
+    assert 0.9e-4 < most <= 1e-4 and 0.9e-4 < -least <= 1e-4
+    assert models.hash_grid_encoder(levels=1, coarsest=5, finest=80).resolutions.tolist() == [5]
 
 
 def test_gradients_and_refusals_of_the_hash_grid():
