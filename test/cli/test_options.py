@@ -127,3 +127,40 @@ def test_every_option_of_every_command_has_help_and_a_default_that_holds(kind):
 def test_counts_have_a_least_value():
     with pytest.raises(ValueError, match="--count must be at least 2, got 1"):
         at_least(2)("--count", 1)
+
+
+def test_lengths_have_a_largest_value():
+    for value in (0.4, 0.5):
+        options.up_to(0.5)("--depth", value)
+    for value in (0, -1, 0.6):
+        with pytest.raises(
+            ValueError, match=f"--depth must be above 0 and at most 0.5 metres, with a unit; got {value}"
+        ):
+            options.up_to(0.5)("--depth", value)
+
+
+def test_names_are_completed_whatever_their_case():
+    for names in (("Soft", "hard", "SOdium"), lambda: ["Soft", "hard", "SOdium"]):
+        assert options._completing(names)("so") == ["Soft", "SOdium"]
+    assert options._completing(()) is None
+
+
+def test_fields_keep_what_they_are_told():
+    assert Kettle.__dataclass_fields__["width"].default is None and not Kettle().quiet and not Kettle().again
+    how = {item.name: item.metadata["option"] for item in fields(Kettle) if "option" in item.metadata}
+    assert how["leaves"].positional and not how["depth"].positional and how["depth"].names == ("-d",)
+    assert (how["depth"].shown, how["width"].shown) == ("15cm", None)
+    told = length(0.15, shown="a hand", metavar="SIDE", check=options.up_to(0.2)).metadata["option"]
+    assert (told.shown, told.metavar) == ("a hand", "SIDE")
+    with pytest.raises(ValueError, match=r"at most 0\.2 metres"):
+        told.check("--side", 0.3)
+
+
+def test_options_of_every_run_come_last():
+    found = [parameter.name for parameter in options.parameters_of(options.DeviceSettings)]
+    assert found == ["output", "device", "quiet", "again"]
+    with pytest.raises(TypeError, match="positional"):
+        options.DeviceSettings(Path("x"))
+    found = {p.name: p.default for p in options.parameters_of(Kettle)}
+    assert list(found) == ["leaves", "output", "depth", "width", "sort", "fill", "lid", "loud", "quiet", "again"]
+    assert options._nothing(()) is None and options._nothing(0) == 0 and options._nothing(False) is False

@@ -38,6 +38,9 @@ def test_pictures_of_all_kinds_are_drawn():
     assert drawn(explore(lambda x: colours, x=[1]).frames[0])[2, 3].tolist() == [255, 128, 0]
     assert drawn(explore(lambda x: colours.detach().permute(1, 2, 0), x=[1]).frames[0]).shape == (5, 7, 3)
     assert drawn(explore(lambda x: np.ones((1, 5, 7)), x=[1]).frames[0]).shape == (5, 7)
+    # Three columns, or three rows of three colours: the last axis is that of colours where it can be.
+    assert drawn(explore(lambda x: np.ones((3, 5, 3)), x=[1]).frames[0]).shape == (3, 5, 3)
+    assert drawn(explore(lambda x: np.ones((3, 3, 7)), x=[1]).frames[0]).shape == (3, 7, 3)
     assert drawn(explore(lambda x: Figure(figsize=(2, 1), dpi=50), x=[1]).frames[0]).shape[:2] == (50, 100)
 
 
@@ -62,6 +65,7 @@ def test_a_page_holds_its_pictures_and_texts_cannot_leave_their_places(tmp_path)
         (lambda x, y: 0, {"x": range(20), "y": range(16)}, ValueError, "at most 300 pictures, got 20 of x · 16 of y"),
         (lambda x: "text", {"x": [1]}, TypeError, "draw must return a figure, axes or a picture, got str"),
         (lambda x: np.zeros(4), {"x": [1]}, ValueError, r"draw must return a picture .* got \[4\]"),
+        (lambda x: np.zeros((2, 4, 5, 3)), {"x": [1]}, ValueError, r"draw must return a picture .* got \[2, 4, 5, 3\]"),
     ],
 )
 def test_what_cannot_be_drawn_is_named(draw, values, error, words):
@@ -70,5 +74,7 @@ def test_what_cannot_be_drawn_is_named(draw, values, error, words):
 
 
 def test_each_place_of_the_sliders_has_a_picture():
+    with pytest.raises(TypeError, match="frames must be a list of bytes, got list"):
+        Exploration({"x": (1,)}, ["text"])
     with pytest.raises(ValueError, match="frames must be 2 pictures"):
         Exploration({"x": (1, 2)}, [b"one"])

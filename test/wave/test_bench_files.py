@@ -102,3 +102,17 @@ def test_colours_of_pictures_are_averaged_without_transparency(tmp_path):
     mask = {"kind": "mask", "picture": str(tmp_path / "mask.png")}
     *_, record = simulate_bench(described(SOURCE, mask))
     np.testing.assert_allclose(abs(record.field) ** 2, 1 / 3)
+
+
+def test_a_tilted_plane_wave_has_no_phase_on_the_axis():
+    *_, record = simulate_bench(described(SOURCE | {"tilt": [0.5, -0.25]}))
+    rows, columns = (np.arange(64) - 32) * 8e-6, (np.arange(48) - 24) * 8e-6
+    slopes = np.sin(np.radians([0.5, -0.25]))
+    wanted = np.exp(2j * np.pi / 532e-9 * (slopes[0] * rows[:, None] + slopes[1] * columns))
+    np.testing.assert_allclose(record.field, wanted, atol=1e-9)
+
+
+@pytest.mark.parametrize("wrong", [{"pixel_pitch": 0}, {"resolution": [64, 48.5]}, {"resolution": [0, 48]}])
+def test_benches_without_extent_are_refused(wrong):
+    with pytest.raises(ValueError, match=min(wrong)):
+        simulate_bench({"bench": BENCH | wrong, "elements": [SOURCE, RECORD]})

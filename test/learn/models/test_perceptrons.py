@@ -93,7 +93,7 @@ def test_weights_of_sines_are_spread_as_published(model_type, frequency):
     limits = [1 / 7, math.sqrt(6 / 300) / frequency, math.sqrt(6 / 200) / frequency]
     for layer, limit in zip(linear, limits, strict=True):
         weight = layer.weight.detach()
-        assert weight.abs().max() <= limit and weight.abs().max() > 0.98 * limit
+        assert weight.abs().max() <= limit and weight.abs().max() > 0.995 * limit
         assert weight.std() == pytest.approx(limit / math.sqrt(3), rel=0.06)
         bound = 1 / math.sqrt(layer.in_features)
         least, most = layer.bias.detach().aminmax()
@@ -244,7 +244,19 @@ def test_levels_of_a_hash_grid_grow_by_one_factor():
     assert grid.table.shape == (2194, 3) and grid.output_features == 12
     least, most = grid.table.detach().aminmax()
     assert 0.9e-4 < most <= 1e-4 and 0.9e-4 < -least <= 1e-4
+    usual = models.hash_grid_encoder()
+    assert len(usual.resolutions) == 16 and usual.resolutions[[0, -1]].tolist() == [16, 512]
+    assert usual.table.shape[1] == 2 and int(usual.sizes.max()) == 2**14
     assert models.hash_grid_encoder(levels=1, coarsest=5, finest=80).resolutions.tolist() == [5]
+
+
+def test_the_sizes_that_are_refused():
+    for sizes in ([2, 0, 3], [2, 3.0], [2, True]):
+        with pytest.raises(ValueError, match="dimensions"):
+            models.multi_layer_perceptron(sizes)
+    assert models.positional_encoder(1000)(torch.zeros(1, 1)).shape == (1, 2001)
+    with pytest.raises(ValueError, match="L must be"):
+        models.positional_encoder(1001)
 
 
 def test_gradients_and_refusals_of_the_hash_grid():
