@@ -148,7 +148,7 @@ def with_frames(display: Any, frames: Sequence[int]) -> tuple[Any, torch.Tensor]
         panel = replace(panel, response=[panel.responses()[f] for f in frames])
     powers, lamp = torch.stack([display.powers[f] for f in frames]), display._lighting()
     if display.source is not None and (weights := torch.as_tensor(lamp.weights)).ndim > 1:
-        lamp = replace(lamp, weights=[weights[f].tolist() for f in frames])
+        lamp = replace(lamp, weights=torch.stack([weights[f] for f in frames]))
     given = panel, display.wavelengths, display.path.ends, len(frames), powers, lamp, display.iris
     some = type(display)(*given, display.medium).to(powers.device)
     some._kept = display._kept
