@@ -118,7 +118,7 @@ def test_the_direct_search_computes_what_the_display_does():
 @pytest.mark.parametrize("frames", [1, 4])
 @pytest.mark.parametrize("bits", [1, 2, 3, 4])
 def test_near_a_direct_search_and_above_rounding(bits, frames, observer):
-    """Means over three pictures at two distances. The direct search is up to 2 dB better, most for many levels."""
+    """Means over three pictures at two distances. The direct search is up to 1.5 dB better, most of four frames."""
     cases = [(picture, z, SEED + 2 * i + j) for i, picture in enumerate(pictures()) for j, z in enumerate(DISTANCES)]
     rounded, searched, direct = np.mean([compared(bits, frames, OBSERVERS[observer], *case) for case in cases], axis=0)
-    assert searched > direct - 2.5 and searched > rounded + 0.7
+    assert searched > direct - (1.2 if frames == 1 else 2.2) and searched > rounded + 1.5

@@ -22,7 +22,7 @@ from odak.learn.wave.training import fingerprint, seeded_loss
 MOST_BITS, FEW_BITS = 6, 4
 # Share of the iterations that finds phases without levels, from which the search starts, by bits: the less rounding
 # costs, the more they are worth.
-_DESCENT = {1: 0.3, 2: 0.4, 3: 0.6, 4: 0.75, 5: 0.85, 6: 0.9}
+_DESCENT = {1: 0.3, 2: 0.4, 3: 0.5, 4: 0.5, 5: 0.75, 6: 0.85}
 # Pixels of which a change is looked at in an iteration, and the share of all that changes at first and at most.
 _LOOKED_AT, _CHANGED, _MOST_CHANGED = 0.5, 0.2, 0.3
 # Factors of the share of pixels that change after a step that is taken and after one that is not.
@@ -45,7 +45,7 @@ class LevelSearch:
     """Search for the levels of a panel that has few, by annealed simultaneous changes.
 
     Use it for panels of one to four bits, where phases that are found without levels and rounded lose most of the
-    quality. Of the iterations, 30, 40, 60 and 75 % for 1, 2, 3 and 4 bits find such phases by :class:`Descent`. In each
+    quality. Of the iterations, 30, 40, 50 and 50 % for 1, 2, 3 and 4 bits find such phases by :class:`Descent`. In each
     further one, a gradient with respect to the light of every pixel and a curvature about it, estimated from the steps
     before, predict what each level of each pixel changes; the most promising ones change together, and the step is
     taken if it lowers the loss, or by chance. Of a step that is not taken, the next one tries those changes alone that
