@@ -1,7 +1,7 @@
 """Patterns of lenses and spots on a modulator, the light they give, and where spots lie on a frame."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -129,6 +129,21 @@ def pixel_axes(modulator: Modulator | Part) -> tuple[np.ndarray, np.ndarray]:
     rows, columns = modulator.shape
     y, x = ((np.arange(n) - n // 2) * modulator.pitch for n in (rows, columns))
     return y[:, None], x[None]
+
+
+def divided(shape: Iterable[int], parts: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+    """Return the number of the lenslet of each pixel, for so many along rows and columns, and what averages over each.
+
+    Lenslets are rectangles of pixels, as equal as they can be.
+    """
+    row, column = (np.minimum(np.arange(n) * k // n, k - 1) for n, k in zip(shape, parts, strict=True))
+    cell = row[:, None] * parts[1] + column
+    pixels = np.bincount(cell.ravel())
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.bincount(cell.ravel(), np.broadcast_to(values, cell.shape).ravel()) / pixels
+
+    return cell, mean
 
 
 def averaged(camera: Camera, count: int) -> np.ndarray:

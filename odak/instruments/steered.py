@@ -24,6 +24,7 @@ from odak.instruments.spots import (
     averaged,
     brightest_near,
     centroid,
+    divided,
     ideal_capture,
     pixel_axes,
     without,
@@ -83,13 +84,7 @@ def steered(table: OpticalTable, first: bool, captures: int = 1) -> tuple[Optica
     farthest = reached(wavelength, distance, modulator.pitch)
     counts, shape = _counts(table, farthest), np.array(modulator.shape)
     y, x = pixel_axes(modulator)
-    row, column = (np.minimum(np.arange(n) * k // n, k - 1) for n, k in zip(shape, counts, strict=True))
-    cell = row[:, None] * counts[1] + column
-    pixels = np.bincount(cell.ravel())
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        return np.bincount(cell.ravel(), np.broadcast_to(values, cell.shape).ravel()) / pixels
-
+    cell, mean = divided(shape, counts)
     middles = np.stack([mean(x), mean(y)], axis=-1)
     modes = aberration_modes(modulator, 4)
     low = modes[[0, 1, DEFOCUS]]

@@ -19,6 +19,7 @@ from odak.instruments.spots import (
     brightest_near,
     centroid,
     deflected,
+    divided,
     ideal_capture,
     lenslets,
     pixel_axes,
@@ -153,13 +154,7 @@ def wavefront_with_uncertainty(
 
     def lenslets_of(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the number of the lenslet of each pixel, the lenslets' middles x, y and their mean slopes."""
-        row, column = (np.minimum(np.arange(n) * k // n, k - 1) for n, k in zip(shape, parts, strict=True))
-        cell = row[:, None] * parts[1] + column
-        count = np.bincount(cell.ravel())
-
-        def mean(values: np.ndarray) -> np.ndarray:
-            return np.bincount(cell.ravel(), np.broadcast_to(values, cell.shape).ravel()) / count
-
+        cell, mean = divided(shape, parts)
         system = np.stack([np.stack([mean(slope) for slope in pair], axis=-1).ravel() for pair in slopes], axis=-1)
         return cell, np.stack([mean(x), mean(y)], axis=-1), system
 

@@ -632,9 +632,8 @@ def field_from_stokes(vector: ArrayT) -> ArrayT:
     >>> field_from_stokes(np.asarray([2.0, 0.0, 2.0, 0.0])).real.round(6).tolist()
     [1.0, 1.0]
     """
-    vector, axis = stokes_vector(vector)
-    xp = _array.namespace(vector)
-    s0, s1, s2, s3 = _components(vector, axis)
+    s0, s1, s2, s3 = _components(vector)
+    xp = _array.namespace(s0)
     if _array.is_readable(s0) and bool(xp.any(s0 < 0)):
         raise ValueError(f"vector must have intensities S0 of at least 0, got {float(xp.min(s0)):.6g}")
     across = s2**2 + s3**2
@@ -644,8 +643,8 @@ def field_from_stokes(vector: ArrayT) -> ArrayT:
     small = xp.where(some, across / (4 * xp.where(some, large, xp.ones_like(large))), 0 * large)
     x = _root(xp.where(s1 < 0, small, large))
     y = _root(xp.where(s1 < 0, large, small))
-    lead = _array.phasor(_direction(-s3, s2), _array.complex_dtype(vector))
-    return xp.stack((xp.astype(x, lead.dtype), y * lead), axis=axis)
+    lead = _array.phasor(_direction(-s3, s2), _array.complex_dtype(s0))
+    return xp.stack((xp.astype(x, lead.dtype), y * lead), axis=-1 if x.ndim == 0 else -2)
 
 
 def mueller(matrix: ArrayT) -> ArrayT:
@@ -741,9 +740,8 @@ def degree_of_polarization(vector: ArrayT) -> ArrayT:
     >>> float(degree_of_polarization(np.asarray([2.0, 0.0, 1.0, 0.0])))
     0.5
     """
-    vector, axis = stokes_vector(vector)
-    xp = _array.namespace(vector)
-    s0, s1, s2, s3 = _components(vector, axis)
+    s0, s1, s2, s3 = _components(vector)
+    xp = _array.namespace(s0)
     lit = s0 > 0
     return xp.where(lit, _root(s1**2 + s2**2 + s3**2) / xp.where(lit, s0, xp.ones_like(s0)), 0 * s0)
 
@@ -793,9 +791,8 @@ def stokes_ellipse(vector: Array) -> PolarizationEllipse:
     >>> float(ellipse.azimuth), float(ellipse.ellipticity)
     (45.0, 0.0)
     """
-    vector, axis = stokes_vector(vector)
-    xp = _array.namespace(vector)
-    _, s1, s2, s3 = _components(vector, axis)
+    _, s1, s2, s3 = _components(vector)
+    xp = _array.namespace(s1)
     linear = s1**2 + s2**2
     azimuth = _direction(s2, s1) / (2 * DEGREE)
     chi = _direction(s3, _root(linear)) / 2
@@ -803,16 +800,13 @@ def stokes_ellipse(vector: Array) -> PolarizationEllipse:
     return PolarizationEllipse(azimuth, chi / DEGREE, xp.sign(s3), radius * xp.cos(chi), radius * xp.abs(xp.sin(chi)))
 
 
-def stokes_vector(vector: ArrayT) -> Any:
-    """Return a Stokes vector as a real array and the axis of its four components."""
+def _components(vector: ArrayT) -> list[ArrayT]:
+    """Return the four components of a Stokes vector, real arrays."""
     vector = _validate.array("vector", vector)
     axis = -1 if vector.ndim == 1 else -2
     if not vector.ndim or vector.shape[axis] != 4 or "complex" in str(vector.dtype):
         raise ValueError(f"vector must be real, [4] or [..., 4, k]; got {vector.dtype} {tuple(vector.shape)}")
-    return _array.namespace(vector).astype(vector, _array.real_dtype(vector), copy=False), axis
-
-
-def _components(vector, axis):
+    vector = _array.namespace(vector).astype(vector, _array.real_dtype(vector), copy=False)
     return [vector[i] if axis == -1 else vector[..., i, :] for i in range(4)]
 
 

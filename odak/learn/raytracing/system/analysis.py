@@ -236,9 +236,7 @@ def ray_fan(
     >>> pupil.tolist()
     [-1.0, -0.5, 0.0, 0.5, 1.0]
     """
-    axis = _validate.one_of("axis", axis, ("x", "y"))
-    if _validate.integer("count", count, minimum=3) % 2 == 0:
-        raise ValueError(f"count must be odd, got {count}")
+    axis = _checked_fan(axis, count)
     traced = trace_fields(system, axis, count, **options)
     value = getattr(traced, axis)
     place = reference_of(system, options.get("prescription"))
@@ -279,9 +277,7 @@ def path_fan(
     >>> float(path.abs().max()) < 1e-6
     True
     """
-    axis = _validate.one_of("axis", axis, ("x", "y"))
-    if _validate.integer("count", count, minimum=3) % 2 == 0:
-        raise ValueError(f"count must be odd, got {count}")
+    axis = _checked_fan(axis, count)
     found = wavefront(system, axis, count, **options)
     return torch.linspace(-1, 1, count, dtype=torch.float64, device=found.path.device), found.path
 
@@ -528,9 +524,7 @@ def pupil_aberration(
     >>> float(error[0, 2].abs()) < 1e-12
     True
     """
-    axis, aim = _validate.one_of("axis", axis, ("x", "y")), _validate.one_of("aim", aim, AIMS)
-    if _validate.integer("count", count, minimum=3) % 2 == 0:
-        raise ValueError(f"count must be odd, got {count}")
+    axis, aim = _checked_fan(axis, count), _validate.one_of("aim", aim, AIMS)
     given = checked_prescription(prescription)
     numbers = (checked_system(system).prescription() if given is None else given).at(system.reference)
     pupil, points = entrance_pupil(system, prescription=numbers), pupil_of(axis, count, system)
@@ -1323,3 +1317,11 @@ def _fitted(found: Wavefront, basis: torch.Tensor) -> tuple[torch.Tensor, torch.
     coefficients = torch.linalg.lstsq(weighted, values).solution
     left = (weighted @ coefficients - values).square().sum((-2, -1)) / (kept * share.square()).sum((-2, -1))
     return coefficients[..., 0], torch.where(left > 0, torch.where(left > 0, left, 1.0).sqrt(), 0.0)
+
+
+def _checked_fan(axis: str, count: int) -> str:
+    """Return the axis of a fan, and check that the middle one of its rays is the chief ray."""
+    axis = _validate.one_of("axis", axis, ("x", "y"))
+    if _validate.integer("count", count, minimum=3) % 2 == 0:
+        raise ValueError(f"count must be odd, got {count}")
+    return axis

@@ -1619,13 +1619,7 @@ def relative_illumination(
             found = trace(system, rays, prescription=prescription, **options)
             return (found.u, found.v), found.arrived
 
-        changes, kept = [], None
-        for axis in (0, 1):
-            way = torch.zeros_like(points)
-            way[:, axis] = 1.0
-            _, change, kept = forward_derivative(directions, points, way, has_aux=True)
-            changes.append(change)
-        (ux, vx), (uy, vy) = changes
+        (ux, vx), (uy, vy), kept = _along_axes(directions, points)
         area = torch.where(kept, ux * vy - uy * vx, 0.0) * weight
         # Where the pupil is folded over itself the Jacobian has the other sign: directions that are covered already.
         return (area * area.detach().sum(-1, keepdim=True).sign()).clamp_min(0.0).sum(-1)
@@ -1638,16 +1632,17 @@ def relative_illumination(
             found = trace(system, rays, prescription=prescription, **options)
             return (rays.u, rays.v, found.x, found.y), found.arrived
 
-        changes, kept = [], None
-        for axis in (0, 1):
-            way = torch.zeros_like(places)
-            way[:, axis] = 1.0
-            _, change, kept = forward_derivative(landed, places, way, has_aux=True)
-            changes.append(change)
-        first, second = changes
+        first, second, kept = _along_axes(landed, places)
         sky, image = ((first[i] * second[i + 1] - first[i + 1] * second[i]).abs() for i in (0, 2))
         return (torch.where(kept, sky / torch.where(kept, image, 1.0), 0.0) * weight).sum(-1)
 
     aperture = first_order(system, prescription=prescription).numerical_aperture
     light = brought if system.at_infinity and not bool((aperture > 0).any()) else covered
     return light(own.get("fields")) / light([(0.0, 0.0)])
+
+
+def _along_axes(function, points: torch.Tensor):
+    """Return the derivatives of a function of points ``[n, 2]`` along either axis, and what else it returns."""
+    x, y = (unit.expand_as(points).clone() for unit in torch.eye(2, dtype=points.dtype, device=points.device))
+    _, along_x, kept = forward_derivative(function, points, x, has_aux=True)
+    return along_x, forward_derivative(function, points, y, has_aux=True)[1], kept
