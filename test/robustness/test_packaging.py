@@ -71,7 +71,7 @@ def test_the_installation_page_lists_every_extra():
 def test_imports_are_declared():
     """What the package imports is declared in pyproject.toml, or part of Python."""
     modules = {"pillow": "PIL", "array-api-compat": "array_api_compat", "scikit-image": "skimage"}
-    modules |= {"opencv-python-headless": "cv2", "pygame-ce": "pygame"}
+    modules |= {"opencv-python-headless": "cv2", "pygame-ce": "pygame", "cadquery-ocp": "OCP"}
     # By dask[distributed], kaleido and torch.
     brought_along = {"distributed", "cloudpickle", "psutil", "choreographer", "typing_extensions"}
     declared = {modules.get(name, name) for name in declared_names()} | {"odak"} | brought_along
