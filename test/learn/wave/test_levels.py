@@ -22,6 +22,7 @@ from odak.learn.wave import (
     optimise,
     spatial_light_modulator,
 )
+from odak.learn.wave.displays.parts import beside, with_frames
 from odak.learn.wave.holograms.solvers import levels
 
 pytestmark = pytest.mark.usefixtures("small_judge")
@@ -233,6 +234,10 @@ def test_blocks_add_up_to_the_image_of_all_frames(kind):
     search = levels._InBlocks(LevelSearch(), problem, [[0, 3], [1], [2, 4]])
     whole = display.recorded_by(problem.observer, problem.start)
     assert float((search.images - whole).abs().max()) < 1e-5 * float(whole.max())
+    some, shares = with_frames(display, [2, 4])
+    others = whole - search._part(some, shares, problem.start[[2, 4]])
+    shown = beside(some, others, shares).recorded_by(problem.observer, problem.start[[2, 4]])
+    assert float((shown - whole).abs().max()) < 1e-5 * float(whole.max())
 
 
 def test_two_frames_at_a_time_are_better_than_all_at_once(monkeypatch):
