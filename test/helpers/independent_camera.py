@@ -132,27 +132,23 @@ class Retina:
         self, shape, pitch, wavelength, ray_matrix, diameter, middle=(0.0, 0.0), focus=None, one_order=False, fill=0.9
     ):
         a, b, d = ray_matrix
-        self.shape, self.step = shape, pitch / (wavelength * b)
+        self.shape, self.step, self.width = shape, pitch / (wavelength * b), fill**0.5
+        self.middle, self.curvature = middle, a * pitch * self.step / 2
         radius, blur = diameter / 2 * abs(self.step), 0 if focus is None else d / b - 1 / focus
         turns = abs(blur) * diameter**2 / 8 / wavelength / radius
         if one_order:
             # The edges of a stop send light as far aside as their plane waves go on the way to the pupil.
-            turns += (0.5 + radius + max(np.abs(middle)) * abs(self.step)) / abs(a * pitch * self.step)
-        disc = RoundStop(shape, radius, turns)
-        v, u = np.repeat(disc.fy, disc.fx.shape[1]) / self.step, disc.fx.ravel() / self.step
-        self.waves = disc.weights.ravel() * np.exp(1j * np.pi * blur / wavelength * (u**2 + v**2))
-        self.places = v + middle[0], u + middle[1]
-        pixels = [(np.arange(n) - n // 2) * pitch for n in shape]
-        spread = self._of_one_order if one_order else self._of_squares
-        self.ways = [
-            spread(*each, a, wavelength * b, pitch, fill**0.5) for each in zip(self.places, pixels, strict=True)
-        ]
-
-    def _of_squares(self, there, x, a, length, pitch, width):
-        nodes, weights = np.polynomial.legendre.leggauss(5)
-        inner = [x + width * pitch / 2 * node for node in nodes]
-        parts = (np.exp(1j * np.pi / length * (a * s**2 - 2 * np.outer(there, s))) for s in inner)
-        return sum(weight / 2 * part for weight, part in zip(weights, parts, strict=True))
+            turns += (0.5 + radius + max(np.abs(middle)) * abs(self.step)) / abs(2 * self.curvature)
+        self.disc = disc = RoundStop(shape, radius, turns)
+        self.blur = lambda fy, fx: np.exp(1j * np.pi * blur / wavelength / self.step**2 * (fx**2 + fy**2))
+        self.ways = None
+        if one_order:
+            places = np.repeat(disc.fy, disc.fx.shape[1]) / self.step, disc.fx.ravel() / self.step
+            pixels = [(np.arange(n) - n // 2) * pitch for n in shape]
+            self.ways = [
+                self._of_one_order(there + m, x, a, wavelength * b, pitch, self.width)
+                for there, m, x in zip(places, middle, pixels, strict=True)
+            ]
 
     def _of_one_order(self, there, x, a, length, pitch, width):
         """Return the sum of the plane waves that pass, of which each is a chirp in the plane of the pupil."""
@@ -167,16 +163,29 @@ class Retina:
 
     def spectrum(self, light, _):
         """Return the light at points of the pupil, times their weights and what the eye does not focus."""
-        down, across = self.ways
-        return ((down @ light) * across).sum(1) * self.waves
+        disc = self.disc
+        if self.ways is not None:
+            down, across = self.ways
+            seen = ((down @ light) * across).sum(1).reshape(disc.weights.shape)
+            return seen * disc.weights * self.blur(disc.fy[:, None], disc.fx)
+        # Points of the squares; fewer of large panels, whose light is less oblique in a pixel.
+        nodes, weights = _rule(self.width, 5 if light.size < 1e5 else 3)
+        axes = [
+            [
+                (w, p, np.exp(2j * np.pi * (self.curvature * p**2 - m * self.step * p)))
+                for w, p in ((w, node - n // 2 + np.arange(n)) for w, node in zip(weights, nodes, strict=True))
+            ]
+            for n, m in zip(self.shape, self.middle, strict=True)
+        ]
+        return sum(
+            v * w * disc.spectrum(light * down[:, None] * across, self.blur, (y, x))
+            for v, y, down in axes[0]
+            for w, x, across in axes[1]
+        )
 
     def on_a_grid(self, waves, y, x):
         """Return the field at all places of rows y and columns x."""
-        down, across = (
-            np.exp(2j * np.pi * self.step * np.outer(p - n // 2, there))
-            for p, n, there in zip((y, x), self.shape, self.places, strict=True)
-        )
-        return (down * waves) @ across.T
+        return self.disc.on_a_grid(waves, *(np.asarray(p) - n // 2 for p, n in zip((y, x), self.shape, strict=True)))
 
 
 def after_a_panel(amplitudes, light, between, transfer, fill=0.9, points=10):
@@ -293,13 +302,17 @@ def decibels(seen, target, places):
     return [-10 * np.log10(np.mean((brightness * s - t) ** 2)) for s, t in pairs]
 
 
-def camera(seen, target, step=1.0, fill=1.0, shifts=4):
+def camera(seen, target, step=1.0, fill=1.0, shifts=4, window=None, every=1):
     """Return the ratios in decibels at all shifts of a camera with pixels `step` pixels apart, ``[shifts, shifts]``.
 
-    Shifts are quarters of a pixel of the panel.
+    Shifts are quarters of a pixel of the panel. They are taken over a window of rows and columns of the target, over
+    one in `every` rows and columns of the camera's pixels.
     """
     side, quarters = step * fill**0.5, np.arange(shifts) / 4
-    rows, columns = ([places_inside(n, s, step, side) for s in quarters] for n in target.shape)
+    ends = [(0, n) for n in target.shape] if window is None else [(s.start, s.stop) for s in window]
+    rows, columns = (
+        [first + places_inside(end - first, s, step, side)[::every] for s in quarters] for first, end in ends
+    )
     places = [(y, x) for y in rows for x in columns]
     found = decibels(
         lambda y, x: seen.means(y, x, side, 5 if side <= 1.5 else 10),

@@ -396,10 +396,13 @@ LARGE = {
     "a narrow iris": ((270, 480), through_space, 3e-2, 0.1),
     "lens": ((270, 480), behind_a_lens, Lens(0.2)),
     "eye": ((270, 480), in_an_eye, 1e-3),
+    "wide pupil": ((270, 480), in_an_eye, 3e-3, 0.075),
     "panels and irises": ((270, 480), through_two_panels, 1e-3, 0.3, 5e-3, 0.3),
     "full size": ((1080, 1920), through_space, 5e-2),
     "full size, an iris": ((1080, 1920), through_space, 5e-2, 0.3),
     "full size, lens": ((1080, 1920), behind_a_lens, Lens(0.2)),
+    "full size, in glass": ((1080, 1920), through_space, 5e-2, "order", 1.5),
+    "full size, eye": ((1080, 1920), in_an_eye, 3e-3, 0.3),
 }
 
 

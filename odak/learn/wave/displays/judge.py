@@ -21,7 +21,6 @@ from odak.learn.wave.eyes import Eyes, Sight
 from odak.learn.wave.propagation import propagate_beam
 from odak.wave.sampling import sampling_report
 from odak.wave.transfer_functions import divided_pitch
-from odak.wave.viewing import covered
 
 # Pixels that a grid has along each axis at least.
 _LEAST = 512
@@ -278,8 +277,8 @@ def _on_retina(light, sight: Sight, expander: Expander | None, least: int):
     a, b, _ = sight.ray_matrix()
     boxes, lengths, places, spacing = [sight.box(axis) for axis in (0, 1)], [], [], []
     axes = list(zip((-2, -1), sight.sizes, sight.pitches, boxes, *sight.pupil(), strict=True))
-    # Zeros around a small panel bring the points of the pupil nearer to each other.
-    wide = max(math.ceil(_AIRY * box / (n * half)) for _, n, _, box, _, half in axes)
+    # Zeros around the panel bring the points of the pupil nearer to each other, and keep what its rim spreads apart.
+    wide = 1 + max(math.ceil(_AIRY * box / (n * half)) for _, n, _, box, _, half in axes)
     for axis, n, pitch, box, middle, half in axes:
         # All orders that reach the pupil, from the rim of the panel too.
         finer = math.ceil(2 * (abs(middle) + half) / box + 1)
@@ -314,7 +313,7 @@ def _on_retina(light, sight: Sight, expander: Expander | None, least: int):
     down, across = places[0][:, None], places[1]
     halves = sight.pupil()[1]
     blur = sight.defocus() / (2 * sight.wavelength) * ((halves[0] * down) ** 2 + (halves[1] * across) ** 2)
-    light = light * (covered(torch, down, across, spacing) * _array.phasor_of_cycles(blur)).to(light.dtype)
+    light = light * (_in_circle(down, across, spacing) * _array.phasor_of_cycles(blur)).to(light.dtype)
     # Tilts of the light as a whole have no effect on the image.
     finer = max(least, *(math.ceil(len(p) / (2 * n * wide)) for p, (_, n, *_) in zip(places, axes, strict=True)))
     for count, (axis, n, *_) in zip(lengths, axes, strict=True):
@@ -364,18 +363,11 @@ def _frequencies(at, samples, device, wide: Sequence[int] = (1, 1)) -> list[torc
 
 
 def _passed(at, samples, colour, iris, device, wide: Sequence[int] = (1, 1)) -> torch.Tensor:
-    """Return what a stop passes of the frequencies of a grid: a round one by a smooth rim of the same integral.
-
-    The fall is that of a normal distribution whose second and fourth moments are taken away.
-    """
+    """Return what a stop passes of the frequencies of a grid."""
     down, across = _frequencies(at, samples, device, wide)
     if isinstance(iris, Iris):
-        steps, cutoff = (down[1], across[1]), iris.cutoff(at.wavelengths[colour])
-        angle = torch.atan2(across / cutoff, down[:, None] / cutoff)
-        step = torch.hypot(steps[0] * angle.cos(), steps[1] * angle.sin())
-        x = (cutoff - torch.hypot(down[:, None], across)) / (_RIM * step)
-        normal = torch.exp(-(x**2) / 2) / math.sqrt(2 * math.pi)
-        return torch.special.ndtr(x) + x * (7 - x**2) / 8 * normal
+        cutoff = iris.cutoff(at.wavelengths[colour])
+        return _in_circle(down[:, None] / cutoff, across / cutoff, (down[1] / cutoff, across[1] / cutoff))
     # Half of the last frequency itself, which is rounded, on either side.
     half = [0.5 * orders_through(iris, at.wavelengths, at.pitches) / p for p in at.pitches]
     down, across = (
@@ -383,6 +375,18 @@ def _passed(at, samples, colour, iris, device, wide: Sequence[int] = (1, 1)) -> 
         for f, h in zip((down, across), half, strict=True)
     )
     return down[:, None] * across
+
+
+def _in_circle(down, across, steps):
+    """Return what a circle of radius one passes at places of a grid of some steps: a smooth rim of the same integral.
+
+    The fall is that of a normal distribution whose second and fourth moments are taken away.
+    """
+    angle = torch.atan2(across, down)
+    step = torch.hypot(steps[0] * angle.cos(), steps[1] * angle.sin())
+    x = (1 - torch.hypot(down, across)) / (_RIM * step)
+    normal = torch.exp(-(x**2) / 2) / math.sqrt(2 * math.pi)
+    return torch.special.ndtr(x) + x * (7 - x**2) / 8 * normal
 
 
 def _both(at, amplitudes, light, colour, samples, wide):
