@@ -57,7 +57,7 @@ order = green * away / pitch
 
 
 def display(phases, cells, count, seed):
-    """Return a display with a mask, or without one, and pupils at random in the eyebox of so many cells."""
+    """Return a display with or without a mask, and pupils at random in its eyebox."""
     mask = None if phases is None else Expander(phases)
     panel = Modulator(size, pitch, None, fill=1.0, expander=mask)
     box = 0.8 * cells * order
