@@ -286,6 +286,7 @@ def test_report_holds_every_parameter_and_version(grey_file, tmp_path):
         "optimizer": "adam",
         "scale": True,
         "initial_phase": "normal",
+        "start": None,
         "seed": 7,
         "grating": False,
         "bits": 8,
