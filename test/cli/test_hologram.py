@@ -106,7 +106,7 @@ def order(frequency, pitch):
 def test_pixels_are_squares_and_pictures_their_areas(method, picture, grey_file, tmp_path):
     """A panel drawn with eight by eight samples per pixel, six by six of them lit, behind a stop for one order."""
     run(grey_file, "--output", tmp_path, "--method", method, "--quiet", *SMALL[:-4], "--fill-factor", 9 / 16,
-        "--iterations", 40, "--device", "cpu")  # fmt: skip
+        "--iterations", 15, "--device", "cpu")  # fmt: skip
     report = read_report(tmp_path)
     assert report["verification"]["pixel"]["fill_factor"] == 9 / 16
     phase = pixels(tmp_path / report["pattern"]["files"][0]) * (2 * np.pi / 256)
@@ -207,7 +207,7 @@ def test_areas_are_part_of_every_report(grey_file, tmp_path):
 def test_a_pattern_is_best_for_the_observer_asked_for(grey_file, tmp_path):
     found = {}
     for who in ("camera", "registered", "points"):
-        run(grey_file, "--output", tmp_path / who, *SMALL, "--observer", who, "--iterations", 60, "--quiet")
+        run(grey_file, "--output", tmp_path / who, *SMALL, "--observer", who, "--iterations", 30, "--quiet")
         found[who] = read_report(tmp_path / who)["channels"][0]
     assert found["registered"]["psnr_db"] == pytest.approx(found["registered"]["psnr_area_db"], abs=0.01)
     assert found["points"]["psnr_db"] == pytest.approx(found["points"]["psnr_points_db"], abs=0.01)
@@ -396,8 +396,8 @@ def test_control_c_before_the_first_iteration_writes_the_start_so_far(where, gre
     made = read_report(tmp_path)
     assert made["interrupted"] and made["reached"] == "interrupted after 0 of 9 iterations"
     assert {"reconstruction.png", "comparison.png", "hologram_532nm.png"} <= {path.name for path in tmp_path.iterdir()}
-    # A flat phase shows 6 dB.
-    assert made["psnr_db"] > 12
+    # A flat phase, from which nothing of the start is kept, shows 13.7 dB, five projections 15.1.
+    assert made["psnr_db"] > 14.4
 
 
 def test_a_first_picture_is_there_before_the_first_iteration(picture, grey_file, tmp_path, monkeypatch):
@@ -492,7 +492,7 @@ def test_few_levels_are_searched_for(picture, grey_file, tmp_path):
     """The saved patterns of one and two bits are better than rounded ones, by about what the report says."""
     for bits, least in ((1, 1.5), (2, 2.0)):
         size = ["--resolution", ROWS, COLUMNS, "--distance", "3mm", "--device", "cpu", "--linear", "--quiet"]
-        options = [*size, "--bits", bits, "--iterations", 60, *POINTS]
+        options = [*size, "--bits", bits, "--iterations", 40, *POINTS]
         seen, gain = {}, None
         for name, more in (("levels", ()), ("lbfgs", ("--optimizer", "lbfgs"))):
             run(grey_file, "-o", tmp_path / f"{name}{bits}", *options, *more)
