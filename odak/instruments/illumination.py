@@ -77,9 +77,9 @@ def measure_illumination(
     AccuracyWarning
         If parts of the modulator that send light to all points are darker than the polynomial, for example because of
         dust; or if the deviations of the captures from the model give an uncertainty of more than 0.013. The message
-        contains it: the root mean square over the pixels, which the error of a panel without dust exceeds in about one
-        of three cases. Small specks of dust are not detected (one of five simulated tables with three specks, with an
-        error of 2 %).
+        contains it: the root mean square over the pixels, by the scatter of the captures. The error exceeds it by up to
+        one half where a beam differs from the polynomial by as much as the scatter. Small specks of dust are not
+        detected (one of five simulated tables with three specks, with an error of 2 %).
 
     Examples
     --------

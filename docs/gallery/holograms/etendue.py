@@ -13,7 +13,6 @@ from importlib.resources import files
 import matplotlib.pyplot as plt
 import torch
 
-from odak.learn.tools import load_image
 from odak.learn.wave import (
     Display,
     Expander,
@@ -22,36 +21,32 @@ from odak.learn.wave import (
     Observer,
     Run,
     eyebox_map,
+    light_of,
     optimise,
+    picture_of,
 )
 
 # %%
 # Four parts of a rendered scene to learn from, and a photograph to be judged by.
-assets, size = files("odak") / "assets", (24, 36)
-
-
-def read(name):
-    """Return a picture as linear intensities of one colour."""
-    picture = load_image(assets / name, torch_style=True)[:3].float().mean(0)
-    return picture / picture.max()
+assets, size, green = files("odak") / "assets", (24, 36), 532e-9
 
 
 def small(picture):
-    """Return a picture of as many pixels as the panel, from black to white."""
-    part = torch.nn.functional.adaptive_avg_pool2d(picture[None], size)[0]
+    """Return light on as many pixels as the panel has, from black to white."""
+    part = torch.nn.functional.adaptive_avg_pool2d(picture, size)[0]
     return (part - part.min()) / (part.max() - part.min())
 
 
-scene = read("scene.png")
-quarters = [part for half in scene.chunk(2, 0) for part in half.chunk(2, 1)]
+scene = light_of(assets / "scene.png", green).targets
+quarters = [part for half in scene.chunk(2, 1) for part in half.chunk(2, 2)]
 pictures = torch.stack([small(part) for part in quarters])
-photo = small(read("photo.png"))
+photo = small(light_of(assets / "photo.png", green).targets)
 
 # %%
 # The display: a pupil of 3 mm, 50 mm from the panel, where one order of a pixel is 3.3 mm wide. Without an iris, all
 # orders of pixels and cells reach the eye. The observer in the image of each eye is a camera at any place, with pixels
 # twice as wide as the panel's.
-pitch, away, green, frames, pupil = 8e-6, 0.05, 532e-9, 4, 3e-3
+pitch, away, frames, pupil = 8e-6, 0.05, 4, 3e-3
 observer = Observer.camera(magnification=1 / 2)
 order = green * away / pitch
 
@@ -151,7 +146,7 @@ gray = {"cmap": "gray", "vmin": 0, "vmax": 1, "interpolation": "bicubic"}
 
 def draw(axis, view):
     """Draw the means over the pixels of the observer."""
-    view = torch.nn.functional.avg_pool2d(view, 2)[0].clamp(0, 1)
+    view = picture_of(torch.nn.functional.avg_pool2d(view, 2), green)[0]
     axis.imshow(view, **gray)
     axis.set(xticks=[], yticks=[])
 

@@ -105,7 +105,8 @@ def _viewing(white, luminance, background, model, surround):
     found = {
         "level": level,
         "impact": impact,
-        "chromatic": 50000 / 13 * chromatic * 0.725 * share**-0.2,
+        "induction": (induction := 0.725 * share**-0.2),
+        "chromatic": 50000 / 13 * chromatic * induction,
         "exponent": impact * (1.48 + math.sqrt(share)),
         "chroma": (1.64 - 0.29**share) ** 0.73,
     }
@@ -285,10 +286,9 @@ def color_appearance(
     view = viewing[1]
     lightness, chroma, angle = _lightness_chroma_hue(tristimulus(image, white)[0], viewing)
     hue = torch.rad2deg(angle) % 360
-    # The achromatic response to the white, with the background's induction and the offset of the model.
-    white_response = 0.725 * (background / (100 * float(white[1]))) ** -0.2 * view["white"]
-    share = root(lightness / 100)
-    brightness = 4 / view["impact"] * share * (white_response + 4) * view["level"] ** 0.25
+    # The achromatic response to the white, with the induction of the background and the offset of the model.
+    white_response = view["induction"] * view["white"] + 4
+    brightness = 4 / view["impact"] * root(lightness / 100) * white_response * view["level"] ** 0.25
     colorfulness = chroma * view["level"] ** 0.25
     saturation = 100 * root(colorfulness / brightness.clamp_min(1e-12))
     return Appearance(lightness, chroma, hue, brightness, colorfulness, saturation, _quadrature(hue))
@@ -296,7 +296,7 @@ def color_appearance(
 
 def _quadrature(hue):
     """Return the hue as parts of the unique hues on its two sides, 0 … 400."""
-    angles, factors = (torch.tensor(values, dtype=hue.dtype).to(hue.device) for values in _UNIQUE_HUES)
+    angles, factors = (hue.new_tensor(values) for values in _UNIQUE_HUES)
     turned = torch.where(hue < angles[0], hue + 360, hue)
     below = (torch.bucketize(turned.detach(), angles, right=True) - 1).clamp(0, 3)
     before = (turned - angles[below]) / factors[below]

@@ -1,6 +1,7 @@
 """Observers against plane waves and picture squares that are summed up independently."""
 
 import math
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from independent_camera import (
 
 from odak.instruments import Lens
 from odak.learn.perception import Viewer, Viewing, ocular_modulation_transfer
-from odak.learn.wave import AmplitudePanel, Display, Eyes, Iris, Modulator, Observer, Problem, Run, optimise
+from odak.learn.wave import AmplitudePanel, Display, Eyes, Iris, Modulator, Observer, Problem, Run, light_of, optimise
 from odak.learn.wave.displays import judge, observers
 from odak.learn.wave.displays.observers import fine_intensity, resolved
 
@@ -141,6 +142,21 @@ def test_cameras_of_other_pitches(random, picture, pitch, fill):
     quarters = round(4 * pitch)
     expected = camera(seen_of(found.phases), picture.double().numpy(), pitch, fill, quarters)
     assert abs(float(stated) - expected.min()) < 0.3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("frames", [1, 2, 4, 8])
+def test_what_cameras_see_of_several_frames(frames):
+    """Of the photograph that pages show: sixteen places, and pixels of half and of twice the pitch."""
+    shape, distance = (108, 192), 14.4e-3
+    display = Display(Modulator(shape, PITCH), WAVELENGTH, distance, frames, torch.ones(frames, 1))
+    photo = light_of(files("odak") / "assets" / "photo.png", display, grey=True).targets
+    target = torch.nn.functional.interpolate(photo[None], shape, mode="area")[0, 0]
+    found = optimise(display, target, run=Run(30, progress=False))
+    seen = seen_of(found.phases, distance)
+    for pitch in (0.5, 1, 2):
+        expected = camera(seen, target.double().numpy(), pitch, shifts=round(4 * pitch), every=1 + (pitch < 2))
+        assert abs(float(found.psnr_of(Observer.camera(pitch * PITCH))) - expected.min()) < 0.3
 
 
 @pytest.mark.usefixtures("small_judge")

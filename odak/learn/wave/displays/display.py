@@ -377,10 +377,10 @@ class Display(Prepared, torch.nn.Module):
         by the spectrum of a square and propagated by the method that :func:`odak.wave.sampling_report` recommends, or
         as plane waves where a large panel's light stays on the grid; the mean over the area of a pixel is a product of
         spectra. It shares neither transfer functions nor weights with :meth:`forward`, and its difference from that is
-        the `error` that it states. Images of both
-        are within 2e-3 of direct sums over stops and pupils, edges and corners among them: of panels of 24 to 1920
-        pixels along each axis in free space, in a medium, behind a round iris, behind a lens and in eyes, of up to 480
-        behind two panels. Without a stop both hold nine orders, and :meth:`light_beyond` what these leave out.
+        the `error` that it states. Images of both are within 2e-3 of direct sums over stops and pupils, edges and
+        corners among them: of panels of 24 to 1920 pixels along each axis in free space, in a medium, behind a round
+        iris, behind a lens and in eyes, of up to 480 behind two panels. Without a stop both hold nine orders, and
+        :meth:`light_beyond` states what these leave out.
 
         Parameters
         ----------
