@@ -139,36 +139,26 @@ def test_pictures_have_256_levels():
     assert metrics.picture_panel("", torch.ones(1, 1, 2000)).image.size == (960, 1)
 
 
-def test_colours_of_phases_and_differences():
-    """Phases are cyclic, and the middle of nine equal steps is a colour of the scale; zero difference is grey."""
-    phases = torch.pi * torch.tensor([[0.0, 2 / 9, 8 / 9, 2, -16 / 9, 20 / 9]])
+def test_numbers_of_phases_and_differences():
+    """Phases are cyclic; differences are means over channels, on a scale that is alike on both sides of zero."""
+    phases = torch.pi * torch.tensor([[0.0, 2 / 9, 8 / 9, -16 / 9, 20 / 9]])
     panel = metrics.phase_panel("phase", phases)
-    found = np.array(panel.image)[0].astype(int)
-    scale = np.array(metrics.PHASE_COLOURS)
-    assert np.abs(found - scale[[0, 1, 4, 0, 1, 1]]).max() <= 1
-    assert panel.scale == (metrics.PHASE_COLOURS, ("0", "pi", "2 pi rad"))
-    # The mean over channels runs from -0.2 to 0.2; half of it is at a quarter of the scale.
+    np.testing.assert_allclose(np.asarray(panel.image)[0], np.pi * np.array([0, 2, 8, 2, 2]) / 9, atol=1e-5)
+    assert panel.scale == ("twilight", 0, 2 * np.pi, ("0", "π", "2π rad"))
     difference = torch.tensor([-0.2, -0.1, 0, 0.1, 0.2]).repeat(2, 1, 1) * torch.tensor([0.5, 1.5])[:, None, None]
     panel = metrics.difference_panel("difference", difference)
-    assert np.abs(np.array(panel.image)[0].astype(int) - metrics.DIFFERENCE_COLOURS).max() <= 2
-    assert panel.scale[1] == ("-0.2, too dark", "0", "0.2, too bright")
-    assert metrics.difference_panel("", torch.zeros(1, 2, 2)).scale[1][2] == "1e-06, too bright"
-
-
-@pytest.mark.parametrize(
-    ("metres", "label", "share"),
-    [(0.02, "5 mm", 0.25), (7.9e-3, "1 mm", 0.1266), (1.0, "0.2 m", 0.2), (3e-4, "50 um", 1 / 6)],
-)
-def test_bars_of_length(metres, label, share, monkeypatch):
-    """The largest of 1, 2 and 5 times a power of ten that a quarter of the picture holds."""
-    drawn = {}
-    draw = SimpleNamespace(
-        rectangle=lambda place, fill: drawn.update(bar=place),
-        text=lambda place, text, **options: drawn.update(label=text),
-    )
-    metrics._draw_length(draw, (10, 20), 1000, metres, None)
-    assert drawn["label"] == label
-    assert drawn["bar"] == (10, 22, pytest.approx(10 + 1000 * share, abs=1), 26)
+    np.testing.assert_allclose(np.asarray(panel.image)[0], [-0.2, -0.1, 0, 0.1, 0.2], atol=1e-6)
+    name, least, largest, labels = panel.scale
+    assert (name, least) == ("RdBu_r", -largest) and largest == pytest.approx(0.2, rel=0.02)
+    assert labels == ("-0.2, too dark", "0", "0.2, too bright")
+    assert metrics.difference_panel("", torch.zeros(1, 2, 2)).scale[3][2] == "1e-06, too bright"
+    # Half a per cent of the samples does not count, also where only a part of them is looked at.
+    many = torch.full((1, 1500, 1400), 0.1)
+    many[0, 0] = 9.0
+    assert metrics.difference_panel("", many).scale[2] == pytest.approx(0.1)
+    # Neighbouring phases are not averaged.
+    fine = metrics.phase_panel("", torch.tensor([0.1, 6.2]).repeat(4, 1000))
+    assert fine.image.size == (960, 2) and set(np.unique(fine.image)) == {np.float32(0.1), np.float32(6.2)}
 
 
 def test_sheets_hold_their_panels():
@@ -181,12 +171,38 @@ def test_sheets_hold_their_panels():
         rows, columns = filled.any(1), filled.any(0)
         assert columns.sum() == 2 * size[0] and rows.sum() == 2 * size[1]
         assert columns.argmax() == metrics.MARGIN and sheet.shape[1] == 2 * (size[0] + metrics.MARGIN) + metrics.MARGIN
-    # Captions that a line cannot hold are broken, such that none leaves its panel.
-    font = metrics._font(13)
-    for caption in ("words " * 12, "w" * 60):
-        broken = metrics._broken(caption, font, 300).split("\n")
-        assert len(broken) > 1 and all(font.getlength(line) <= 300 for line in broken)
-    assert metrics._broken("one line", font, 300) == "one line"
+        # An outline lies around each picture, and its caption above it, where it begins.
+        top, left = rows.argmax(), metrics.MARGIN
+        # With a gap of one pixel at two sides.
+        for outline in (sheet[top - 1, left + 9], sheet[top + size[1] : top + size[1] + 2, left + 9].min(0)):
+            assert (outline > 150).all() and (outline < 250).all()
+        for outline in (sheet[top + 9, left - 1], sheet[top + 9, left + size[0] : left + size[0] + 2].min(0)):
+            assert (outline > 150).all() and (outline < 250).all()
+        ink = np.argwhere((sheet[: top - 2] < 128).all(-1))
+        assert 0 <= ink[:, 1].min() - left < 4 and ink[:, 0].max() > top - 12
+
+
+def test_captions_are_as_wide_as_their_panels_at_most():
+    """A long one is set smaller: it fills the width of its panel, and nothing beyond."""
+    sheet = np.array(
+        metrics.sheet([[metrics.Panel(" ".join(["many words"] * 6), Image.new("RGB", (300, 20), "white"))]])
+    )
+    ink = np.flatnonzero((sheet[: metrics.MARGIN + 20] < 200).all(-1).any(0))
+    assert ink.min() >= metrics.MARGIN and metrics.MARGIN + 280 < ink.max() <= metrics.MARGIN + 300
+
+
+def test_scales_and_lengths_below_panels():
+    """A bar as wide as the panel has the colours of its numbers from left to right; ticks are multiples of 5 mm."""
+    values = torch.linspace(0, 2 * torch.pi * 0.999, 100).repeat(10, 1)
+    grey = metrics.picture_panel("intensity", torch.full((1, 10, 100), 0.5))
+    sheet = np.array(metrics.sheet([[grey, metrics.phase_panel("phase", values)]], 0.02)).astype(int)
+    left, wide = 2 * metrics.MARGIN + 300, 300
+    top = (sheet == 128).all(-1)[:, metrics.MARGIN : metrics.MARGIN + wide].all(-1).argmax()
+    picture, bar = (sheet[row, left + 2 : left + wide - 2] for row in (top + 15, top + 30 + metrics.GAP + 5))
+    assert np.abs(picture - bar).max() < 20 and np.ptp(bar[:, 2]) > 100
+    # The panel is 20 mm wide; its ticks stand at multiples of 5 mm, which are 75 pixels apart.
+    ticks = np.flatnonzero((sheet[top + 30 + metrics.GAP // 2 + 3, : metrics.MARGIN + wide + 3] < 128).all(-1))
+    np.testing.assert_allclose(ticks[np.append(True, np.diff(ticks) > 1)], metrics.MARGIN + 75 * np.arange(5), atol=1)
 
 
 def test_a_run_ends_when_nothing_is_gained():
