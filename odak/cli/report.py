@@ -398,16 +398,17 @@ def sheet(rows: list[list[Panel]], width_in_metres: float | None = None, aspect:
         for j, panel in enumerate(row):
             left, top = MARGIN + j * across, MARGIN + i * down + 2 * text
             axes = axes_at(left, top, width, height)
-            colours, least, largest, labels = panel.scale or (None, None, None, ())
-            drawn = axes.imshow(
-                np.asarray(panel.image), colours, aspect="auto", interpolation="nearest", vmin=least, vmax=largest
-            )
+            drawn = axes.imshow(np.asarray(panel.image), aspect="auto", interpolation="nearest")
             axes.spines[:].set(color="0.8", linewidth=0.72, position=("outward", 0.72))
             axes.set(xticks=[], yticks=[])
-            title = axes.set_title(panel.caption, loc="left", fontsize=text * 72 / DPI)
+            points = text * 72 / DPI
+            title = axes.set_title(panel.caption, loc="left", fontsize=points)
             while title.get_window_extent().width > cell:
-                title.set_fontsize(0.97 * title.get_fontsize())
+                points *= 0.97
+                title.set_fontsize(points)
             if panel.scale is not None:
+                colours, least, largest, labels = panel.scale
+                drawn.set(cmap=colours, clim=(least, largest))
                 below = axes_at(left, top + height + GAP, cell, BAR_HEIGHT)
                 figure.colorbar(drawn, below, orientation="horizontal")
                 below.set_xticks([least, (least + largest) / 2, largest], labels)

@@ -188,7 +188,7 @@ def test_captions_are_as_wide_as_their_panels_at_most():
         metrics.sheet([[metrics.Panel(" ".join(["many words"] * 6), Image.new("RGB", (300, 20), "white"))]])
     )
     ink = np.flatnonzero((sheet[: metrics.MARGIN + 20] < 200).all(-1).any(0))
-    assert ink.min() >= metrics.MARGIN and metrics.MARGIN + 280 < ink.max() <= metrics.MARGIN + 300
+    assert ink.min() >= metrics.MARGIN and metrics.MARGIN + 240 < ink.max() <= metrics.MARGIN + 300
 
 
 def test_scales_and_lengths_below_panels():
