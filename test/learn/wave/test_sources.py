@@ -169,10 +169,22 @@ def test_displays_of_the_same_light():
     torch.testing.assert_close(display.looked_at(eyes)(phases), display_of(source, eyes)(phases))
 
 
+def test_lines_of_a_source():
+    """A laser is one line at its wavelength; a width is stated, and its lines share the same light about the middle."""
+    assert Source().spectrum(532e-9) == ([532e-9], [1.0]) and repr(Source()) == "Source of 1 point within 0 mrad"
+    wide = Source(width=20e-9, lines=5)
+    wavelengths, weights = wide.spectrum(532e-9)
+    assert repr(wide).endswith("mrad, lines of 20 nm") and len(wavelengths) == 5
+    assert sum(weights) == pytest.approx(1)
+    assert sum(w * one for w, one in zip(weights, wavelengths, strict=True)) == pytest.approx(532e-9, rel=1e-3)
+
+
 def test_what_sources_cannot_be():
     for words, given in (
         ("directions must be sines within ±1", {"directions": [(1.0, 0.0)]}),
+        ("directions must be sines within ±1, got up to 1.2", {"directions": [(0.0, -1.2)]}),
         ("weights must be at least 0", {"weights": [-1.0]}),
+        ("weights must be at least 0", {"weights": [-1.0, 3.0], "directions": [(0.0, 0.0), (0.0, 0.1)]}),
         ("weights", {"weights": [1.0, 2.0, 3.0], "directions": [(0.0, 0.0), (0.0, 0.1)]}),
         ("width must be", {"width": -1e-9}),
         ("coherent must be False with a width", {"width": 1e-9, "coherent": True}),
