@@ -185,6 +185,7 @@ def test_what_sources_cannot_be():
         ("directions must be sines within ±1, got up to 1.2", {"directions": [(0.0, -1.2)]}),
         ("weights must be at least 0", {"weights": [-1.0]}),
         ("weights must be at least 0", {"weights": [-1.0, 3.0], "directions": [(0.0, 0.0), (0.0, 0.1)]}),
+        ("some light in each frame", {"weights": [[1.0, 1.0], [0.0, 0.0]], "directions": [(0.0, 0.0), (0.0, 0.1)]}),
         ("weights", {"weights": [1.0, 2.0, 3.0], "directions": [(0.0, 0.0), (0.0, 0.1)]}),
         ("width must be", {"width": -1e-9}),
         ("coherent must be False with a width", {"width": 1e-9, "coherent": True}),
