@@ -95,6 +95,7 @@ class NumberedDevice(Protocol):
 
 # In signatures: the result is an array of the library of the argument.
 ArrayT = TypeVar("ArrayT", bound=Array)
+T = TypeVar("T")
 # A number, and several numbers such as a place (y, x) or angles about three axes.
 Amount: TypeAlias = float | Array
 Numbers: TypeAlias = Sequence[Amount] | Array
@@ -292,7 +293,7 @@ def constant_in_graphs(function):
     return function
 
 
-def outside_graphs(function, *arguments):
+def outside_graphs(function: Callable[..., T], *arguments: Any) -> T:
     """Return what a function that looks something up returns; torch.compile breaks its graph there."""
     torch = sys.modules.get("torch")
     if torch is not None and torch.compiler.is_compiling():

@@ -6,7 +6,7 @@ import math
 import sys
 from collections.abc import Iterable, Sequence
 from numbers import Integral, Number, Real
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy
 
@@ -36,6 +36,8 @@ _LEAST_PICTURE = 16
 
 # Kinds of numbers whose checks need no question about libraries.
 _NUMBERS = (float, int)
+# What a check returns as it was given.
+T = TypeVar("T")
 
 
 def one_of(name: str, value: str, options: Iterable[str]) -> str:
@@ -51,42 +53,44 @@ def one_of(name: str, value: str, options: Iterable[str]) -> str:
     raise ValueError(f"{name} must be one of {', '.join(map(repr, options))}; got {value!r}.{hint}")
 
 
-def real(name: str, value, *, positive: bool = False, nonzero: bool = False):
+def real(name: str, value: T, *, positive: bool = False, nonzero: bool = False) -> T:
     """Return `value` (a number or an array) after checking that it is real, finite and of the required sign.
 
     Tensors on a GPU or inside a torch.func transform are checked for their type alone: reading them would sync or fail.
     """
-    if type(value) in _NUMBERS and math.isfinite(value) and (value > 0 if positive else value != 0 or not nonzero):
+    given: Any = value
+    if type(given) in _NUMBERS and math.isfinite(given) and (given > 0 if positive else given != 0 or not nonzero):
         return value
-    listed = isinstance(value, (list, tuple)) and all(isinstance(v, Real) for v in value)
-    if isinstance(value, bool) or not (isinstance(value, Real) or listed or is_array(value)):
-        raise TypeError(f"{name} must be a real number or an array of them, got {type(value).__name__}")
-    if listed and not value:
-        raise ValueError(f"{name} must contain at least one number, got an empty {type(value).__name__}")
-    if is_array(value):
-        if "complex" in str(value.dtype) or not _holds_numbers(value):
-            raise TypeError(f"{name} must be real, got an array of {value.dtype}")
-        if not is_readable(value):
+    listed = isinstance(given, (list, tuple)) and all(isinstance(v, Real) for v in given)
+    if isinstance(given, bool) or not (isinstance(given, Real) or listed or is_array(given)):
+        raise TypeError(f"{name} must be a real number or an array of them, got {type(given).__name__}")
+    if listed and not given:
+        raise ValueError(f"{name} must contain at least one number, got an empty {type(given).__name__}")
+    if is_array(given):
+        if "complex" in str(given.dtype) or not _holds_numbers(given):
+            raise TypeError(f"{name} must be real, got an array of {given.dtype}")
+        if not is_readable(given):
             return value
     wanted = "positive and finite" if positive else "finite and not zero" if nonzero else "finite"
-    if is_array(value):
-        xp = namespace(value)
-        bad = ~xp.isfinite(value) | (value <= 0 if positive else value == 0 if nonzero else value != value)
+    if is_array(given):
+        xp = namespace(given)
+        bad = ~xp.isfinite(given) | (given <= 0 if positive else given == 0 if nonzero else given != given)
         if not bool(xp.any(bad)):
             return value
-    for v in numbers(value):
+    for v in numbers(given):
         if not math.isfinite(v) or (positive and v <= 0) or (nonzero and v == 0):
             raise ValueError(f"{name} must be {wanted}, got {v!r}")
     return value
 
 
-def number(name: str, value, *, positive: bool = False, unit: str = "", **bounds: float):
+def number(name: str, value: T, *, positive: bool = False, unit: str = "", **bounds: float) -> T:
     """Return `value`, one real number or an array of one, after checking it as :func:`real` and `within` do."""
-    if isinstance(value, (list, tuple)):
-        raise TypeError(f"{name} must be one number, got a {type(value).__name__}")
-    if is_array(value) and math.prod(value.shape) != 1:
-        raise ValueError(f"{name} must be one number, got an array of shape {tuple(value.shape)}")
-    value = real(name, value, positive=positive)
+    given: Any = value
+    if isinstance(given, (list, tuple)):
+        raise TypeError(f"{name} must be one number, got a {type(given).__name__}")
+    if is_array(given) and math.prod(given.shape) != 1:
+        raise ValueError(f"{name} must be one number, got an array of shape {tuple(given.shape)}")
+    real(name, given, positive=positive)
     return within(name, value, unit, **bounds) if bounds and (not is_array(value) or is_readable(value)) else value
 
 
@@ -399,7 +403,7 @@ def seed(name: str, value):
     return integer(name, value)
 
 
-def function_or_none(name: str, value):
+def function_or_none(name: str, value: T) -> T:
     """Return a function, or anything that can be called; None, which stands for no function, stays None."""
     if value is None or callable(value):
         return value
@@ -426,14 +430,14 @@ def pair(name: str, value, *, positive: bool = False) -> tuple[Any, ...]:
     return several(name, value if isinstance(value, (tuple, list)) else (value, value), 2, positive=positive)
 
 
-def instance(name: str, value, kind, accepted: str):
+def instance(name: str, value: Any, kind: type[T] | tuple[type[T], ...], accepted: str) -> T:
     """Return a value after checking that it is an instance of a class, or of one of several."""
     if not isinstance(value, kind):
         raise TypeError(f"{name} must be {accepted}, got {type(value).__name__}")
     return value
 
 
-def listed(name: str, value, accepted: str):
+def listed(name: str, value: T, accepted: str) -> T:
     """Return a sequence, or what else can be iterated, after checking that it is no string."""
     if isinstance(value, str) or not isinstance(value, Iterable):
         raise TypeError(f"{name} must be {accepted}, got {type(value).__name__}")
@@ -446,7 +450,7 @@ def known(name: str, given: Iterable[Any], names: Iterable[str]) -> None:
         raise ValueError(f"{name} must be of {', '.join(names)}; got {', '.join(map(repr, unknown))}")
 
 
-def function(name: str, value):
+def function(name: str, value: T) -> T:
     """Return a function after checking that it can be called."""
     if not callable(value):
         raise TypeError(f"{name} must be a function, got {value!r:.80}")

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from odak import _array, _validate
-from odak._array import Array
+from odak._array import Amount, Array
 from odak._lengths import expansion_in, in_unit, likely_length
 from odak._warnings import AccuracyWarning, ArgumentWarning, warn
 from odak.tools.paths import naming, regular_file, validate_path
@@ -658,7 +658,9 @@ def air_index(
     return _array.cast(found, wavelength, _array.real_dtype(wavelength)) if _array.is_array(wavelength) else found
 
 
-def check_weather(temperature=None, pressure=None, humidity=None, where: str = "") -> None:
+def check_weather(
+    temperature: Amount | None = None, pressure: Amount | None = None, humidity: Amount | None = None, where: str = ""
+) -> None:
     """Refuse what is no temperature in degrees Celsius, pressure in pascal or relative humidity; None is left out.
 
     Values that another unit explains better, and temperatures far outside of what was measured, are warned of.
@@ -666,7 +668,7 @@ def check_weather(temperature=None, pressure=None, humidity=None, where: str = "
     """
     given = {"temperature": temperature, "pressure": pressure, "humidity": humidity}
     for name, (low, high) in {"temperature": (-273.15, 1000), "pressure": (0, math.inf), "humidity": (0, 1)}.items():
-        value = given[name]
+        value: Any = given[name]
         if value is not None:
             _validate.real(name, value)
         if value is None or not _array.is_readable(value) or (_array.is_array(value) and 0 in value.shape):

@@ -535,7 +535,9 @@ def _catalogue() -> dict[Any, Any]:
     return json.loads(_DATA.read_text(encoding="utf-8"))
 
 
-def grid_over(count: Sequence[int], shape: Sequence[float], center, angles) -> np.ndarray:
+def grid_over(
+    count: Sequence[int], shape: Sequence[float], center: Sequence[float], angles: Sequence[float]
+) -> np.ndarray:
     """Return ``[count0, count1, 3]`` points over a rectangle, its rim included."""
     x, y = (np.linspace(-size / 2, size / 2, n) for size, n in zip(shape, count, strict=True))
     flat = np.stack((*np.meshgrid(x, y, indexing="ij"), np.zeros(tuple(count))), axis=-1)

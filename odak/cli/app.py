@@ -213,7 +213,7 @@ def _film(film: str, values: dict[str, Any]) -> int:
 
     settings = RunSettings(**{name: values[name] for name in ("output", "quiet", "again")})
 
-    def told(number: int, count: int, report: dict) -> None:
+    def told(number: int, count: int, report: dict[str, Any]) -> None:
         if not settings.quiet:
             typer.echo(f"frame {number} of {count}: PSNR {report['psnr_db']:.2f} dB")
 
@@ -223,7 +223,7 @@ def _film(film: str, values: dict[str, Any]) -> int:
     return INTERRUPTED if summary["interrupted"] else 0
 
 
-def _single(job: Job, workers: int | None) -> dict:
+def _single(job: Job, workers: int | None) -> dict[str, Any]:
     from odak.cli import files
 
     notices = _notices(job)
@@ -240,7 +240,7 @@ def _single(job: Job, workers: int | None) -> dict:
     return hologram.run(job, notices)
 
 
-def _many(spread: SpreadSettings, values: dict) -> int:
+def _many(spread: SpreadSettings, values: dict[str, Any]) -> int:
     """Compute many pictures, print the outcome of each that failed and their numbers, and return the exit code."""
     from odak.cli.cluster import run, watched
 
@@ -258,7 +258,7 @@ def _many(spread: SpreadSettings, values: dict) -> int:
     return code
 
 
-def _summarise(job: Job, report: dict) -> None:
+def _summarise(job: Job, report: dict[str, Any]) -> None:
     psnr = "exact" if report["psnr_db"] is None else f"{report['psnr_db']:.2f} dB"
     ssim = "" if report["ssim"] is None else f"SSIM {report['ssim']:.4f}, "
     seen = "".join(f" for {words}" for words in [report["verification"].get("observer")] if words)

@@ -161,7 +161,7 @@ def open_table(job: TableSettings, step: str) -> Table:
 
 
 @claiming
-def run(job: CalibrateSettings, notices: Notices = SILENT) -> dict:
+def run(job: CalibrateSettings, notices: Notices = SILENT) -> dict[str, Any]:
     """Calibrate a table by one step, and write its results, a picture and a report.
 
     What the file of the results holds, ``calibration.h5`` in the folder by default, is taken as known, and the step

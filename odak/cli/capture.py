@@ -32,7 +32,7 @@ CAPTURES = "captures.h5"
 
 
 @claiming
-def run(job: CaptureSettings, notices: Notices = SILENT) -> dict:
+def run(job: CaptureSettings, notices: Notices = SILENT) -> dict[str, Any]:
     """Show patterns, capture each, and write the captures beside their predictions.
 
     Of a folder of `odak hologram` all patterns are shown. Written are ``capture_NAME.png`` for each pattern,

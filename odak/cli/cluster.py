@@ -58,7 +58,7 @@ class Frame:
 
 
 @claiming
-def run(spread: SpreadSettings, values: dict[str, Any], notices: Notices = SILENT) -> dict:
+def run(spread: SpreadSettings, values: dict[str, Any], notices: Notices = SILENT) -> dict[str, Any]:
     """Compute the holograms of many pictures.
 
     Parameters
@@ -151,7 +151,7 @@ def _compute(frames, failed, values, spread: SpreadSettings, security) -> set[st
         return {record["worker"] for record in work.records}
 
 
-def watched(spread: SpreadSettings, values: dict[str, Any]) -> Iterator[dict]:
+def watched(spread: SpreadSettings, values: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """Yield the summary of each round of new and changed pictures in folders, which may be empty, until Ctrl-C.
 
     Parameters
@@ -308,7 +308,7 @@ def parameters(job: Job) -> dict[str, Any]:
 
 def hologram(
     values: dict[str, Any], picture: Carried | Arrived, depth: Carried | Arrived | None = None
-) -> tuple[dict, dict[str, bytes]]:
+) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Compute the holograms of one picture, on a worker.
 
     Parameters
@@ -348,7 +348,7 @@ def hologram(
     return report, written
 
 
-def _write(frame: Frame, result: tuple[dict, dict[str, bytes]]) -> None:
+def _write(frame: Frame, result: tuple[dict[str, Any], dict[str, bytes]]) -> None:
     """Write a picture's files, the report last; it then speaks of the files of this machine."""
     report, written = result
     folder = writable_folder(frame.job.output)

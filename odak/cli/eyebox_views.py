@@ -20,7 +20,7 @@ from odak.learn.wave.training import best_scale
 
 
 @files.claiming
-def run(job: EyeboxSettings, notices: files.Notices = files.SILENT) -> dict:
+def run(job: EyeboxSettings, notices: files.Notices = files.SILENT) -> dict[str, Any]:
     """Compute, save, read back and judge the hologram; write patterns, pictures and report.json.
 
     Parameters

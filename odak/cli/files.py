@@ -198,7 +198,7 @@ def _lock(descriptor: int) -> bool:
     return True
 
 
-def write_json(path: Path, value: dict) -> None:
+def write_json(path: Path, value: dict[str, Any]) -> None:
     """Write a dictionary as JSON.
 
     Parameters
@@ -299,7 +299,7 @@ def sources(job: Job) -> list[Path]:
     ]
 
 
-def read_report(path: Path) -> dict:
+def read_report(path: Path) -> dict[str, Any]:
     """Return what a file ``report.json`` holds.
 
     Parameters
@@ -323,7 +323,7 @@ def read_report(path: Path) -> dict:
     return found
 
 
-def finished_report(folder: Path, mark: str) -> dict | None:
+def finished_report(folder: Path, mark: str) -> dict[str, Any] | None:
     """Return the report in a folder that holds the whole result of the run with this fingerprint, else None."""
     folder = Path(os.path.expanduser(folder))
     try:
@@ -334,7 +334,7 @@ def finished_report(folder: Path, mark: str) -> dict | None:
     return report if same else None
 
 
-def kept_report(folder: Path, mark: str, notices: Notices) -> dict | None:
+def kept_report(folder: Path, mark: str, notices: Notices) -> dict[str, Any] | None:
     """Return the report of an earlier run that computed the same, with notice, and None if there is none."""
     report = None if notices.again else finished_report(folder, mark)
     if report is not None:
@@ -365,7 +365,7 @@ def announce(folder: Path, names: Iterable[str], notices: Notices) -> None:
         notices.replaces(folder, found)
 
 
-def write_report(folder: Path, report: dict, mark: str, names: Iterable[str]) -> dict:
+def write_report(folder: Path, report: dict[str, Any], mark: str, names: Iterable[str]) -> dict[str, Any]:
     """Write the report of a run, and return it with its fingerprint and the digests of its files.
 
     A second run knows by these that the folder holds its whole result.

@@ -26,7 +26,7 @@ _TOGETHER, _ROWS = 32, 270
 @files.claiming
 def run(
     film: str, values: dict[str, Any], notices: files.Notices, told: Callable[[int, int, dict], None] | None = None
-) -> dict:
+) -> dict[str, Any]:
     """Compute the holograms of the frames of a film, one after another.
 
     Parameters
@@ -55,7 +55,7 @@ def run(
     folder = files.writable_folder(Path(values["output"]))
     files.claim(folder)
     jobs: list[Job] = []
-    reports: list[dict] = []
+    reports: list[dict[str, Any]] = []
     for number, picture in enumerate(pictures, 1):
         own = files.writable_folder(folder / f"frame_{number:05d}")
         files.write_png(own / "picture.png", picture)

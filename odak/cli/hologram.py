@@ -47,7 +47,7 @@ UNFIT = tuple(
 
 
 @files.claiming
-def run(job: Job, notices: files.Notices = files.SILENT) -> dict:
+def run(job: Job, notices: files.Notices = files.SILENT) -> dict[str, Any]:
     """Compute, save, read back and verify the holograms of a picture.
 
     Parameters
@@ -199,7 +199,7 @@ def check_training_range(job: Job, wavelengths: Sequence[float]) -> None:
             )
 
 
-def comparison(job: Job, target: Target, images, phases, names: list[str], quality: dict):
+def comparison(job: Job, target: Target, images, phases, names: list[str], quality: dict[str, Any]):
     """Return target, reconstruction, their difference and the patterns side by side."""
     psnr = "" if quality["psnr_db"] is None else f", PSNR {quality['psnr_db']:.1f} dB"
     where = "in focus" if job.planes > 1 else f"at {job.distance * 1e3:.4g} mm"
@@ -227,7 +227,7 @@ def _sheet(job: Job, rows: list[list[report.Panel]]):
     return report.sheet(rows, job.resolution[1] * dx, dy / dx)
 
 
-def _verification(job: Job, target: Target) -> dict:
+def _verification(job: Job, target: Target) -> dict[str, Any]:
     filtered = "round stop passing |f| <= sqrt(2)/(4*pitch), as double phase needs (a 4f relay)"
     points = "points: intensities at the middles of pixels that emit as points"
     squares = "squares: means over the areas of pixels, which emit as squares of the fill factor; their gaps are dark"
@@ -287,9 +287,9 @@ def _shares_frames(job: Job) -> bool:
     return job.method in VOLUME_METHODS or job.planes > 1
 
 
-def _compute(job: Job, target: Target, folder: Path, device: torch.device) -> dict:
+def _compute(job: Job, target: Target, folder: Path, device: torch.device) -> dict[str, Any]:
     """Compute, save, read back and measure the patterns of a picture; return their part of the report."""
-    results: list[dict] = []
+    results: list[dict[str, Any]] = []
     for colours, names in _groups(job, target):
         # After Ctrl-C the colours that are left get the least.
         count = 1 if any(result["interrupted"] for result in results) else int(job.iterations or 1)
@@ -308,7 +308,7 @@ def _compute(job: Job, target: Target, folder: Path, device: torch.device) -> di
 
 def _group(
     job: Job, target: Target, colours: list[int], names: list[str], folder: Path, device: torch.device, count: int
-) -> dict:
+) -> dict[str, Any]:
     """Compute, save, read back and measure the patterns of colours that are one problem."""
     part = replace(
         target, intensity=target.intensity[colours], wavelengths=tuple(target.wavelengths[c] for c in colours)
@@ -580,7 +580,7 @@ def _by_network(job: Job, target: Target, volume: Volume, problem: wave.Problem)
 # --- Judgement
 
 
-def _add_observed(job: Job, found: wave.DisplayedHologram, channels: list[dict]) -> None:
+def _add_observed(job: Job, found: wave.DisplayedHologram, channels: list[dict[str, Any]]) -> None:
     """Add to the quality of colours what is seen of areas and at points and, on one plane, by the observer."""
     registered, seen = [channel["psnr_db"] for channel in channels], found.psnr.amin(0).tolist()
     if not job.fill_factor:
@@ -602,7 +602,7 @@ def _add_observed(job: Job, found: wave.DisplayedHologram, channels: list[dict])
 
 def _channels(
     job: Job, target: Target, volume: Volume, powers: torch.Tensor, *stacks: torch.Tensor
-) -> tuple[list[dict], torch.Tensor, float, torch.Tensor]:
+) -> tuple[list[dict[str, Any]], torch.Tensor, float, torch.Tensor]:
     """Return the quality of each colour with each pixel from its own plane, their scales, and brightness and powers.
 
     Parameters
@@ -641,7 +641,7 @@ def grating_phase(shape: tuple[int, int], device: torch.device) -> torch.Tensor:
     )
 
 
-def _planes(target: Target, volume: Volume, scaled: torch.Tensor, seen: torch.Tensor) -> list[dict]:
+def _planes(target: Target, volume: Volume, scaled: torch.Tensor, seen: torch.Tensor) -> list[dict[str, Any]]:
     planes = []
     for distance, *parts, camera in zip(volume.distances, volume.images, volume.masks, scaled, seen, strict=True):
         colours = [
@@ -657,7 +657,7 @@ def _planes(target: Target, volume: Volume, scaled: torch.Tensor, seen: torch.Te
     return planes
 
 
-def _plane_quality(wanted, mask, image) -> dict:
+def _plane_quality(wanted, mask, image) -> dict[str, Any]:
     error = (image - wanted).square()
     sharp = float((error * mask).sum() / mask.sum()) if bool(mask.any()) else 0.0
     return {
@@ -667,7 +667,7 @@ def _plane_quality(wanted, mask, image) -> dict:
     }
 
 
-def _focal_stack(job: Job, planes: list[dict], wanted: torch.Tensor, images: torch.Tensor):
+def _focal_stack(job: Job, planes: list[dict[str, Any]], wanted: torch.Tensor, images: torch.Tensor):
     rows: list[list] = [[], []]
     for plane, target, image in zip(planes, wanted, images, strict=True):
         known = [channel["psnr_in_focus_db"] for channel in plane["channels"]]

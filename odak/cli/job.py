@@ -511,7 +511,7 @@ class Job(DeviceSettings):
         """Whether the method iterates."""
         return self.method not in ("double-phase", "network")
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> dict[str, Any]:
         """Return all parameters as plain JSON values."""
         values = {**self.values(), "output": self.output, "quiet": self.quiet}
         return {name: str(value) if isinstance(value, Path) else value for name, value in values.items()}

@@ -66,7 +66,7 @@ def materials_of(job: DesignSettings) -> list[str]:
 
 
 @files.claiming
-def run(job: DesignSettings, notices: files.Notices = files.SILENT) -> dict:
+def run(job: DesignSettings, notices: files.Notices = files.SILENT) -> dict[str, Any]:
     """Design a lens and write lens.json, layout.png and report.json, and lens.zmx if requested.
 
     Parameters
@@ -149,7 +149,7 @@ def _of_options(text: str, job: DesignSettings) -> str:
     return f"{'--elements' if job.system is None else 'SYSTEM'}: {text}"
 
 
-def _judged(start: optical_system, lens: optical_system, aim: str) -> list[dict]:
+def _judged(start: optical_system, lens: optical_system, aim: str) -> list[dict[str, Any]]:
     """Return spots and distortion of each field before and after the design."""
     with torch.no_grad():
         before, after = (rms_spot(item, "rings", RINGS, vignetting=False, aim=aim) for item in (start, lens))
@@ -170,7 +170,7 @@ def _over_temperatures(job: DesignSettings, *systems: optical_system):
         yield degrees, [finite(found.square().mean().sqrt()) for found in spots]
 
 
-def elements_of(lens: optical_system, aim: str = "paraxial") -> list[dict]:
+def elements_of(lens: optical_system, aim: str = "paraxial") -> list[dict[str, Any]]:
     """Return what a workshop asks of each element: its glass, the diameter of its beam, and its thicknesses."""
     view = View(lens, lens.prescription(), aim=aim)
     items: list[Any] = list(lens.surfaces)

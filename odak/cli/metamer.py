@@ -20,7 +20,7 @@ NAMES = ("metamer.png", "pooling_map.png", "comparison.png")
 
 
 @files.claiming
-def run(job: MetamerSettings, notices: files.Notices = files.SILENT) -> dict:
+def run(job: MetamerSettings, notices: files.Notices = files.SILENT) -> dict[str, Any]:
     """Make the metamer of a picture; write metamer.png, pooling_map.png, comparison.png and report.json.
 
     Parameters

@@ -42,7 +42,7 @@ def measure(
     image: torch.Tensor,
     unquantised: torch.Tensor,
     scales: tuple[float, float] | None = None,
-) -> dict:
+) -> dict[str, Any]:
     """Return the quality of one channel's reconstruction.
 
     Parameters
@@ -80,7 +80,7 @@ def measure(
     }
 
 
-def overall(target: Target, scaled: torch.Tensor, channels: list[dict]) -> dict:
+def overall(target: Target, scaled: torch.Tensor, channels: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the quality of all channels together.
 
     Parameters
@@ -107,7 +107,7 @@ def overall(target: Target, scaled: torch.Tensor, channels: list[dict]) -> dict:
     }
 
 
-def parameters_of(job: Job, target: Target, names: list[str], device: torch.device) -> dict:
+def parameters_of(job: Job, target: Target, names: list[str], device: torch.device) -> dict[str, Any]:
     """Return the part of the report that is known before the computation.
 
     Parameters
@@ -266,7 +266,7 @@ def decibels(error: float) -> float | None:
     return -10 * math.log10(error) if error > 0 else None
 
 
-def mean_decibels(channels: list[dict], name: str) -> float | None:
+def mean_decibels(channels: list[dict[str, Any]], name: str) -> float | None:
     """Return the PSNR in dB of the mean of the squared errors of channels, from the PSNR of each."""
     errors = [0.0 if channel[name] is None else 10 ** (-channel[name] / 10) for channel in channels]
     return decibels(sum(errors) / len(errors))

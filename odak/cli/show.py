@@ -182,7 +182,7 @@ def _inside(folder: Path, name: str, missing: bool = False) -> Path:
     return path
 
 
-def _checked(path: Path) -> dict:
+def _checked(path: Path) -> dict[str, Any]:
     """Return the report of a run after checking what is read of it; raise InputError naming what cannot be used."""
     try:
         report = read_report(path)
@@ -210,7 +210,7 @@ def _caption(name: str) -> str:
     return f"{name}: {told}" if told else name
 
 
-def _numbers(report: dict) -> str:
+def _numbers(report: dict[str, Any]) -> str:
     """Return the numbers that a report defines as rows, and folded: the definitions, parameters and versions."""
     shown = {name: value for name, value in report.items() if isinstance(value, (int, float, str))}
     shown.pop(FINGERPRINT, None)
@@ -230,7 +230,7 @@ def _numbers(report: dict) -> str:
     return "\n".join(parts)
 
 
-def _rows(values: dict) -> str:
+def _rows(values: dict[str, Any]) -> str:
     """Return names and values as a table."""
     cells = ((name, f"{value:.6g}" if type(value) is float else str(value)) for name, value in values.items())
     return f"<table>{''.join(f'<tr><td>{_written(n)}</td><td>{html.escape(v)}</td></tr>' for n, v in cells)}</table>"

@@ -25,7 +25,7 @@ def schema() -> str:
 
 
 @files.claiming
-def run(job: SimulateSettings, notices: files.Notices = files.SILENT) -> dict:
+def run(job: SimulateSettings, notices: files.Notices = files.SILENT) -> dict[str, Any]:
     """Pass light through the bench of a file, and write the fields that it records.
 
     Parameters
@@ -82,7 +82,7 @@ def run(job: SimulateSettings, notices: files.Notices = files.SILENT) -> dict:
     return files.write_report(folder, summary, mark, names)
 
 
-def _write(folder: Path, name: str, field: np.ndarray, pitch: Any) -> dict:
+def _write(folder: Path, name: str, field: np.ndarray, pitch: Any) -> dict[str, Any]:
     """Write a field as data and as pictures, and return its numbers."""
     from odak.tools.paths import replacing
 

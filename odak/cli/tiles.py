@@ -32,7 +32,7 @@ _IN_PARTS = (1, 8, 32946)
 
 
 @files.claiming
-def run(job: Job, notices: files.Notices = files.SILENT, workers: int | None = None) -> dict:
+def run(job: Job, notices: files.Notices = files.SILENT, workers: int | None = None) -> dict[str, Any]:
     """Compute, save, read back and verify the holograms of a picture, a chunk at a time.
 
     The output folder receives the patterns and the intensities that they give as Zarr arrays, the state of the
@@ -123,7 +123,7 @@ def _computed_by(workers: int | None, folder: Path) -> Iterator[None]:
     shutil.rmtree(folder / "spilled", ignore_errors=True)
 
 
-def _channel(job: Job, target: Target, index: int, folder: Path, stem: str) -> dict:
+def _channel(job: Job, target: Target, index: int, folder: Path, stem: str) -> dict[str, Any]:
     """Compute, quantise, store and evaluate the pattern of one wavelength; return its part of the report."""
     import dask.array as da
 
@@ -217,7 +217,7 @@ def _judge(job: Job, wavelength: float) -> str:
     return recommended if method is not None and method.chunked else job.propagation_type
 
 
-def _measure(target: Any, image: Any, window: tuple[slice, slice]) -> dict:
+def _measure(target: Any, image: Any, window: tuple[slice, slice]) -> dict[str, Any]:
     """Return the quality of one colour, from sums over Dask arrays of the target and of the reconstruction."""
     import dask
 
@@ -244,7 +244,7 @@ def _measure(target: Any, image: Any, window: tuple[slice, slice]) -> dict:
     }
 
 
-def _write_pictures(job: Job, target: Target, folder: Path, stems: list[str], channels: list[dict], quality) -> float:
+def _write_pictures(job: Job, target: Target, folder: Path, stems: list[str], channels: list[dict[str, Any]], quality) -> float:
     """Write patterns, reconstruction and comparison as PNG, and return the structural similarity."""
     import dask.array as da
 

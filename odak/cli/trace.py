@@ -102,7 +102,7 @@ def read_system(name: str, argument: str = "SYSTEM"):
 
 
 @files.claiming
-def run(job: TraceSettings, notices: files.Notices = files.SILENT) -> dict:
+def run(job: TraceSettings, notices: files.Notices = files.SILENT) -> dict[str, Any]:
     """Trace a system and write its figures, report.html and report.json.
 
     Parameters
@@ -166,7 +166,7 @@ def run(job: TraceSettings, notices: files.Notices = files.SILENT) -> dict:
     return files.write_report(folder, report | {"figures": names[:-1], "solids": solids}, mark, [*names, *solids])
 
 
-def describe(system, rings: int, aim: str, quality: FieldQuality) -> dict:
+def describe(system, rings: int, aim: str, quality: FieldQuality) -> dict[str, Any]:
     """Return the entries of the report on a system."""
     spots = spot_diagram(system, "rings", rings, aim=aim)
     bent = distortion(system, projection=projection_of(system), aim=aim)
@@ -211,7 +211,7 @@ def describe(system, rings: int, aim: str, quality: FieldQuality) -> dict:
     }
 
 
-def summary(report: dict) -> list[str]:
+def summary(report: dict[str, Any]) -> list[str]:
     """Return what the command prints of a report: focal length, spots of the fields, and where they are least."""
     unit, found = report["system"]["unit"], report["first_order"]
     afocal = found["focal_length"] is None
@@ -233,7 +233,7 @@ def summary(report: dict) -> list[str]:
 
 
 @files.claiming
-def run_tolerance(job: ToleranceSettings, notices: files.Notices = files.SILENT) -> dict:
+def run_tolerance(job: ToleranceSettings, notices: files.Notices = files.SILENT) -> dict[str, Any]:
     """Tolerance a system by ISO 10110-11, or to a yield, and write figures, report.html and report.json.
 
     Parameters

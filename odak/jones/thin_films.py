@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Any, NamedTuple
 
 from odak import _array, _show, _validate
-from odak._array import Array, is_array, namespace, phasor_of_cycles
+from odak._array import Amount, Array, is_array, namespace, phasor_of_cycles
 
 _TAU = 2 * _array.numpy_namespace.pi
 
@@ -116,7 +117,15 @@ def thin_film_stack(
     return StackResponse(*(xp.broadcast_to(value, shape) for value in responses[0]))
 
 
-def stack_response(xp, wavelength, indices, thicknesses, transverse, cosine, polarization) -> StackResponse:
+def stack_response(
+    xp: ModuleType,
+    wavelength: Array,
+    indices: Sequence[Array],
+    thicknesses: Sequence[Array],
+    transverse: Array,
+    cosine: Array,
+    polarization: str,
+) -> StackResponse:
     """Return the response to a wave of transverse index n·sinθ and cosine of the angle of incidence.
 
     The arguments are arrays of double precision, as :func:`check_stack` returns them.
@@ -183,7 +192,9 @@ def _check_absorption(xp, name, index) -> None:
         raise ValueError(f"indices[0], of the incident medium, must not absorb; got κ = {most:.6g}")
 
 
-def check_stack(wavelength, angle, indices, thicknesses):
+def check_stack(
+    wavelength: Amount, angle: Amount, indices: Sequence[complex | Array], thicknesses: Sequence[Amount]
+) -> tuple[ModuleType, list[Any]]:
     """Return the array namespace and all arguments as arrays of double precision on one device."""
     for name, value in (("indices", indices), ("thicknesses", thicknesses)):
         if isinstance(value, (str, bytes)) or not hasattr(value, "__len__"):

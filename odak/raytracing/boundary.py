@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from odak import _array, _validate
-from odak._array import Array, namespace, placement
+from odak._array import Amount, Array, ArrayT, namespace, placement
 from odak._warnings import ConvergenceWarning, warn
 from odak.raytracing import arguments, geometry, interfaces, intersections
 from odak.raytracing import components as vec
@@ -87,7 +87,7 @@ def refract(vector: Array, normvector: Array, n1: float | Array, n2: float | Arr
     return arguments.single(refracted_rays(vector, normvector, n1, n2))
 
 
-def refracted_rays(vector, normvector, n1, n2):
+def refracted_rays(vector: Array, normvector: Array, n1: Amount, n2: Amount) -> Array:
     """Return the rays of :func:`refract`, ``[m, 2, 3]``."""
     ray, normal = _batches(vector=vector, normvector=normvector)
     n1, n2 = arguments.index("n1", n1, ray), arguments.index("n2", n2, ray)
@@ -375,7 +375,13 @@ def intersect_w_cylinder(ray: Array, cylinder: Array) -> tuple[Any, ...]:
     return (False, False) if hit.shape == (1,) and not hit[0] else (arguments.single(normals), distance)
 
 
-def plane_hits(ray, triangle, limit: Callable | None = None, limits: Sequence = (), ranks: Sequence[int] = ()) -> tuple:
+def plane_hits(
+    ray: ArrayT,
+    triangle: ArrayT,
+    limit: Callable[..., Array] | None = None,
+    limits: Sequence[Array] = (),
+    ranks: Sequence[int] = (),
+) -> tuple[ArrayT, ...]:
     """Return the intersections of rays with the planes of triangles.
 
     Parameters
@@ -404,7 +410,7 @@ def plane_hits(ray, triangle, limit: Callable | None = None, limits: Sequence = 
     return in_pieces(hits, (2, 1, 1, *ranks), ray, centre, geometry.triangle_normal(triangle), *limits)
 
 
-def circle_hits(ray, circle):
+def circle_hits(ray: Array, circle: Sequence[Array]) -> tuple[Array, Array]:
     """Return the intersections with the plane of a circle: normals as rays, signed distances, 0 outside the circle."""
     if not isinstance(circle, Sequence) or len(circle) != 3 or isinstance(circle, str):
         raise TypeError(f"circle must be a list [plane, centre, radius] of define_circle, got {circle!r:.80}")

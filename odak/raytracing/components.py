@@ -5,7 +5,7 @@ gradient becomes NaN. Elsewhere NaN propagates through the arithmetic and marks 
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from odak._array import Array, broadcast, is_array, is_torch, namespace
 from odak.raytracing.batches import needs_gradient
 from odak.raytracing.geometry import finite_rays, safe_divide, safe_sqrt
 
-Vector = tuple
+# Three components, arrays of the library of the arguments.
+Vector: TypeAlias = tuple[Any, ...]
 PI = math.pi
 
 

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from odak._array import Array, Numbers, complex_dtype, namespace
+from odak._array import Amount, Array, Numbers, complex_dtype, namespace
 from odak.raytracing import components as vec
 from odak.raytracing.batches import in_pieces
 from odak.raytracing.geometry import dot, finite_rays, safe_divide, safe_sqrt
@@ -80,7 +80,9 @@ def refract_directions(direction: Array, normal: Array, n1: Array | float, n2: A
     return in_pieces(refract_with_status, (1, 1, 0, 0), direction, normal, n1, n2)
 
 
-def refracted(direction, normal, n1, n2) -> tuple[Any, ...]:
+def refracted(
+    direction: Array | vec.Vector, normal: Array | vec.Vector, n1: Amount, n2: Amount
+) -> tuple[vec.Vector, Array, Array]:
     """Return the components of :func:`refract_directions`, which rays are transmitted, and which exist."""
     # NaN must be avoided if the indices require gradients, as if the rays do.
     xp, direction, normal, kept, differentiable = vec.lines(direction, normal, n1, n2)
@@ -99,7 +101,14 @@ def refracted(direction, normal, n1, n2) -> tuple[Any, ...]:
     return vec.nan_outside(out, through, differentiable), through, exists
 
 
-def diffracted(direction, normal, n1, n2, gradient, reflects: bool = False) -> tuple[Any, ...]:
+def diffracted(
+    direction: Array | vec.Vector,
+    normal: Array | vec.Vector,
+    n1: Amount,
+    n2: Amount,
+    gradient: vec.Vector,
+    reflects: bool = False,
+) -> tuple[vec.Vector, Array]:
     """Return the components of diffracted directions, and which rays exist.
 
     Parameters

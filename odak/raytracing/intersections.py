@@ -6,9 +6,10 @@ units of the length of its direction. Without an intersection, distance, point a
 """
 
 from enum import IntEnum
+from types import ModuleType
 from typing import Any, NamedTuple
 
-from odak._array import Array, namespace
+from odak._array import Amount, Array, namespace
 from odak.raytracing import components as vec
 from odak.raytracing.batches import in_pieces
 from odak.raytracing.components import join
@@ -106,7 +107,16 @@ def cylinder(start: Array, direction: Array, centre: Array, radius: Array, axis:
     return _result(distance, place, normal, hit, differentiable)
 
 
-def nearest_ahead(xp, squared, arm, direction, radius, moving, noise, differentiable: bool):
+def nearest_ahead(
+    xp: ModuleType,
+    squared: Array,
+    arm: vec.Vector,
+    direction: vec.Vector,
+    radius: Amount,
+    moving: Array,
+    noise: Array,
+    differentiable: bool,
+) -> tuple[Array, Array]:
     """Return the nearest positive t with |arm + t·direction| = radius, and whether there is one.
 
     Parameters
@@ -148,7 +158,14 @@ def nearest_ahead(xp, squared, arm, direction, radius, moving, noise, differenti
     return vec.placeholder(distance, hit, differentiable), hit
 
 
-def conic(start, direction, curvature, constant, aperture=None, select: str = "ahead") -> tuple[Intersection, Any]:
+def conic(
+    start: Array | vec.Vector,
+    direction: Array | vec.Vector,
+    curvature: Amount,
+    constant: Amount,
+    aperture: Amount | None = None,
+    select: str = "ahead",
+) -> tuple[Intersection, Array]:
     """Intersect rays with the sheet of a conic of revolution that passes through the origin with its axis along z.
 
     Parameters
@@ -184,7 +201,7 @@ def conic(start, direction, curvature, constant, aperture=None, select: str = "a
     c = curvature * (x * x + y * y + k * (z * z)) - 2 * z
     discriminant = b * b - a * c
     q = -(b + xp.copysign(vec.square_root(discriminant, differentiable), b))
-    candidates = []
+    candidates: list[Any] = []
     moving = moving & (discriminant >= 0)
     for upper, lower in ((q, a), (c, q)):
         exists = moving & (lower != 0)

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from odak import _validate
-from odak._array import Array, Numbers, cast, device_of, is_array, is_readable, is_torch, namespace
+from odak._array import Amount, Array, ArrayT, Numbers, cast, device_of, is_array, is_readable, is_torch, namespace
 from odak.raytracing import arguments, intersections
 from odak.raytracing import components as vec
 from odak.raytracing.batches import CHUNK, in_pieces
@@ -765,7 +765,9 @@ def _curvatures_by_differences(shape: Shape, length) -> tuple[Any, ...]:
     return (right.slope_x - left.slope_x) / (2 * step), (above.slope_y - below.slope_y) / (2 * step)
 
 
-def radial_sag(squared, curvature, conic, coefficients=()) -> tuple[Any, ...]:
+def radial_sag(
+    squared: ArrayT, curvature: Amount, conic: Amount, coefficients: Sequence[Amount] = ()
+) -> tuple[ArrayT, ArrayT, ArrayT]:
     """Return height, derivative by r² and domain of an even asphere at squared distances r² from the axis."""
     xp = namespace(squared)
     inside = 1 - (1 + conic) * (curvature * curvature) * squared
@@ -776,12 +778,14 @@ def radial_sag(squared, curvature, conic, coefficients=()) -> tuple[Any, ...]:
     return height + value, slope + derivative, defined
 
 
-def conic_sag(x: Array | float, y: Array | float, curvature: Array | float = 0.0, conic: Array | float = 0.0) -> Sag:
+def conic_sag(x: Array, y: Array, curvature: Amount = 0.0, conic: Amount = 0.0) -> Sag:
     """Return z = cr²/(1 + √(1 − (1 + k)c²r²)): a plane for c = 0, a sphere for k = 0, a paraboloid for k = −1."""
     return even_asphere_sag(x, y, curvature, conic)
 
 
-def even_asphere_sag(x, y, curvature=0.0, conic=0.0, coefficients=()) -> Sag:
+def even_asphere_sag(
+    x: Array, y: Array, curvature: Amount = 0.0, conic: Amount = 0.0, coefficients: Numbers = ()
+) -> Sag:
     """Return the conic's height plus a1·r² + a2·r⁴ + a3·r⁶ + …, ``coefficients[..., i]`` belonging to r^(2i + 2)."""
     height, slope, defined = radial_sag(x * x + y * y, curvature, conic, terms(coefficients))
     xp = namespace(height)
@@ -789,7 +793,14 @@ def even_asphere_sag(x, y, curvature=0.0, conic=0.0, coefficients=()) -> Sag:
     return Sag(height, 2 * x * slope, 2 * y * slope, defined)
 
 
-def toroid_sag(x, y, curvature_x=0.0, curvature_y=0.0, conic=0.0, coefficients=()) -> Sag:
+def toroid_sag(
+    x: Array,
+    y: Array,
+    curvature_x: Amount = 0.0,
+    curvature_y: Amount = 0.0,
+    conic: Amount = 0.0,
+    coefficients: Numbers = (),
+) -> Sag:
     """Return the height of a profile in y rotated about an axis parallel to y at z = 1/c_x.
 
     The profile is a conic of curvature c_y and constant `conic` plus a1·y² + a2·y⁴ + …; c_x = 0 gives a cylinder.
@@ -807,7 +818,9 @@ def toroid_sag(x, y, curvature_x=0.0, curvature_y=0.0, conic=0.0, coefficients=(
     return Sag(height, xp.where(defined, curvature_x * x / root, 0.0), xp.where(defined, slope_y, 0.0), defined)
 
 
-def zernike_sag(x, y, curvature=0.0, conic=0.0, coefficients=(), radius=1.0) -> Sag:
+def zernike_sag(
+    x: Array, y: Array, curvature: Amount = 0.0, conic: Amount = 0.0, coefficients: Numbers = (), radius: Amount = 1.0
+) -> Sag:
     """Return the conic's height plus Σ a_j·Z_j(x/R, y/R), Noll's order from j = 1, each of RMS 1 over the disc.
 
     The polynomials are evaluated outside the disc of radius R as well.
@@ -990,7 +1003,15 @@ def _in_precision_of_rays(ray, **others):
     return [namespace(value).astype(value, dtype) for value in made]
 
 
-def placed_hits(read, ray, surface, center, angles, aperture, ahead) -> Hit:
+def placed_hits(
+    read: Callable[..., Sequence[Array]],
+    ray: Array,
+    surface: Shape,
+    center: Numbers | None,
+    angles: Numbers | None,
+    aperture: Amount | None,
+    ahead: bool,
+) -> Hit:
     """Implement :func:`intersect_w_sag` for any array library; `read` converts the arguments to arrays."""
     _validate.instance("surface", surface, Shape, "a shape such as Conic, Toroid or SplineFreeform")
     kinds = {f"surface.{f.name}": getattr(surface, f.name) for f in fields(surface)}
@@ -1029,7 +1050,13 @@ def placed_hits(read, ray, surface, center, angles, aperture, ahead) -> Hit:
     return Hit(distance, point if place is None else point + cast(place, point), normal, status)
 
 
-def intersection(start, direction, shape: Shape, aperture=None, select: str = "ahead"):
+def intersection(
+    start: Array | vec.Vector,
+    direction: Array | vec.Vector,
+    shape: Shape,
+    aperture: Amount | None = None,
+    select: str = "ahead",
+) -> tuple[intersections.Intersection, Array]:
     """Return the intersections of rays with a surface in its own frame, and their statuses.
 
     Parameters
@@ -1213,7 +1240,9 @@ def _solve(start, direction, shape: Shape, aperture, select: str):
     return distance, xp.where(crossed, status, xp.ones_like(status) * int(RayStatus.MISS))
 
 
-def newton(start, direction, shape: Shape, guess, limit: int = 64):
+def newton(
+    start: vec.Vector, direction: vec.Vector, shape: Shape, guess: Array, limit: int = 64
+) -> tuple[Array, Array, Array]:
     """Solve z = sag(x, y) along rays by Newton's method, restricted to a bracket once one is known.
 
     Parameters

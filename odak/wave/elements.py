@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from odak import _array, _validate
-from odak._array import Array, Device, is_array, namespace, phasor, phasor_of_cycles
+from odak._array import Amount, Array, Device, is_array, namespace, phasor, phasor_of_cycles
 from odak._warnings import SamplingWarning, warn
 from odak.tools.zernike import check_mode, jacobi, zernike_norm
 from odak.wave.sampling import FOCAL, Weaker, plain_numbers, sampled_axes, warn_beyond_nyquist, warn_of_tilt
@@ -90,7 +90,14 @@ def _sampled(name, formula, shape, dx, offset, weaker, numbers, xp, device):
     return formula(y, x, *values)
 
 
-def squared_radius(nx, ny, dx, offset=(0, 0), xp=None, device=None):
+def squared_radius(
+    nx: int,
+    ny: int,
+    dx: float | Sequence[float],
+    offset: Sequence[float] = (0, 0),
+    xp: ModuleType | None = None,
+    device: Device = None,
+) -> Array:
     """Return r² on the grid of the older lens functions, ``[nx, ny]``: linspace(−n·dx/2, n·dx/2, n) along each axis.
 
     Its step is n·dx/(n − 1) and its centre lies at the index (n − 1)/2. :func:`grid_positions` has the grid of a field.
@@ -178,7 +185,9 @@ def _bend(y, x, k, focal):
     return k * (y**2 + x**2) / focal
 
 
-def warn_of_older_lens(shape, steps, k, focal, offset):
+def warn_of_older_lens(
+    shape: Sequence[int], steps: Sequence[float], k: Amount, focal: Amount, offset: Sequence[float]
+) -> None:
     """Warn where the lens of :func:`quadratic_phase_function` is undersampled, on the grid `squared_radius` has."""
     _warn_of_bend("quadratic_phase_function", shape, steps, k / 2, focal, FOCAL, offset)
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from odak import _array, _validate
-from odak._array import Array
+from odak._array import Amount, Array, ArrayT
 from odak._warnings import SamplingWarning, warn
 from odak.wave.quadrature import CLOSED, PATH_NODES, SAFETY, Axis, Rule, plain_rule, rule_for, rules_for
 from odak.wave.transfer_functions import (
@@ -346,7 +346,14 @@ def taper(orders: Any, band: tuple[float, float]) -> Any:
     return 0.5 + 0.5 * xp.cos(xp.pi * xp.clip((orders - start) / (end - start), 0, 1))
 
 
-def pixels_spectrum(field, sizes, orders: int = 1, fill=1.0, cells: int = 1, counts=None):
+def pixels_spectrum(
+    field: ArrayT,
+    sizes: Sequence[int],
+    orders: int = 1,
+    fill: Amount = 1.0,
+    cells: int = 1,
+    counts: Sequence[int] | None = None,
+) -> ArrayT:
     """Return the spectrum of a field of square pixels with its diffraction orders, the first pixel at the origin.
 
     By the convolution theorem it is the spectrum of the samples, which repeats in each order, times the spectrum of a

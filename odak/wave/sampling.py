@@ -336,7 +336,14 @@ def plain_numbers(*values: Any) -> tuple[float, ...] | None:
     return tuple(one for (one,) in found) if all(len(one) == 1 for one in found) else None
 
 
-def warn_beyond_nyquist(name: str, formula: Callable, axes, numbers, weaker: Weaker | None = None, disc=None) -> None:
+def warn_beyond_nyquist(
+    name: str,
+    formula: Callable[..., Any],
+    axes: Sequence[tuple[float, float, float]],
+    numbers: Sequence[float] | None,
+    weaker: Weaker | None = None,
+    disc: float | None = None,
+) -> None:
     """Issue a SamplingWarning where neighbouring samples of an element's phase differ by more than half a cycle.
 
     Parameters
@@ -471,7 +478,16 @@ def _half_width(orders: tuple[float, ...]) -> float:
     return _first_true(lambda place: held_share(orders, -place, place) >= _KEPT, 0.0, 4 + math.sqrt(2 * len(orders)))
 
 
-def warn_of_beam(name: str, orders, axes, pitch, wavelength: float, waists, distance: float, kept=None) -> None:
+def warn_of_beam(
+    name: str,
+    orders: Sequence[tuple[float, ...]],
+    axes: Sequence[tuple[float, float]],
+    pitch: Sequence[float],
+    wavelength: float,
+    waists: Sequence[float],
+    distance: float,
+    kept: float | None = None,
+) -> None:
     """Issue a SamplingWarning where a grid is too coarse or too small for a beam.
 
     Parameters

@@ -24,7 +24,7 @@ import numpy as np
 import scipy.fft
 
 from odak import _array, _validate
-from odak._array import Array, Device, DType, convolve_plainly, make_complex, numpy_namespace, phasor_of_cycles
+from odak._array import Amount, Array, Device, DType, convolve_plainly, make_complex, numpy_namespace, phasor_of_cycles
 from odak._warnings import ArgumentWarning, warn
 from odak.tools.matrix import zero_pad
 
@@ -190,7 +190,7 @@ def _cycles(grid: Grid, transverse, axial):
     return axial_cycles(grid) - grid.distance * transverse / (axial + 1 / grid.wavelength)
 
 
-def band_limits(grid: Grid, distance=None, counts: tuple[int, int] | None = None):
+def band_limits(grid: Grid, distance: Amount | None = None, counts: tuple[int, int] | None = None) -> tuple[Array, ...]:
     """Return the frequency (rows, columns) above which a sampled angular-spectrum kernel aliases.
 
     Matsushima and Shimobaba, Opt. Express 17, 19662 (2009), eq. 13: 1/(λ·sqrt((2z/L)² + 1)), L the grid's width. The
@@ -474,7 +474,10 @@ class KernelCaches:
         for cache in self._caches.values():
             cache.after_fork()
 
-    bytes = property(lambda self: sum(cache.bytes for cache in self._caches.values()))
+    @property
+    def bytes(self) -> int:
+        """Size of all kernels of all devices in bytes."""
+        return sum(cache.bytes for cache in self._caches.values())
 
     def __len__(self) -> int:
         return sum(map(len, self._caches.values()))

@@ -329,7 +329,8 @@ def intersect_w_surface_batch(ray: torch.Tensor, triangle: torch.Tensor) -> tupl
     """
     ray, triangle = reals_of(ray=ray, triangle=triangle)
     ray, triangle = arguments.rays("ray", ray), arguments.triangles("triangle", triangle)
-    return core.plane_hits(ray, _in_front(triangle, ray))
+    normals, distances = core.plane_hits(ray, _in_front(triangle, ray))
+    return normals, distances
 
 
 class detector(_show.Shown, Prepared):

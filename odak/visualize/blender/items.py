@@ -457,7 +457,7 @@ def glass(
             index = refractive_index(index, given[0], unit=given[1], medium="air")
         except ValueError as error:
             raise ValueError(f"index: {error}") from error
-    index = float(_validate.real("index", index, positive=True))
+    index = _validate.constant("index", index, positive=True)
     return Material("glass", linear_color(color), index=index, roughness=_share("roughness", roughness), name=name)
 
 

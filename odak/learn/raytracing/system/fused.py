@@ -445,7 +445,7 @@ def _newton(x, y, u, v, w, t, e: Element):
         for _ in range(STEPS):
             px, py = torch.addcmul(x, t, u), torch.addcmul(y, t, v)
             squared = torch.addcmul(px * px, py, py)
-            height, slope, _ = radial_sag(squared, e.c, e.k, e.a)
+            height, slope = radial_sag(squared, e.c, e.k, e.a)[:2]
             along = torch.addcmul(w, px.mul_(u).addcmul_(py, v), slope, value=-2)
             step = torch.addcmul(height, t, w, value=-1).neg_().div_(along)
             t = t - step

@@ -284,7 +284,7 @@ class Modulator:
                 )
         if isinstance(self.response, (list, tuple)) and all(isinstance(one, torch.nn.Module) for one in self.response):
             object.__setattr__(self, "response", torch.nn.ModuleList(self.response))
-        for one in self.responses() or [_validate.function_or_none("response", self.response)]:
+        for one in self.responses() or (_validate.function_or_none("response", self.response),):
             if float(getattr(one, "fill_factor", 1.0)) != 1 or getattr(one, "samples_per_pixel", 1) > 1:
                 raise ValueError(
                     "response must have a fill factor of 1 and one sample per pixel; give fill here instead"

@@ -362,7 +362,7 @@ class display_volume(Prepared, torch.nn.Module):
             self._put_stop("mask", "mask", zero_pad(aperture, padded).reshape(padded))
         elif aperture_size is not None:
             self._put_disc(aperture_size)
-        elif iris_radius is not None:
+        elif iris_radius is not None and iris_focal_length is not None:
             radius = _validate.real("iris_radius", iris_radius, positive=True)
             focal = _validate.real("iris_focal_length", iris_focal_length, positive=True)
             cutoffs = [float(radius / (w * focal)) for w in _validate.numbers(self.wavelengths)]
