@@ -270,7 +270,7 @@ class Carried:
         """Its name."""
         return self.path.name
 
-    def __reduce__(self) -> tuple:
+    def __reduce__(self) -> tuple[Callable[[str, bytes], "Arrived"], tuple[str, bytes]]:
         return Arrived, (self.name, self.path.read_bytes())
 
     def put(self, folder: Path) -> Path:

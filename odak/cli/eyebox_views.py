@@ -5,6 +5,7 @@ optimizer uses.
 """
 
 from pathlib import Path
+from typing import Any
 
 import torch
 

@@ -8,12 +8,13 @@ import dataclasses
 import math
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
+from PIL import Image
 
 from odak._lengths import UNITS
 from odak._warnings import AccuracyWarning, warn
@@ -199,7 +200,14 @@ def check_training_range(job: Job, wavelengths: Sequence[float]) -> None:
             )
 
 
-def comparison(job: Job, target: Target, images, phases, names: list[str], quality: dict[str, Any]):
+def comparison(
+    job: Job,
+    target: Target,
+    images: torch.Tensor,
+    phases: Iterable[torch.Tensor],
+    names: list[str],
+    quality: dict[str, Any],
+) -> Image.Image:
     """Return target, reconstruction, their difference and the patterns side by side."""
     psnr = "" if quality["psnr_db"] is None else f", PSNR {quality['psnr_db']:.1f} dB"
     where = "in focus" if job.planes > 1 else f"at {job.distance * 1e3:.4g} mm"
@@ -221,7 +229,7 @@ def comparison(job: Job, target: Target, images, phases, names: list[str], quali
     return _sheet(job, rows)
 
 
-def _sheet(job: Job, rows: list[list[report.Panel]]):
+def _sheet(job: Job, rows: list[list[report.Panel]]) -> Image.Image:
     """Return panels of images and patterns in rows, with the shape and size that they have on the modulator."""
     dy, dx = files.image_pitches(job)
     return report.sheet(rows, job.resolution[1] * dx, dy / dx)

@@ -6,7 +6,7 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from odak._call_forms import did_you_mean
 from odak._lengths import COARSEST, likely_length, parse_length

@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from importlib import metadata, resources
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 import torch
@@ -38,7 +38,7 @@ LEAST_GAIN, GAINED_OVER = 0.023, 10
 
 def measure(
     target: torch.Tensor,
-    window: tuple,
+    window: tuple[slice, slice],
     image: torch.Tensor,
     unquantised: torch.Tensor,
     scales: tuple[float, float] | None = None,
@@ -439,7 +439,7 @@ class Clock:
         Whether Ctrl-C ended the iterations.
     """
 
-    def __init__(self, bar: tqdm, settles: bool = False) -> None:
+    def __init__(self, bar: "tqdm[NoReturn]", settles: bool = False) -> None:
         self.bar, self.settles = bar, settles
         self.ticks, self.first, self.last = 0, time.perf_counter(), 0.0
         self.loss: float | None = None

@@ -244,7 +244,9 @@ def _measure(target: Any, image: Any, window: tuple[slice, slice]) -> dict[str, 
     }
 
 
-def _write_pictures(job: Job, target: Target, folder: Path, stems: list[str], channels: list[dict[str, Any]], quality) -> float:
+def _write_pictures(
+    job: Job, target: Target, folder: Path, stems: list[str], channels: list[dict[str, Any]], quality
+) -> float:
     """Write patterns, reconstruction and comparison as PNG, and return the structural similarity."""
     import dask.array as da
 

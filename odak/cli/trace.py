@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -24,6 +25,7 @@ from odak.learn.raytracing.system import (
     layout_figure,
     lens_report,
     load_system,
+    optical_system,
     read_len,
     read_seq,
     read_zmx,
@@ -60,7 +62,7 @@ def read_glasses(paths: Sequence[Path]) -> None:
             raise InputError(f"--glasses {str(path)!r}: {error}") from None
 
 
-def read_system(name: str, argument: str = "SYSTEM"):
+def read_system(name: str, argument: str = "SYSTEM") -> tuple[optical_system, list[str]]:
     """Return a system and what was ignored in its file.
 
     Parameters
@@ -166,7 +168,7 @@ def run(job: TraceSettings, notices: files.Notices = files.SILENT) -> dict[str, 
     return files.write_report(folder, report | {"figures": names[:-1], "solids": solids}, mark, [*names, *solids])
 
 
-def describe(system, rings: int, aim: str, quality: FieldQuality) -> dict[str, Any]:
+def describe(system: optical_system, rings: int, aim: str, quality: FieldQuality) -> dict[str, Any]:
     """Return the entries of the report on a system."""
     spots = spot_diagram(system, "rings", rings, aim=aim)
     bent = distortion(system, projection=projection_of(system), aim=aim)

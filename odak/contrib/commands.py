@@ -404,7 +404,9 @@ def create_ray_from_two_points(x0y0z0: Sequence[float], x1y1z1: Sequence[float])
     return np.stack((start, (end - start) / (length or 1.0))).astype(np.float32), length
 
 
-def reflect_ray(input_ray, normal: Sequence[float], intersection: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+def reflect_ray(
+    input_ray: np.ndarray, normal: Sequence[float], intersection: Sequence[float]
+) -> tuple[np.ndarray, np.ndarray]:
     """Reflect a ray at a point.
 
     Parameters

@@ -25,7 +25,7 @@ DEFLATE, FILTERS = 1, {1, 2, 3}
 
 
 def write_hdf5(
-    path: str | os.PathLike, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any], units: Mapping[str, str]
+    path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray], header: Mapping[str, Any], units: Mapping[str, str]
 ) -> None:
     """Write arrays with units and a header to an HDF5 file, which appears whole or not at all.
 
@@ -66,7 +66,7 @@ def write_hdf5(
     write_file(path, image)
 
 
-def read_hdf5(path: str | os.PathLike, kind: str, version: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def read_hdf5(path: str | os.PathLike[str], kind: str, version: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Read the data sets and the attributes of an HDF5 file.
 
     Parameters

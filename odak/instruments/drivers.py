@@ -809,7 +809,7 @@ def _core_of(configuration) -> Any:
     return core
 
 
-def _folder(folder: str | os.PathLike) -> str:
+def _folder(folder: str | os.PathLike[str]) -> str:
     path = validate_path(folder, name="folder")
     if not os.path.isdir(path):
         raise ValueError(f"folder must exist, got {path!r}")

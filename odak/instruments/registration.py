@@ -335,14 +335,14 @@ def _check_places(axis: np.ndarray, matrix: np.ndarray, camera: Camera, missed: 
         )
 
 
-def beyond_view(table: OpticalTable, share=(1.0, 1.0)) -> np.ndarray:
+def beyond_view(table: OpticalTable, share: Sequence[float] | np.ndarray = (1.0, 1.0)) -> np.ndarray:
     """Return how many pixels the spots of the outermost lenslets lie outside the image of a camera; inside: negative.
 
     The axes are columns and rows, and the sides of each the first and the last ``[2, 2]``. `share` is the used share of
     the modulator's rows and columns.
     """
     modulator, camera, wavelength, distance, registration = parts_of(table, "registration")
-    size = np.array(modulator.shape) * share
+    size = np.array(modulator.shape) * np.asarray(share)
     half = (size * (1 - 1 / lenslets(size, wavelength, distance, modulator.pitch)))[::-1] * modulator.pitch / 2
     points = half * np.array(list(itertools.product((-1, 0, 1), repeat=2)))
     axis, seen = registration.camera_pixels(np.zeros(2)), registration.camera_pixels(points)

@@ -56,7 +56,7 @@ class RemoteInstrument:
     def __enter__(self) -> "RemoteInstrument":
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def __repr__(self) -> str:
@@ -207,7 +207,7 @@ class _Held:
     def set(self, attribute: str, value: Any) -> None:
         self._thread.submit(setattr, self._instrument, attribute, value).result()
 
-    def call(self, method: str, given: tuple, options: dict[str, Any]) -> Any:
+    def call(self, method: str, given: tuple[Any, ...], options: dict[str, Any]) -> Any:
         return self._thread.submit(getattr(self._instrument, method), *given, **options).result()
 
     def close(self) -> None:

@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates, uniform_filter
 
 from odak import _validate
 from odak.instruments.exposures import SATURATED
-from odak.instruments.mapping import Lens
+from odak.instruments.mapping import Lens, Registration
 from odak.instruments.protocols import Camera, Modulator
 from odak.tools.zernike import zernike_polynomial
 from odak.wave import propagate_beam
@@ -21,7 +21,7 @@ SAMPLED = 1 << 17
 SMALLEST_LENSLET = 1.6
 
 
-def lenslets(shape: Sequence[int], wavelength: float, distance: float, pitch: float) -> np.ndarray:
+def lenslets(shape: Sequence[int] | np.ndarray, wavelength: float, distance: float, pitch: float) -> np.ndarray:
     """Return the number of lenslets along rows and columns: diffraction spreads the light of smaller ones."""
     smallest = SMALLEST_LENSLET * math.sqrt(wavelength * distance) / pitch
     return np.clip((np.array(shape) / smallest).astype(int), 4, 6)
@@ -197,7 +197,14 @@ def read_around(camera: Camera, place: np.ndarray, reach: int) -> None:
     camera.region = (row, column, 2 * reach + 1, 2 * reach + 1)
 
 
-def ideal_capture(modulator, phase, amplitude, wavelength, distance, registration) -> np.ndarray:
+def ideal_capture(
+    modulator: Modulator | Part,
+    phase: np.ndarray,
+    amplitude: np.ndarray | float,
+    wavelength: float,
+    distance: float | Lens,
+    registration: Registration,
+) -> np.ndarray:
     """Return the simulated capture of a pattern on an ideal table."""
     rows, columns = modulator.shape
     v, u = np.indices(registration.shape)

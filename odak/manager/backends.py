@@ -31,7 +31,7 @@ from odak.manager.server import (
     start_server,
 )
 
-Job = tuple[tuple, dict[str, Any]]
+Job = tuple[tuple[Any, ...], dict[str, Any]]
 Group = Sequence[int]
 _LARGE_CODE = 100_000
 _LOOK, _CHECK, _GATHERING, _EVER = 0.5, 5.0, 0.05, 1e8

@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any, ClassVar, NamedTuple
 
 from odak import _validate
-from odak._array import Array, Numbers, broadcast, is_readable, is_torch, namespace
+from odak._array import Amount, Array, Numbers, broadcast, is_readable, is_torch, namespace
 from odak.raytracing import components as vec
 from odak.raytracing.batches import needs_gradient
 from odak.raytracing.geometry import epsilon
@@ -204,7 +204,7 @@ class Path(NamedTuple):
     steps: int
 
 
-def ray_equation(gradient: Gradient, base: float) -> Callable[..., Any]:
+def ray_equation(gradient: Gradient, base: Amount) -> Callable[..., Any]:
     """Return the derivative of states ``[7, ...]`` by t: dr/dt = T, dT/dt = ½∇n², dL/dt = n².
 
     Sharma, Kumar and Ghatak, Appl. Opt. 21, 984 (1982).
@@ -307,7 +307,7 @@ def integrate(field: Callable, state: Any, scale: Any, remaining: Callable) -> P
     return Path(state, time, done, count)
 
 
-def to_surface(gradient: Gradient, base: float, state: Array, level: Callable[..., Any], sign: int) -> Path:
+def to_surface(gradient: Gradient, base: Amount, state: Array, level: Callable[..., Any], sign: int) -> Path:
     """Integrate rays until they intersect a surface.
 
     Parameters

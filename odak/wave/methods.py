@@ -4,7 +4,7 @@ import difflib
 import functools
 import logging
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -464,7 +464,7 @@ def choose_method(shape: tuple[int, int], request: Request) -> tuple[Method, flo
     return method_named(name), error
 
 
-def warnings_outside_range(method: Method, shape: tuple[int, int], request: Request, padded: bool) -> Iterator[str]:
+def warnings_outside_range(method: Method, shape: Sequence[int], request: Request, padded: bool) -> Iterator[str]:
     """Yield a text for each of the criteria of a method that is not met; none while lengths are traced."""
     fine = tuple(request.scale * n for n in shape)
     for z, wavelength, step in _geometries(request):

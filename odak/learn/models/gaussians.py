@@ -736,7 +736,14 @@ DEFAULT_WEIGHTS = MappingProxyType(
 )
 
 
-def volume_loss(model, estimate, ground_truth, epoch_id: int, epoch_count: int, weights: Mapping) -> torch.Tensor:
+def volume_loss(
+    model: "gaussian_3d_volume",
+    estimate: torch.Tensor,
+    ground_truth: torch.Tensor,
+    epoch_id: int,
+    epoch_count: int,
+    weights: Mapping[str, Any],
+) -> torch.Tensor:
     """Return the weighted sum of the terms whose weight is not zero.
 
     - content: l2·(mean squared difference) + l1·(mean absolute difference);

@@ -389,7 +389,12 @@ def rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
 
 
 @in_own_precision
-def mix(matrix, image: torch.Tensor, *, offset: tuple[float, ...] | None = None) -> torch.Tensor:
+def mix(
+    matrix: torch.Tensor | tuple[tuple[float, ...], ...],
+    image: torch.Tensor,
+    *,
+    offset: tuple[float, ...] | None = None,
+) -> torch.Tensor:
     """Return the matrix (a tensor, or :func:`rows` of an array) times the channels of pictures, in their precision.
 
     An offset is added to each channel. Half precision is mixed in float32 and rounded once.
@@ -894,7 +899,7 @@ def _of_one(name, image):
     return pictures
 
 
-def tristimulus(image: torch.Tensor, white=IEC_WHITE):
+def tristimulus(image: torch.Tensor, white: Any = IEC_WHITE) -> tuple[torch.Tensor, torch.Tensor | np.ndarray]:
     """Return pictures of XYZ and the levels of their white, after comparing the two."""
     pictures, levels = as_pictures("image", image), _white(white)
     if not isinstance(levels, torch.Tensor):
@@ -1216,7 +1221,7 @@ def _norm(a, b):
     return root(a**2 + b**2)
 
 
-def root(value):
+def root(value: torch.Tensor) -> torch.Tensor:
     """Return √value with a gradient of 0 at 0."""
     # NaN stays NaN.
     none = value <= 0
@@ -1854,7 +1859,7 @@ def _column(white, like):
     return levels[:, None, None]
 
 
-def cube_root(relative):
+def cube_root(relative: torch.Tensor) -> torch.Tensor:
     """Return the cube root above (6/29)³ and the straight line of L* below."""
     high = relative > _LAB_JOINT**3
     return torch.where(high, torch.where(high, relative, 1.0) ** (1 / 3), _LAB_FACTOR * relative + _LAB_OFFSET)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Hashable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import nn
@@ -1069,6 +1069,9 @@ def checked_pictures(name: str, image: torch.Tensor, target: torch.Tensor, n_lev
     check_values(**pictures)
 
 
+Result = TypeVar("Result")
+
+
 class TargetCache:
     """Cache of what was last computed from each target, valid while the target and all parameters are the same.
 
@@ -1091,7 +1094,7 @@ class TargetCache:
         """Drop the stored results."""
         self._stored: dict[int, tuple[Any, Any, Any]] = {}
 
-    def get(self, target: torch.Tensor, parameters: Hashable, compute: Callable, index: int = 0):
+    def get(self, target: torch.Tensor, parameters: Hashable, compute: Callable[[], Result], index: int = 0) -> Result:
         """Return `compute()`, or the stored result of this target and these parameters.
 
         Parameters

@@ -533,7 +533,9 @@ def _planes(pictures):
     return pictures.reshape(-1, 1, *pictures.shape[-2:])
 
 
-def similarity_terms(one, two, data_range):
+def similarity_terms(
+    one: torch.Tensor, two: torch.Tensor, data_range: float | torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the luminance term and the contrast–structure term of SSIM, where the window fits.
 
     2ab/(a² + b²) = 1 − (a − b)²/(a² + b²), likewise with variances: four windowed means instead of five, and no

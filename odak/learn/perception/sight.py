@@ -197,7 +197,9 @@ def checked_viewing(viewing: Viewing) -> Viewing:
     return _validate.instance("viewing", viewing, Viewing, "an odak.learn.perception.Viewing")
 
 
-def geometry(viewing: Viewing | None, real_image_width, real_viewing_distance) -> tuple[Any, Any]:
+def geometry(
+    viewing: Viewing | None, real_image_width: float | torch.Tensor, real_viewing_distance: float | torch.Tensor
+) -> tuple[Any, Any]:
     """Return the width of a picture and the distance of the eye; tensors that require a gradient are kept."""
     if viewing is not None:
         return checked_viewing(viewing).real_image_width, viewing.real_viewing_distance
@@ -210,7 +212,9 @@ def gaze_at(viewing: Viewing | None, gaze: Gaze | None) -> Any:
     return checked_viewing(viewing).gaze if gaze is None and viewing is not None else gaze
 
 
-def checked_view(real_image_width, real_viewing_distance) -> tuple[Any, ...]:
+def checked_view(
+    real_image_width: float | torch.Tensor, real_viewing_distance: float | torch.Tensor
+) -> tuple[float | torch.Tensor, float | torch.Tensor]:
     """Return the width of a picture and the distance of the eye, after warning of an angle that no display has."""
     width = _validate.number("real_image_width", real_image_width, positive=True)
     distance = _validate.number("real_viewing_distance", real_viewing_distance, positive=True)

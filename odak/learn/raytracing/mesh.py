@@ -397,7 +397,16 @@ def face_table(frame: Frame, vertices: torch.Tensor, faces: torch.Tensor) -> tor
     return torch.cat((corners.flatten(1), triangle_normal(corners)), dim=1)
 
 
-def evaluate(frame: Frame, table: torch.Tensor, faces: torch.Tensor, normals, start, direction, face, shift) -> MeshHit:
+def evaluate(
+    frame: Frame,
+    table: torch.Tensor,
+    faces: torch.Tensor,
+    normals: torch.Tensor | None,
+    start: torch.Tensor,
+    direction: torch.Tensor,
+    face: torch.Tensor,
+    shift: torch.Tensor,
+) -> MeshHit:
     """Return the hits of rays on faces, by the arithmetic of the search.
 
     Parameters
@@ -481,7 +490,9 @@ def embree_scene(vertices: torch.Tensor, faces: torch.Tensor) -> Any:
     return scene
 
 
-def nearest_faces_by_embree(scene, start: torch.Tensor, direction: torch.Tensor, first: torch.Tensor) -> torch.Tensor:
+def nearest_faces_by_embree(
+    scene: Any, start: torch.Tensor, direction: torch.Tensor, first: torch.Tensor
+) -> torch.Tensor:
     """Return the face that each ray meets first, int64 ``[m]``, −1 for none; arguments as in the search of the tree."""
     start = start + first * direction
     found = scene.run(_rows(start.float()).cpu().numpy(), _rows(direction.float()).cpu().numpy())

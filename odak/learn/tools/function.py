@@ -1,13 +1,14 @@
 """Functions of position as tensors: cubic B-splines, Gaussians in space, Zernike polynomials."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import torch
 
 from odak import _array, _validate
+from odak._array import ArrayT
 from odak._torch_private import in_own_precision
 from odak.learn._tensors import checked_device, checked_dtype, floating_tensor
 from odak.tools.transformation import apply_matrix, rotation_matrix
@@ -136,7 +137,9 @@ class SeparableBasis:
         return self.to_dense().numpy().astype(dtype) if dtype else self.to_dense().numpy()
 
     @classmethod
-    def __torch_function__(cls, function, types, args=(), kwargs=None):
+    def __torch_function__(
+        cls, function: Callable[..., Any], types: Any, args: Iterable[Any] = (), kwargs: dict[str, Any] | None = None
+    ) -> Any:
         args = [arg.to_dense() if isinstance(arg, cls) else arg for arg in args]
         return function(*args, **(kwargs or {}))
 
@@ -445,7 +448,7 @@ def bspline_factor(count: int, samples: int) -> np.ndarray:
     return np.where(u <= 1, 2 / 3 - u**2 + u**3 / 2, np.maximum(2 - u, 0) ** 3 / 6)
 
 
-def gaussians(points, centers, scales, angles, opacity):
+def gaussians(points: ArrayT, centers: ArrayT, scales: ArrayT, angles: ArrayT, opacity: ArrayT) -> ArrayT:
     """Return the densities of rotated Gaussians at points, ``[n, m]``.
 
     Parameters

@@ -176,7 +176,14 @@ def brightness_of(images: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     return best_scale(images, target, axes).reshape(-1, 1, 1)
 
 
-def started(name: str, given, shapes: Sequence[tuple], like: torch.Tensor, draw: Callable, names: Sequence[str] = ()):
+def started(
+    name: str,
+    given: torch.Tensor | None,
+    shapes: Sequence[tuple[int, ...]],
+    like: torch.Tensor,
+    draw: Callable[..., torch.Tensor],
+    names: Sequence[str] = (),
+) -> torch.Tensor:
     """Return phases to start from: drawn as the first of some shapes, or given in one of them, as a copy.
 
     `draw(shape, dtype=)` draws them on the CPU, so that a seed gives the same start on every device.

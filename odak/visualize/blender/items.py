@@ -109,7 +109,14 @@ def _prism_faces(sides: int, caps_from: int) -> np.ndarray:
     return np.concatenate([np.stack(wall, -1) for wall in walls] + caps)
 
 
-def profile_sheet(curvature: float, conic: float, coefficients, semi_diameter: float, place: float, segments: int):
+def profile_sheet(
+    curvature: float,
+    conic: float,
+    coefficients: Sequence[float] | np.ndarray,
+    semi_diameter: float,
+    place: float,
+    segments: int,
+) -> tuple[np.ndarray, np.ndarray]:
     """Return a sheet of a face of a lens with its vertex at z = place, z = height(r) as of ``even_asphere_sag``.
 
     A sheet is points and unit normals towards +z, each ``[rings + 1, segments + 1, 3]`` from the vertex to the rim, the

@@ -225,7 +225,9 @@ LIBRARIES = (
 )
 
 
-def run_for_file(document: dict[Any, Any], path: str, blender, timeout, verbose: bool) -> str:
+def run_for_file(
+    document: dict[str, Any], path: str, blender: str | os.PathLike[str] | None, timeout: float | None, verbose: bool
+) -> str:
     """Write a file of a scene with Blender, atomically; return the path."""
     if not os.path.isdir(os.path.dirname(path)):
         raise ValueError(f"Folder {os.path.dirname(path)!r} does not exist")
@@ -236,7 +238,9 @@ def run_for_file(document: dict[Any, Any], path: str, blender, timeout, verbose:
     return path
 
 
-def run_for_array(document: dict[Any, Any], blender, timeout, verbose: bool) -> np.ndarray:
+def run_for_array(
+    document: dict[str, Any], blender: str | os.PathLike[str] | None, timeout: float | None, verbose: bool
+) -> np.ndarray:
     """Render a scene; return linear RGB and opacity, float32 ``[rows, columns, 4]``, row 0 at the top."""
     with tempfile.TemporaryDirectory(prefix="odak_blender_") as folder:
         made = _run(document, folder, ".raw", blender, timeout, verbose)

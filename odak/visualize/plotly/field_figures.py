@@ -6,7 +6,7 @@ import itertools
 import math
 import os
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -93,27 +93,32 @@ def picked(values: np.ndarray, factor: int) -> np.ndarray:
     return values[np.ix_(rows, columns)]
 
 
-def value_panel(values: np.ndarray, dx=None, wavelength=None, limit: int = MAXIMUM_SIDE) -> Panel:
+Pitch: TypeAlias = float | Sequence[float] | None
+
+
+def value_panel(
+    values: np.ndarray, dx: Pitch = None, wavelength: float | None = None, limit: int = MAXIMUM_SIDE
+) -> Panel:
     """Return a real image, reduced by averaging."""
     return _in_space(averaged, values, dx, limit)
 
 
-def amplitude(field, dx=None, wavelength=None, limit=MAXIMUM_SIDE) -> Panel:
+def amplitude(field: np.ndarray, dx: Pitch = None, wavelength: float | None = None, limit: int = MAXIMUM_SIDE) -> Panel:
     """Return the amplitude; for a block of samples the root of its mean intensity."""
     return _in_space(lambda u, f: np.abs(u) if f == 1 else np.sqrt(averaged(_power(u), f)), field, dx, limit)
 
 
-def phase(field, dx=None, wavelength=None, limit=MAXIMUM_SIDE) -> Panel:
+def phase(field: np.ndarray, dx: Pitch = None, wavelength: float | None = None, limit: int = MAXIMUM_SIDE) -> Panel:
     """Return the phase in degrees."""
     return _in_space(lambda u, f: np.rad2deg(np.angle(picked(u, f))), field, dx, limit)
 
 
-def intensity(field, dx=None, wavelength=None, limit=MAXIMUM_SIDE) -> Panel:
+def intensity(field: np.ndarray, dx: Pitch = None, wavelength: float | None = None, limit: int = MAXIMUM_SIDE) -> Panel:
     """Return the squared amplitude."""
     return _in_space(lambda u, f: averaged(_power(u), f), field, dx, limit)
 
 
-def spectrum(field, dx=None, wavelength=None, limit=MAXIMUM_SIDE) -> Panel:
+def spectrum(field: np.ndarray, dx: Pitch = None, wavelength: float | None = None, limit: int = MAXIMUM_SIDE) -> Panel:
     """Return the power of the plane waves that make up the field in dB below the strongest, over their angles.
 
     The sines of the angles are the direction cosines λ·f along x and y; evanescent waves are left out.
@@ -996,7 +1001,9 @@ class plotshow(_Images):
         super().update_layout()
 
 
-def surface_trace(figure: Figure, data, label, opacity, contour, style: Callable[[int], dict[Any, Any]]):
+def surface_trace(
+    figure: Figure, data: Any, label: str, opacity: float, contour: bool, style: Callable[[int], dict[str, Any]]
+) -> graph.Surface:
     """Return a surface for Plotly, every k-th sample of which is drawn; `style` is a function of k."""
     x, y, z = _arrays.heights(*data)
     factor = reduction(z.shape, MAXIMUM_SURFACE)

@@ -14,7 +14,7 @@ import sys
 import tempfile
 import threading
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import contextmanager
 from numbers import Real
 from pathlib import Path
@@ -117,7 +117,7 @@ def close_browser() -> None:
     _shared.close()
 
 
-def draw(figure, kind: str, width: float, height: float, scale: float = 1.0) -> bytes:
+def draw(figure: graph.Figure, kind: str, width: float, height: float, scale: float = 1.0) -> bytes:
     """Return a figure as the bytes of an image file.
 
     Parameters
@@ -401,7 +401,14 @@ def domains(figure: Any) -> dict[str, tuple[float, float]]:
     return {name: (0.0, 1.0) if domain is None else tuple(domain) for name, domain in found.items()}
 
 
-def place_images(figure: Any, at_first: dict, share: float = 1.0, *, rows: int = 1, fit_height: bool = False) -> None:
+def place_images(
+    figure: graph.Figure,
+    at_first: dict[str, tuple[float, float]],
+    share: float = 1.0,
+    *,
+    rows: int = 1,
+    fit_height: bool = False,
+) -> None:
     """Place each colour bar beside its image, as high as the image, in space taken from its column.
 
     Parameters
@@ -541,7 +548,9 @@ def _extent(trace) -> tuple[float, float]:
     return extents[0], extents[1]
 
 
-def camera_towards(points: np.ndarray, direction, up, size: tuple[float, float]) -> tuple[dict, list[list[float]]]:
+def camera_towards(
+    points: np.ndarray, direction: Sequence[float], up: Sequence[float], size: tuple[float, float]
+) -> tuple[dict[str, Any], list[list[float]]]:
     """Return a camera, and ranges of the axes, with which a scene of equal scales shows all points.
 
     Parameters
@@ -595,8 +604,8 @@ class Figure:
         Settings of the layout, read each time the figure is shown or saved.
     """
 
-    def __init__(self, figure, settings: dict[Any, Any]):
-        self.fig = figure
+    def __init__(self, figure: graph.Figure, settings: dict[Any, Any]):
+        self.fig: graph.Figure = figure
         self.settings = settings
         self._notes: list[str] = []
 

@@ -613,7 +613,7 @@ class rayshow(SceneFigure):
         self._add(trace, row, column)
 
 
-def colors(color, count: int, settings: dict[Any, Any], repeat: int = 1) -> dict[Any, Any]:
+def colors(color: Any, count: int, settings: dict[str, Any], repeat: int = 1) -> dict[str, Any]:
     """Return the colours of markers or lines as arguments of Plotly: one, or one for each of `count`.
 
     Parameters

@@ -10,6 +10,7 @@ intersection is differentiated by the implicit function theorem, dT = −(N·(dp
 found T does not matter.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -102,7 +103,7 @@ class Contraction(torch.autograd.Function):
         return (derivative @ tangent[..., None])[..., 0]
 
     @staticmethod
-    def setup_context(ctx, inputs, output):
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
         """Keep nothing: no further derivatives are taken."""
 
     @staticmethod
@@ -121,9 +122,9 @@ class Trace(torch.autograd.Function):
     """Trace through all surfaces as one node of the graph."""
 
     @staticmethod
-    def forward(layout, x, y, z, u, v, w, *numbers):
+    def forward(layout: Layout, *tensors: Any) -> tuple[torch.Tensor, ...]:
         """Return x, y, z, u, v, w, path and status ``[B, R]``; NaN where a ray failed."""
-        numbers, rays = Numbers(*numbers), (x, y, z, u, v, w)
+        x, rays, numbers = tensors[0], tensors[:6], Numbers(*tensors[6:])
         if x.device.type != "cpu":
             state = plain(layout, numbers, rays)
             lost = state.status != HIT
@@ -147,7 +148,7 @@ class Trace(torch.autograd.Function):
         return (*out, status)
 
     @staticmethod
-    def setup_context(ctx, inputs, output):
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
         """Keep the rays that came in, the numbers and the statuses."""
         layout, *tensors = inputs
         ctx.layout = layout
@@ -260,7 +261,9 @@ def _gradients(layout, tensors, status, gradients):
     return (*out, *totals[:5])
 
 
-def ray_derivatives(layout: Layout, tensors, status) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+def ray_derivatives(
+    layout: Layout, tensors: Sequence[torch.Tensor], status: torch.Tensor
+) -> tuple[tuple[torch.Tensor, ...], tuple[torch.Tensor, ...]]:
     """Return the derivatives of what each ray is behind the last surface, however many numbers there are.
 
     Parameters

@@ -859,7 +859,11 @@ def _entries(system, compensators) -> list[tuple[str, int, int | None]]:
 
 
 def compensated(
-    system: optical_system, numbers: Prescription, compensators, merit: Callable, iterations: int
+    system: optical_system,
+    numbers: Prescription,
+    compensators: Sequence[tuple[str, int]],
+    merit: Callable[..., torch.Tensor],
+    iterations: int,
 ) -> Prescription:
     """Return a batch of prescriptions ``[N]`` with the compensators where the sum of the squared merits is least."""
     entries = _entries(system, compensators)
@@ -910,7 +914,9 @@ def _with_trials(shape):
     return type(shape)(*(v.unsqueeze(v.ndim - own) if v.ndim > own else v for v, own in pairs))
 
 
-def perturbed(system: optical_system, nominal: Prescription, perturbations, samples: int, seed: int) -> Prescription:
+def perturbed(
+    system: optical_system, nominal: Prescription, perturbations: Sequence[Perturbation], samples: int, seed: int
+) -> Prescription:
     """Return a batch of prescriptions with random numbers added."""
     generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
     items = _checked_perturbations(perturbations, len(system.surfaces))

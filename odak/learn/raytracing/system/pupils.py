@@ -11,7 +11,7 @@ import torch
 from odak import _show, _torch_private, _validate
 from odak._array import is_compiling, is_readable
 from odak.learn._tensors import checked_device, checked_dtype
-from odak.learn.raytracing.system.paraxial import entrance_pupil
+from odak.learn.raytracing.system.paraxial import EntrancePupil, entrance_pupil
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.specification import FieldPoints, is_number, plain, stacked
 from odak.learn.raytracing.system.surfaces import checked_system, is_break, optical_system
@@ -477,7 +477,9 @@ def field_points(system: Any, fields: FieldPoints | None = None) -> torch.Tensor
     return stacked(pairs)
 
 
-def through_pupil(system: optical_system, points: torch.Tensor, fields: torch.Tensor, prescription, aim: str) -> Rays:
+def through_pupil(
+    system: optical_system, points: torch.Tensor, fields: torch.Tensor, prescription: Prescription | None, aim: str
+) -> Rays:
     """Return rays through points of the pupil, ``[P, 2]`` or ``[..., F, P, 2]``, from field points ``[F, 1, 2]``."""
     numbers = (system.prescription() if prescription is None else prescription).at(system.reference)
     pupil = entrance_pupil(system, prescription=numbers)
@@ -487,7 +489,7 @@ def through_pupil(system: optical_system, points: torch.Tensor, fields: torch.Te
 
 
 def real_places(
-    system: optical_system, numbers: Prescription, pupil, points: torch.Tensor, fields: torch.Tensor
+    system: optical_system, numbers: Prescription, pupil: EntrancePupil, points: torch.Tensor, fields: torch.Tensor
 ) -> tuple[Any, ...]:
     """Return coordinates (x, y) of rays that pass the stop at given points, and whether they are across the fields."""
     # Of a device that is not read, the system's own fields decide.
@@ -503,7 +505,14 @@ def places_of(pupil: Any, points: torch.Tensor) -> tuple[torch.Tensor, torch.Ten
     return tuple(reach * points[..., i] + center for i, center in enumerate(middle))  # type: ignore[return-value]
 
 
-def through_places(system: optical_system, fields: torch.Tensor, pupil, px, py, wide: bool = False) -> Rays:
+def through_places(
+    system: optical_system,
+    fields: torch.Tensor,
+    pupil: EntrancePupil,
+    px: torch.Tensor,
+    py: torch.Tensor,
+    wide: bool = False,
+) -> Rays:
     """Return rays from field points ``[F, 1, 2]`` through coordinates of the entrance pupil.
 
     With `wide`, the coordinates are across the direction of the field instead, so that it may come from behind.
@@ -583,8 +592,13 @@ def _near(system, fields, bend, sx, sy) -> Rays:
 
 
 def aimed(
-    system: optical_system, numbers: Prescription, pupil, points: torch.Tensor, fields: torch.Tensor, wide: bool = False
-):
+    system: optical_system,
+    numbers: Prescription,
+    pupil: EntrancePupil,
+    points: torch.Tensor,
+    fields: torch.Tensor,
+    wide: bool = False,
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Return coordinates in the entrance pupil of rays that pass the stop at given points.
 
     Parameters

@@ -6,7 +6,7 @@ autograd goes (Chen et al., Advances in Neural Information Processing Systems 31
 equation).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -25,7 +25,16 @@ from odak.raytracing.surfaces import Conic, EvenAsphere, Plane, Shape, intersect
 FLOWING = 1 << 15
 
 
-def arrive(gradient: Gradient, base, frame, point, direction, shape: Shape, sign: int, track: bool = False) -> tuple:
+def arrive(
+    gradient: Gradient,
+    base: torch.Tensor,
+    frame: "Frame",
+    point: vec.Vector,
+    direction: vec.Vector,
+    shape: Shape,
+    sign: int,
+    track: bool = False,
+) -> tuple[Any, ...]:
     """Return rays at their intersections with the next surface behind a graded-index medium.
 
     Parameters
@@ -673,7 +682,8 @@ class Frames:
     """Frames of the axis at the surfaces of a sequence, in the frame of the first vertex."""
 
     def __init__(self):
-        self.here, self.found = IDENTITY, []
+        self.here: Frame = IDENTITY
+        self.found: list[Frame] = []
 
     def move(self, distance: torch.Tensor) -> None:
         """Move the frame along the axis."""
@@ -728,7 +738,9 @@ def _product(a, b) -> list[Any]:
     return [[vec.dot(row, column) for column in _columns(b)] for row in a]
 
 
-def axis_signs(shift, tilt, actions, orders, distances) -> list[int] | None:
+def axis_signs(
+    shift: torch.Tensor, tilt: torch.Tensor, actions: Sequence[Any], orders: Sequence[Any], distances: torch.Tensor
+) -> list[int] | None:
     """Return the signs with which the axis arrives at the surfaces, followed through mirrors and coordinate breaks.
 
     Parameters

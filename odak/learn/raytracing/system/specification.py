@@ -233,18 +233,18 @@ def set_(held: Any, **values: Any) -> None:
         object.__setattr__(held, name, value)
 
 
-def condition(name: str, value, *, positive: bool = False):
+def condition(name: str, value: float | torch.Tensor, *, positive: bool = False) -> float | torch.Tensor:
     """Return one number as a float; as a float64 tensor without axes where it has derivatives."""
     return _kept(_validate.number(name, value, positive=positive))
 
 
-def _kept(value):
+def _kept(value) -> float | torch.Tensor:
     if isinstance(value, torch.Tensor) and (value.requires_grad or _torch_private.is_transformed(value)):
         return value.double().reshape(())
     return float(value)
 
 
-def plain(value):
+def plain(value: Any) -> Any:
     """Return a number, or nested lists of numbers, of tensors and tuples; names of materials."""
     if isinstance(value, torch.Tensor):
         held = _torch_private.as_constant(value).detach()
@@ -254,17 +254,17 @@ def plain(value):
     return [plain(entry) for entry in value] if isinstance(value, (tuple, list)) else value
 
 
-def number_or_infinity(name: str, value):
+def number_or_infinity(name: str, value: float | torch.Tensor) -> float | torch.Tensor:
     """Return a real number that may be infinite; an infinite one as a float."""
     if isinstance(value, Real) and not isinstance(value, bool) and math.isinf(value):
         return value
     single = isinstance(value, torch.Tensor) and value.numel() == 1 and not _torch_private.is_wrapped(value)
-    if single and bool(torch.isinf(value.detach()).all()):
+    if single and bool(torch.isinf(torch.as_tensor(value).detach()).all()):
         return float(_validate.constants(**{name: value})[0])
     return _validate.number(name, value)
 
 
-def checked_medium(value):
+def checked_medium(value: Any) -> str | Real | torch.Tensor | Material:
     """Return "air", "mirror", a material of the catalogue, or the number or tensor that came."""
     if isinstance(value, bool) or not isinstance(value, (str, Real, torch.Tensor, Material)):
         raise TypeError(f"material must be a name, an index or a Material, got {type(value).__name__}")
@@ -273,7 +273,7 @@ def checked_medium(value):
     return value
 
 
-def checked_wavelengths(values, unit: str | None = None) -> tuple[float, ...]:
+def checked_wavelengths(values: Any, unit: str | None = None) -> tuple[float, ...]:
     """Return vacuum wavelengths, at least one, as a tuple; texts remain until the unit of their system is known."""
     if isinstance(values, (str, list, tuple)):
         values = [values] if isinstance(values, str) else values
@@ -292,7 +292,7 @@ def checked_wavelengths(values, unit: str | None = None) -> tuple[float, ...]:
     return found
 
 
-def checked_fields(values) -> tuple[tuple[Any, Any], ...]:
+def checked_fields(values: Iterable[Any]) -> tuple[tuple[Any, Any], ...]:
     """Return field points, numbers y or pairs (x, y), as pairs."""
     _validate.listed("fields", values, "a sequence of numbers y or pairs (x, y)")
     if hasattr(values, "tolist"):
@@ -303,7 +303,7 @@ def checked_fields(values) -> tuple[tuple[Any, Any], ...]:
     return tuple((condition("fields", x), condition("fields", y)) for x, y in points)
 
 
-def stacked(points) -> torch.Tensor:
+def stacked(points: Sequence[Sequence[float | torch.Tensor]]) -> torch.Tensor:
     """Return pairs (x, y) of numbers and tensors as one float64 tensor ``[F, 2]``, on the device of the tensors."""
     held = [value for point in points for value in point if isinstance(value, torch.Tensor)]
     if not held:
@@ -314,7 +314,7 @@ def stacked(points) -> torch.Tensor:
     )
 
 
-def largest_of(points):
+def largest_of(points: Sequence[Sequence[float | torch.Tensor]]) -> float | torch.Tensor:
     """Return the largest distance of field points from the axis, with its derivatives if they have any."""
     sizes = [math.hypot(*plain(point)) for point in points]
     chosen = points[sizes.index(max(sizes))]
@@ -347,7 +347,9 @@ SETTINGS = {
 }
 
 
-def checked_settings(settings, count: int, unit: str) -> tuple[tuple[str, int | None, tuple[Any, ...]], ...]:
+def checked_settings(
+    settings: Iterable[Sequence[Any]], count: int, unit: str
+) -> tuple[tuple[str, int | None, tuple[Any, ...]], ...]:
     """Return settings (name, place, values) of configurations after checking that they are.
 
     Parameters
@@ -398,7 +400,7 @@ def _setting(name: str, value, unit: str):
     return expansion_in(f"{name} in settings", found) if name in ("mount", "mirror") else found
 
 
-def checked_weights(name: str, values, count: int) -> tuple[float, ...] | None:
+def checked_weights(name: str, values: Iterable[Any] | None, count: int) -> tuple[float, ...] | None:
     """Return weights as numbers of at least 0, one of them above it; None where there are none.
 
     Parameters

@@ -683,7 +683,9 @@ def _several(name: str, values, counts: tuple[int, ...]):
     return values
 
 
-def layout_of(surfaces, prescription: Prescription, image=None, vignetting: bool = True) -> Layout:
+def layout_of(
+    surfaces: "Sequence[surface]", prescription: Prescription, image: "surface | None" = None, vignetting: bool = True
+) -> Layout:
     """Return the layout of a row of surfaces and the image behind it.
 
     Parameters

@@ -6,7 +6,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -559,7 +559,9 @@ def usual_pupil(system: optical_system, missing: str, notes: list[str]) -> tuple
     return size, "EPD"
 
 
-def heights_of_angles(system: optical_system, points, notes: list[str]) -> list[tuple[float, float]]:
+def heights_of_angles(
+    system: optical_system, points: Iterable[tuple[float, float]], notes: list[str]
+) -> list[tuple[float, float]]:
     """Return the object heights that are seen under angles from the entrance pupil, with a note."""
     reach = float(system.object_distance) + float(first_order(system).entrance_pupil_distance)
     if not math.isfinite(reach) or system.telecentric:
@@ -574,7 +576,7 @@ def image_of(found: surface) -> surface | None:
     return None if flat and found.limit is None and not found.is_off_axis else found
 
 
-def pairs(x, y) -> list[tuple[float, float]]:
+def pairs(x: list[float], y: list[float]) -> list[tuple[float, float]]:
     """Return pairs of two lists, the shorter one filled up with zeros."""
     count = max(len(x), len(y))
     return list(zip(*(value + [0.0] * (count - len(value)) for value in (x, y)), strict=True))
@@ -646,7 +648,11 @@ def aperture_of_working(system: optical_system, number: float) -> float:
 
 
 def fields_of_image_heights(
-    system: optical_system, points, real: bool, aim: str = "paraxial", notes: list[Any] | None = None
+    system: optical_system,
+    points: Sequence[tuple[float, float]],
+    real: bool,
+    aim: str = "paraxial",
+    notes: list[Any] | None = None,
 ) -> tuple[tuple[float, float], ...]:
     """Return the field points whose chief rays land at given heights at the primary wavelength.
 

@@ -14,7 +14,7 @@ from odak._torch_private import forward_derivative
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import floating, takes_constants
 from odak.learn.raytracing.system.analysis import Spread, path_at_start, spot_diagram, wavefront
-from odak.learn.raytracing.system.paraxial import check_image_space, entrance_pupil, first_order
+from odak.learn.raytracing.system.paraxial import EntrancePupil, check_image_space, entrance_pupil, first_order
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.pupils import (
     AIMS,
@@ -115,11 +115,20 @@ class RayMap:
         Turn the plane's normal to the chief ray rather than to the axis.
     """
 
-    def __init__(self, system, prescription, place: int, field: torch.Tensor, distance, across: bool):
+    def __init__(
+        self,
+        system: optical_system,
+        prescription: Prescription | None,
+        place: int,
+        field: torch.Tensor,
+        distance: float | torch.Tensor,
+        across: bool,
+    ):
         numbers = system.prescription() if prescription is None else prescription
-        self.system = system
-        self.numbers, self.reference = numbers.at(place), numbers.at(system.reference)
-        self.pupil = entrance_pupil(system, prescription=self.reference)
+        self.system: optical_system = system
+        self.numbers: Prescription = numbers.at(place)
+        self.reference: Prescription = numbers.at(system.reference)
+        self.pupil: EntrancePupil = entrance_pupil(system, prescription=self.reference)
         self.field: torch.Tensor = field.reshape(1, 1, 2)
         # Decentre and size of the vignetted pupil, on whose unit disc the coordinates are given.
         factors = pupil_factors(system, self.field[0])

@@ -215,7 +215,15 @@ class TiledGaussians:
         The picture that each Gaussian is in ``[n]``.
     """
 
-    def __init__(self, means, conics, height, width, tiling=None, layers=None):
+    def __init__(
+        self,
+        means: torch.Tensor,
+        conics: torch.Tensor,
+        height: int,
+        width: int,
+        tiling: Any = None,
+        layers: torch.Tensor | None = None,
+    ):
         shear, a, b = whiten(conics)
         self.lowest: float = smallest_kept(means.dtype)
         half = half_boxes(shear, a, b, self.lowest)

@@ -7,6 +7,7 @@ from typing import Any
 import torch
 
 from odak import _validate
+from odak.learn.wave.displays.display import Display
 from odak.learn.wave.fields import unit_phasor
 from odak.learn.wave.holograms.solvers.double_phase import encode_double_phase
 from odak.learn.wave.holograms.solvers.network import network_on
@@ -114,7 +115,13 @@ def starting_phase(
     return phase if frames == 1 else phase + 0.5 * drawn(torch.randn)
 
 
-def starting_phases(display, target, start, seed, into: torch.Tensor | None = None) -> torch.Tensor:
+def starting_phases(
+    display: Display,
+    target: torch.Tensor,
+    start: str | torch.Tensor | None,
+    seed: int | None,
+    into: torch.Tensor | None = None,
+) -> torch.Tensor:
     """Return the phases to start from; a named start is computed for the brightest colour of each frame.
 
     They are written to `into` after each iteration, so that what is interrupted leaves those of the last one.

@@ -1,15 +1,20 @@
 """Targets of holograms: what images of a display are to be. Touches a display by its places and stop."""
 
+from typing import Any
+
+import torch
+
 from odak import _validate
 from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import floating
+from odak.learn.wave.displays.display import Display
 from odak.learn.wave.displays.panels import Iris
 from odak.learn.wave.holograms.scenery import Scenery
-from odak.learn.wave.loss import multiplane_loss
+from odak.learn.wave.loss import FocalTargets, multiplane_loss
 from odak.learn.wave.training import checked_intensities
 
 
-def focal_targets(display, target):
+def focal_targets(display: Display, target: Any) -> FocalTargets | None:
     """Return the targets of the planes of a picture with depth; None for any other target."""
     if not isinstance(target, tuple) or len(target) != 2:
         return None
@@ -29,12 +34,12 @@ def focal_targets(display, target):
     )
 
 
-def checked_target(display, target):
+def checked_target(display: Display, target: Any) -> torch.Tensor:
     """Return a target ``[D, C, rows, columns]`` on the device of a display after checking that it fits."""
     target = target.images(display) if isinstance(target, Scenery) else floating("target", target)
     target = checked_intensities("target", target)
     planes, colours, rows, columns = display.shape
-    accepted = {(planes, colours, rows, columns)}
+    accepted: set[tuple[int, ...]] = {(planes, colours, rows, columns)}
     # Eyes may all see the same.
     alike = planes == 1 or display.path.on_retinas
     accepted |= {(colours, rows, columns)} if alike else set()

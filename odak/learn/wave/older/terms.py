@@ -1,6 +1,8 @@
 """Terms of the losses of hologram optimizers: targets, weights, light sources, eyebox and phase constraints."""
 
 from collections.abc import Callable, Sequence
+from os import PathLike
+from typing import Any
 
 import torch
 
@@ -55,7 +57,7 @@ def loss_weights(given: dict[str, float] | Sequence[float] | None, defaults: dic
     return weights
 
 
-def keywords_of(loss: Callable) -> set[str]:
+def keywords_of(loss: Callable[..., Any]) -> set[str]:
     """Return which of `plane_id`, `noise_ratio`, `inject_noise` and `generator` a loss takes."""
     parameters = parameters_of(loss)
     anything = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
@@ -88,14 +90,14 @@ def light_loss(powers: torch.Tensor, targets: torch.Tensor, peak: float, reducti
     return (per_colour.mean() if reduction == "mean" else per_colour.sum()) + whole + powers.sum(1).amin().cos()
 
 
-def checked_targets(targets, shape: tuple[int, ...]) -> torch.Tensor:
+def checked_targets(targets: torch.Tensor, shape: tuple[int, ...]) -> torch.Tensor:
     """Return intensities after checking their shape and that they are finite and not negative."""
     if isinstance(targets, torch.Tensor) and tuple(targets.shape) != shape:
         raise ValueError(f"targets must be {shape}, got {tuple(targets.shape)}")
     return checked_intensities("targets", targets)
 
 
-def check_pair(input_image, target_image) -> None:
+def check_pair(input_image: torch.Tensor, target_image: torch.Tensor) -> None:
     """Raise ValueError or TypeError unless an image and its target are real tensors of one shape."""
     for name, image in (("input_image", input_image), ("target_image", target_image)):
         real_tensor(name, image)
@@ -104,7 +106,7 @@ def check_pair(input_image, target_image) -> None:
     _validate.alike(input_image=input_image, target_image=target_image)
 
 
-def checked_eyebox(eyebox: dict | None) -> dict:
+def checked_eyebox(eyebox: dict[str, Any] | None) -> dict[str, Any]:
     """Return offset and diameter of an eyebox in samples, the usual ones where they are not given."""
     usual = {"offset": 0.0, "diameter": 100}
     _validate.instance("eyebox", eyebox, (dict, type(None)), "a dictionary of offset and diameter")
@@ -137,7 +139,7 @@ def eyebox_mask(shape: Sequence[int], offset: float | Sequence[float], diameter:
     return torch.fft.ifftshift(mask)
 
 
-def powers_from(filename, shape: tuple[int, int]) -> torch.Tensor:
+def powers_from(filename: str | PathLike[str], shape: tuple[int, int]) -> torch.Tensor:
     """Return the channel powers ``[F, C]`` in a file, clipped to 0 … 1."""
     path = validate_path(filename, name="channel_power_filename")
     powers = torch_load(path)
@@ -148,7 +150,7 @@ def powers_from(filename, shape: tuple[int, int]) -> torch.Tensor:
 
 
 def checked_pattern(
-    phase, offset, name: str = "phase", *, of_frames: bool = False
+    phase: torch.Tensor, offset: torch.Tensor, name: str = "phase", *, of_frames: bool = False
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return a phase ``[..., m, n]`` and the offset that goes with it after checking both.
 

@@ -57,7 +57,15 @@ class LightPath:
     linear: bool
     pixel_fill: float | None = None
 
-    def kernel(self, shape: Any, wavelength, distance, device, dtype, cutoff: float | None = None) -> torch.Tensor:
+    def kernel(
+        self,
+        shape: Any,
+        wavelength: float | torch.Tensor,
+        distance: float | torch.Tensor,
+        device: torch.device,
+        dtype: torch.dtype,
+        cutoff: float | None = None,
+    ) -> torch.Tensor:
         """Return the transfer function of one plane and colour, ``[rows, columns]`` in FFT order.
 
         Parameters
@@ -110,7 +118,9 @@ def _linear_kernel(name: str, cutoff: float | None, pixel_fill: float | None, gr
     return linear_kernel_of(name, cutoff, pixel_fill)(grid)
 
 
-def plane_distances(distances, volume_depth: float, count: int, offset: float) -> torch.Tensor:
+def plane_distances(
+    distances: torch.Tensor | Sequence[float] | None, volume_depth: float, count: int, offset: float
+) -> torch.Tensor:
     """Return the given distances, or the distances of `count` planes that divide a volume evenly about its centre.
 
     Parameters
@@ -271,7 +281,7 @@ class display_volume(Prepared, torch.nn.Module):
         vars(self)["number_of_depth_layers"] = len(self._distances)
         self.init_kernels()
 
-    def __setattr__(self, name, value):
+    def __setattr__(self, name: str, value: Any) -> None:
         if name == "distances":
             self.init_distances(value)
             return
@@ -625,10 +635,9 @@ class _Kept:
     built: list[bool]
 
 
-def checked_slice(name: str, value) -> slice:
+def checked_slice(name: str, value: object) -> slice:
     """Return a slice after checking that it is one."""
-    _validate.instance(name, value, slice, "a slice")
-    return value
+    return _validate.instance(name, value, slice, "a slice")
 
 
 def index(name: str, value: int, count: int) -> int:
@@ -636,7 +645,7 @@ def index(name: str, value: int, count: int) -> int:
     return _validate.integer(name, value, most=count - 1)
 
 
-def _checked_wavelengths(wavelengths) -> list:
+def _checked_wavelengths(wavelengths) -> list[float | torch.Tensor]:
     listed = list(wavelengths) if _array.is_array(wavelengths) or isinstance(wavelengths, Sequence) else [wavelengths]
     for wavelength in listed:
         _validate.real("wavelengths", wavelength, positive=True)

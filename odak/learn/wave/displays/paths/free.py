@@ -177,7 +177,7 @@ class FreePath(Path):
         cutoff = self.cutoff(colour)
         return None if cutoff is None else (2 * cutoff * self.pitches[0], 2 * cutoff * self.pitches[1])
 
-    def kernels(self, kept, colour: int, dtype: torch.dtype, planes) -> torch.Tensor:
+    def kernels(self, kept: Kept, colour: int, dtype: torch.dtype, planes: Sequence[int]) -> torch.Tensor:
         """Return the transfer functions to all points of a pixel on some planes, ``[planes·samples², 2m, 2n]``."""
         if self.jitter or (isinstance(self.ends, Free) and _array.is_traced(self.ends.distances)):
             errors = kept.errors or (0.0,) * len(self.distances)

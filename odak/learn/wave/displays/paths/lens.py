@@ -57,7 +57,7 @@ class LensPath(Path):
         down, across = (length / (n * p) for n, p in zip(self.sizes, self.pitches, strict=True))
         return down, across
 
-    def nearness(self, depths):
+    def nearness(self, depths: torch.Tensor | None) -> torch.Tensor:
         """Refuse pictures with depth, of which a single plane in the far field shows nothing."""
         raise ValueError("target must be images [rows, columns] for a display behind a lens, got one with depth")
 

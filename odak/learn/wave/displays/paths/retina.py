@@ -101,12 +101,12 @@ class RetinaPath(Path):
         down, across = (2 * half / sight.box(axis) for axis, half in enumerate(sight.pupil()[1]))
         return down, across
 
-    def aperture(self, colour, image):
+    def aperture(self, colour: int, image: int) -> tuple[torch.Tensor, torch.Tensor, bool]:
         """Return the middle and half widths of a pupil in metres, which is round."""
         middle, halves = (torch.tensor(part, dtype=torch.float64) for part in self.sight(colour, image).pupil())
         return middle, halves, True
 
-    def nearness(self, depths):
+    def nearness(self, depths: torch.Tensor | None) -> torch.Tensor:
         """Return the reciprocal of distances from the plane of the pupils, infinity included, in 1/m."""
         if depths is None:
             _, b, d = self.sight(0, 0).ray_matrix()
@@ -115,7 +115,7 @@ class RetinaPath(Path):
             raise ValueError(f"depth must be positive distances from the pupils, got {float(depths.min()):.4g} m")
         return 1 / depths
 
-    def displaced(self, colour, image, nearness, rays):
+    def displaced(self, colour: int, image: int, nearness: torch.Tensor, rays: torch.Tensor) -> torch.Tensor:
         """Return by how many pixels points appear beside where a pupil on the axis sees them, ``[N, L, 2]``.
 
         The panel's pixel D·q + B·t is seen through q with the slope t, a point X of nearness s with t = (X − q)·s. The
