@@ -20,6 +20,8 @@ from odak.tools.paths import validate_path, write_file
 
 # Most pictures of one page, each of which is some tens of kilobytes.
 MOST_FRAMES = 300
+# Pixels of a page that a picture takes at least.
+NARROWEST = 320
 _SCRIPT = """
 (root => {
   const frames = JSON.parse(root.querySelector('script[type="application/json"]').textContent);
@@ -88,8 +90,11 @@ class Exploration:
                 f"<output></output></label>"
             )
         pictures = json.dumps([_show.source(frame).partition(",")[2] for frame in self.frames])
+        # The samples of small pictures stay sharp where they are enlarged.
+        small = int.from_bytes(self.frames[0][16:20], "big") < NARROWEST  # columns, by the header of a PNG file
+        size = f"width:{NARROWEST}px;image-rendering:pixelated;" if small else ""
         return (
-            f'<div>{"".join(rows)}<img style="max-width:100%" alt="drawing of the values above">'
+            f'<div>{"".join(rows)}<img style="{size}max-width:100%" alt="drawing of the values above">'
             f'<script type="application/json">{pictures}</script><script>{_SCRIPT}</script></div>'
         )
 

@@ -33,6 +33,11 @@ def test_frames_are_in_the_order_of_the_products_of_values():
     assert "place * (Number(slider.max) + 1) + Number(slider.value)" in page
 
 
+def test_small_pictures_are_enlarged_in_sharp_samples():
+    small, large = (explore(lambda x, n=n: np.full((4, n), x), x=[0.5])._repr_html_() for n in (319, 320))
+    assert "width:320px;image-rendering:pixelated;" in small and "width:320px" not in large and "max-width" in large
+
+
 def test_pictures_of_all_kinds_are_drawn():
     colours = torch.zeros(3, 5, 7, requires_grad=True) + torch.tensor([1.0, 0.5, 0.0])[:, None, None]
     assert drawn(explore(lambda x: colours, x=[1]).frames[0])[2, 3].tolist() == [255, 128, 0]
