@@ -103,7 +103,7 @@ REASONS = {
         raytracing/system/pupils: pupil_quadrature
         raytracing/system/waves: _grid
         tools/transformation: load_voxelized_PLY point_cloud_to_voxel
-        wave/display_models: _cycles
+        wave/slm: turns_of
         wave/gaussians/splatting: _groups _rounds choose_tiling
         wave/loss: geometric_targets
     """,

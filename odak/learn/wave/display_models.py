@@ -24,7 +24,7 @@ from odak.instruments.protocols import checked_camera
 from odak.learn._tensors import tensor, trainable
 from odak.learn.models.training import train
 from odak.learn.tools.iterations import Run, minimise
-from odak.learn.wave.slm import smooth
+from odak.learn.wave.slm import nearest_levels_by_factors, smooth, turns_of
 from odak.learn.wave.training import best_scale
 from odak.wave.elements import zernike_modes
 from odak.wave.linear_kernels import orders_reaching, pixels_spectrum, taper
@@ -470,26 +470,8 @@ class display_model(Prepared, torch.nn.Module):
         phase = self._checked(phase)
         # Integers cannot represent NaN.
         _validate.real("phase", phase)
-        return self._nearest_levels(phase, self._cycles())
-
-    def _cycles(self) -> int:
-        """Return the number of cycles of 2π, rounded up, that the look-up table reaches."""
-        return int(float(self.table().detach().amax().abs()) / (2 * math.pi)) + 1
-
-    @torch.no_grad()
-    def _nearest_levels(self, phase: torch.Tensor, cycles: int) -> torch.Tensor:
-        rising, order = torch.sort(self.table().detach())
-        middles = (rising[1:] + rising[:-1]) / 2
-        factor = self.response_map().detach()
-        wanted = torch.remainder(phase.detach(), 2 * math.pi)
-        best, level = torch.full_like(wanted, math.inf), torch.zeros_like(wanted, dtype=torch.int64)
-        for cycle in range(-1, cycles + 1):
-            target = (wanted + 2 * math.pi * cycle) / factor
-            place = torch.bucketize(target, middles)
-            apart = (rising[place] - target).abs()
-            level = torch.where(apart < best, order[place], level)
-            best = torch.minimum(apart, best)
-        return level
+        table = self.table()
+        return nearest_levels_by_factors(phase, table, self.response_map(), turns_of(table))
 
     def shown(self, phase: torch.Tensor) -> torch.Tensor:
         """Return the phase that the nearest levels show, with the gradient of `phase` itself.
@@ -506,11 +488,12 @@ class display_model(Prepared, torch.nn.Module):
         """
         phase = self._checked(phase)
         _validate.real("phase", phase)
-        return self._quantised(phase, self._cycles())
+        return self._quantised(phase, turns_of(self.table().detach()))
 
-    def _quantised(self, phase: torch.Tensor, cycles: int) -> torch.Tensor:
-        found = (self.table()[self._nearest_levels(phase, cycles)] * self.response_map()).detach()
-        return found + (phase - phase.detach())
+    def _quantised(self, phase: torch.Tensor, turns: int) -> torch.Tensor:
+        table, factors = self.table().detach(), self.response_map().detach()
+        levels = nearest_levels_by_factors(phase.detach(), table, factors, turns)
+        return table[levels] * factors + (phase - phase.detach())
 
     def _buffers_of_panel(self, phases, amplitude, wavefront, zernike_order, source_order, nodes) -> None:
         rows, columns = self.shape
@@ -1011,10 +994,10 @@ def display_hologram(
     _validate.check_values("phase", phase)
     run = Run(iterations, False, callback)
     rate = _validate.constant("learning_rate", learning_rate, positive=True)
-    cycles = model._cycles()
+    turns = turns_of(model.table().detach())
 
     def loss(iteration):
-        shown = model._quantised(phase, cycles)
+        shown = model._quantised(phase, turns)
         images = torch.stack([model.image(shown, place) for place in places])
         return (best_scale(images.detach(), target, None) * images - target).square().mean()
 

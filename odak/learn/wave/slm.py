@@ -56,6 +56,45 @@ def nearest_levels(phase: torch.Tensor, lut: torch.Tensor) -> torch.Tensor:
     return torch.cat([order, order[:1]])[torch.bucketize(offset, boundaries)]
 
 
+def turns_of(lut: torch.Tensor) -> int:
+    """Return how many turns of 2π the phases of levels span, rounded up."""
+    return math.ceil(float(lut.max() - lut.min()) / TURN)
+
+
+def nearest_levels_by_factors(
+    phase: torch.Tensor, lut: torch.Tensor, factors: torch.Tensor | float, turns: int
+) -> torch.Tensor:
+    """Return the level whose phase, times a factor of each pixel, is nearest around the circle.
+
+    Parameters
+    ----------
+    phase : torch.Tensor
+        Phase in radians ``[..., m, n]``.
+    lut : torch.Tensor
+        Phase of each level in radians, ``[levels]``, in any order.
+    factors : torch.Tensor or float
+        Factors ``[m, n]``, positive.
+    turns : int
+        Turns of 2π that the levels span, from :func:`turns_of`, which reads them from their device.
+
+    Returns
+    -------
+    torch.Tensor
+        int64 levels of the phase's shape.
+    """
+    best, least = torch.zeros_like(phase, dtype=torch.int64), torch.full_like(phase, torch.inf)
+    rising, order = torch.sort(lut)
+    between = (rising[1:] + rising[:-1]) / 2
+    first = torch.floor((phase - factors * rising[0]) / TURN)
+    # Whole turns below, within and above the span of the levels.
+    for turn in range(-1, 2 + turns):
+        wanted = phase + (turn - first) * TURN
+        place = torch.bucketize(wanted / factors, between)
+        apart = (rising[place] * factors - wanted).abs()
+        best, least = torch.where(apart < least, order[place], best), torch.minimum(apart, least)
+    return best
+
+
 def gaussian_kernel(sigma: float) -> torch.Tensor:
     """Return the share of a Gaussian that falls on each sample, float64 ``[2·ceil(5σ) + 1]``.
 
@@ -385,18 +424,7 @@ class VaryingModulator(spatial_light_modulator):
         return super()._phases_of(levels, dtype) * self.factors.to(levels.device, dtype)
 
     def _nearest(self, phase: torch.Tensor, lut: torch.Tensor) -> torch.Tensor:
-        factors, phase = self.factors.to(phase), phase.detach()
-        best, least = torch.zeros_like(phase, dtype=torch.int64), torch.full_like(phase, torch.inf)
-        rising, order = torch.sort(lut.to(phase.dtype))
-        between = (rising[1:] + rising[:-1]) / 2
-        first = torch.floor((phase - factors * rising[0]) / TURN)
-        # Whole turns below, within and above the span of the levels.
-        for turns in range(-1, 2 + math.ceil(float(rising[-1] - rising[0]) / TURN)):
-            wanted = phase + (turns - first) * TURN
-            levels = order[torch.bucketize(wanted / factors, between)]
-            apart = (lut.to(phase.dtype)[levels] * factors - wanted).abs()
-            best, least = torch.where(apart < least, levels, best), torch.minimum(apart, least)
-        return best
+        return nearest_levels_by_factors(phase.detach(), lut.to(phase.dtype), self.factors.to(phase), turns_of(lut))
 
 
 class temporal_modulator(torch.nn.Module):

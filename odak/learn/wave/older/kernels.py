@@ -488,17 +488,19 @@ def get_light_kernels(
     wavelengths = _lengths("wavelengths", wavelengths, True, device)
     distances = _lengths("distances", distances, False, device)
     pitches = _lengths("pixel_pitches", pixel_pitches, True, device)
-    shape = (len(wavelengths), len(distances), len(pitches), rows * factor, columns * factor)
-    kernels = torch.empty(shape, dtype=torch.complex64, device=device)
-    for index, pitch in enumerate(pitches):
-        kernels[:, :, index] = get_propagation_kernel(
-            rows, columns, pitch, wavelengths[:, None], distances, device, propagation_type, factor, samples
-        )
+    geometry = wavelengths[:, None], distances, device, propagation_type, factor, samples
+    kernels = torch.stack([get_propagation_kernel(rows, columns, pitch, *geometry) for pitch in pitches], 2)
     if kernel_type == "spatial":
         axes = (-2, -1)
         spectrum = torch.fft.ifftshift(kernels, dim=axes)
         kernels = torch.fft.fftshift(torch.fft.ifft2(spectrum, dim=axes), dim=axes)
-    parameters = _parameters(wavelengths, distances, pitches, (rows, columns), shape, device)
+    x, y = (
+        pitches[:, None] * torch.linspace(-(n // 2), n // 2, factor * n, dtype=torch.float64, device=device)
+        for n in (rows, columns)
+    )
+    axes = wavelengths.reshape(-1, 1, 1, 1, 1), distances.reshape(-1, 1, 1, 1), pitches.reshape(-1, 1, 1)
+    parameters = torch.stack(torch.broadcast_tensors(*axes, x[:, :, None], y[:, None]), -1)
+    parameters = parameters.to(torch.get_default_dtype())
     return kernels.abs(), kernels.angle() % (2 * math.pi), kernels, parameters
 
 
@@ -512,21 +514,6 @@ def _lengths(name, values, positive, device) -> torch.Tensor:
     if not lengths:
         raise ValueError(f"{name} must contain at least one length, got none")
     return torch.stack([tensor(name, length, torch.float64, device).reshape(()) for length in lengths])
-
-
-def _parameters(wavelengths, distances, pitches, resolution, shape, device) -> torch.Tensor:
-    """Return wavelength, distance, pitch, X and Y of every sample, ``[W, D, P, m·s, n·s, 5]``."""
-    parameters = torch.empty((*shape, 5), device=device)
-    for axis, values in enumerate((wavelengths, distances, pitches)):
-        parameters[..., axis] = values.reshape(-1, *(1,) * (4 - axis))
-    for index, pitch in enumerate(pitches):
-        x, y = (
-            pitch * torch.linspace(-(n // 2), n // 2, count, dtype=torch.float64, device=device)
-            for n, count in zip(resolution, shape[-2:], strict=True)
-        )
-        parameters[:, :, index, ..., 3] = x[:, None]
-        parameters[:, :, index, ..., 4] = y
-    return parameters
 
 
 @_validate.takes_units("wavelength", "distance")

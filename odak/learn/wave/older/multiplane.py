@@ -270,10 +270,10 @@ class multiplane_hologram_optimizer(Prepared):
             Index of the plane.
         """
         _validate.integer("plane_id", plane_id)
+        rows, columns = self.slm_resolution
         for name, image in (("input_image", input_image), ("target_image", target_image)):
-            if not isinstance(image, torch.Tensor) or image.shape[-2:] != self.mask.shape:
-                got = list(image.shape) if isinstance(image, torch.Tensor) else type(image).__name__
-                raise ValueError(f"{name} must be a tensor [..., {', '.join(map(str, self.mask.shape))}], got {got}")
+            _validate.instance(name, image, torch.Tensor, "a tensor")
+            _validate.shaped(name, image, f"[..., {rows}, {columns}]")
         _validate.one_device(input_image=input_image, target_image=target_image, mask=self.mask)
         pair = input_image * self.mask, target_image * self.mask
         if self.loss_function is None:

@@ -10,8 +10,8 @@ from odak import _array, _torch_private, _validate
 from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import ValuesRead, checked_device, complex_tensor, floating, real_tensor, tensor
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
-from odak.learn.wave.older.volume import PROPAGATOR_TYPES, checked_slice, display_volume, plane_distances
-from odak.learn.wave.slm import pixel_fill_of
+from odak.learn.wave.older.volume import PROPAGATOR_TYPES, display_volume, plane_distances
+from odak.learn.wave.slm import checked_fill
 from odak.wave.methods import method_named
 from odak.wave.torch_convolution import Workspace, convolve
 
@@ -50,7 +50,7 @@ def checked_powers(name: str, power: torch.Tensor, shape: tuple[int, int], ampli
         If they are not real, of another shape, not finite, or negative where they are amplitudes.
     """
     power = floating(name, power)
-    check_shape(name, power, "[frames, wavelengths]", shape)
+    _validate.shaped(name, power, f"{list(shape)}, frames and wavelengths")
     if _torch_private.is_wrapped(power):
         return power
     if not bool(power.isfinite().all()):
@@ -58,12 +58,6 @@ def checked_powers(name: str, power: torch.Tensor, shape: tuple[int, int], ampli
     if amplitudes and bool((power < 0).any()):
         raise ValueError(f"{name} must not be negative, got {power.min().item()}")
     return power
-
-
-def check_shape(name: str, values: torch.Tensor, axes: str, shape: tuple[int, ...]) -> None:
-    """Raise ValueError unless values have a shape, whose axes are named in the message."""
-    if tuple(values.shape) != shape:
-        raise ValueError(f"{name} must be {axes} = {shape}, got {tuple(values.shape)}")
 
 
 def is_diagonal(power: torch.Tensor) -> bool:
@@ -280,15 +274,10 @@ class propagator(display_volume):
         if getattr(slm, "time_samples", 1) != 1:
             raise ValueError(f"slm must show one field for each frame here, got {slm.time_samples} instants per frame")  # type: ignore[union-attr]
         samples_per_pixel = int(getattr(slm, "samples_per_pixel", 1))
-        if pixel_fill is not None:
-            pixel_fill = _validate.constant("pixel_fill", pixel_fill, positive=True)
-            if pixel_fill > 1 or samples_per_pixel > 1:
-                raise ValueError(
-                    f"pixel_fill must be at most 1, for one sample per pixel, got {pixel_fill} and {samples_per_pixel}"
-                )
-        else:
-            has_iris = not (aperture is None and aperture_size is None and iris_radius is None)
-            pixel_fill = pixel_fill_of(slm, has_iris and not isinstance(aperture, str))
+        if pixel_fill is not None and samples_per_pixel > 1:
+            raise ValueError(f"pixel_fill must be None for an slm of {samples_per_pixel} samples per pixel")
+        has_stop = not (aperture is None and aperture_size is None and iris_radius is None)
+        pixel_fill = checked_fill(pixel_fill, slm, has_stop and not isinstance(aperture, str))
         super().__init__(
             resolution,
             wavelengths,
@@ -310,7 +299,7 @@ class propagator(display_volume):
         self.volume_depth = volume_depth
         self.number_of_frames: int = _validate.integer("number_of_frames", number_of_frames, minimum=1)
         self.method, self.slm = power_method(method), slm
-        if aperture is None and aperture_size is None and iris_radius is None and self._has_kernels:
+        if not has_stop and self._has_kernels:
             warn(_RELEASED_STOP, ArgumentWarning, once=True)
         self.set_aperture(aperture, aperture_size, iris_radius=iris_radius, iris_focal_length=iris_focal_length)
         self.init_phase_scale()
@@ -412,44 +401,7 @@ class propagator(display_volume):
         amplitude = checked_amplitude(amplitude, self.number_of_channels)
         return self._on_grid(amplitude.to(self.device), "amplitude") * self._on_grid(field)
 
-    def fields(
-        self, holograms: torch.Tensor, frames: slice, kernels: torch.Tensor, workspace: Workspace | None = None
-    ) -> torch.Tensor:
-        """Return the fields of some frames on some planes, of unit source power.
-
-        Parameters
-        ----------
-        holograms : torch.Tensor
-            From :meth:`holograms`.
-        frames : slice
-            Which of them.
-        kernels : torch.Tensor
-            Transfer functions of the planes, from :meth:`transfer`.
-        workspace : odak.wave.torch_convolution.Workspace, optional
-            Memory to write the fields to.
-
-        Returns
-        -------
-        torch.Tensor
-            Complex ``[frames, planes, C, ms, ns]``; ``[frames, planes, 1, ms, ns]`` where each frame is lit by one
-            source, frame f in colour f.
-        """
-        self._check_holograms(holograms)
-        checked_slice("frames", frames)
-        if not isinstance(kernels, torch.Tensor) or kernels.ndim != 4 or 0 in kernels.shape:
-            got = list(kernels.shape) if isinstance(kernels, torch.Tensor) else type(kernels).__name__
-            raise ValueError(f"kernels must be a tensor [planes, colours, rows, columns], got {got}")
-        _validate.instance("workspace", workspace, (Workspace, type(None)), "a Workspace or None")
-        _validate.one_device(holograms=holograms, kernels=kernels)
-        return self._spread(holograms, frames, kernels, workspace, self._one_source_per_frame)
-
-    def _spread(self, holograms, frames: slice, kernels, workspace, alone: bool):
-        if not alone:
-            return convolve(holograms[frames], kernels, workspace)
-        lit, holograms = self._lit(holograms, frames)
-        return convolve(holograms, kernels[:, lit.start : lit.stop].transpose(0, 1)[:, :, None], workspace)
-
-    def _lit(self, holograms, frames: slice):
+    def _lit(self, holograms, frames: slice) -> tuple[range, torch.Tensor]:
         """Return the illuminated ones of the requested frames, and the pattern of each in its one colour."""
         lit = range(min(self.number_of_frames, self.number_of_channels))[frames]
         if holograms.shape[2] > 1:
@@ -458,26 +410,20 @@ class propagator(display_volume):
 
     def _fields_on(self, planes: slice, holograms, frames: slice, alone: bool, kernels=None, workspace=None):
         """Return the fields of some frames on some planes by the available method, each in one colour if alone."""
+        lit, holograms = self._lit(holograms, frames) if alone else (range(0), holograms[frames])
         if self._has_kernels:
             kernels = self.transfer(planes, holograms.dtype) if kernels is None else kernels
-            return self._spread(holograms, frames, kernels, workspace, alone)
+            if alone:
+                kernels = kernels[:, lit.start : lit.stop].transpose(0, 1)[:, :, None]
+            return convolve(holograms, kernels, workspace)
         wavelengths = torch.stack([torch.as_tensor(w, dtype=torch.float64) for w in self.wavelengths])
         if alone:
-            lit, holograms = self._lit(holograms, frames)
             wavelengths = wavelengths[lit.start : lit.stop, None, None]
-        else:
-            holograms = holograms[frames]
         if not method_named(self.propagation_type).of_intensities:
             return self._propagated_without_kernels(holograms, planes, wavelengths)
         # The intensity is propagated: its root represents a field of that intensity.
         spread = self._propagated_without_kernels(intensity(holograms), planes, wavelengths).abs()
         return _array.to_complex(spread.clamp_min(torch.finfo(spread.dtype).tiny).sqrt())
-
-    def _check_holograms(self, holograms):
-        complex_tensor("holograms", holograms)
-        expected = [self.number_of_frames, 1, self.number_of_channels, *self.field_shape]
-        if list(holograms.shape) not in (expected, [*expected[:2], 1, *expected[3:]]):
-            raise ValueError(f"holograms must be {expected}, or of one colour; got {list(holograms.shape)}")
 
     def exposures(
         self,
@@ -506,9 +452,11 @@ class propagator(display_volume):
         torch.Tensor
             Real ``[planes, C, ms, ns]``.
         """
-        self._check_holograms(holograms)
+        frames, colours, (rows, columns) = self.number_of_frames, self.number_of_channels, self.field_shape
+        complex_tensor("holograms", holograms)
+        _validate.shaped("holograms", holograms, f"[{frames}, 1, 1 or {colours}, {rows}, {columns}]")
         powers = self.get_laser_powers() if powers is None else floating("powers", powers)
-        check_shape("powers", powers, "[frames, wavelengths]", (self.number_of_frames, self.number_of_channels))
+        _validate.shaped("powers", powers, f"[{frames}, {colours}], frames and wavelengths")
         _validate.one_device(holograms=holograms, powers=powers, aperture=self.aperture)
         # Other powers than the display's may light a frame by several sources.
         alone = powers is self.channel_power and self._one_source_per_frame
@@ -517,7 +465,7 @@ class propagator(display_volume):
         if not alone:
             return exposure(fields, powers, workspace=workspace)
         light = exposure(fields, powers.diagonal()[:, None], one_each=True, workspace=workspace)
-        dark = light.new_zeros(len(light), self.number_of_channels - light.shape[1], *light.shape[2:])
+        dark = light.new_zeros(len(light), colours - light.shape[1], *light.shape[2:])
         return torch.cat([light, dark], 1) if dark.numel() else light
 
     def reconstruct(
@@ -556,21 +504,20 @@ class propagator(display_volume):
             powers = self.get_laser_powers().to(holograms.real.dtype)
             powers = (powers if get_complex else powers.square())[:, None, :, None, None]
             result: Any = None
+            written: Any = None
             alone = self._one_source_per_frame
+            lit_by = _in_one_colour(powers) if alone else powers
             shape = (self.number_of_frames, self.number_of_depth_layers, self.number_of_channels, *self.field_shape)
             for planes in self.plane_chunks():
                 kernels = self.transfer(planes, holograms.dtype) if self._has_kernels else None
                 for frames in _parts(self._lit_frames(), self._pairs_at_once()):
                     fields = self._fields_on(planes, holograms, frames, alone, kernels)
-                    light = fields if get_complex else intensity(fields)
-                    light = light if alone else light * powers[frames]
-                    # Of the light itself, so that torch.func.vmap may write it.
-                    result = light.new_zeros(shape) if result is None else result
-                    if alone:
-                        for frame, shown in zip(range(self._lit_frames())[frames], light, strict=True):
-                            result[frame, planes, frame] = shown[:, 0] * powers[frame, :, frame]
-                    else:
-                        result[frames, planes] = light
+                    light = (fields if get_complex else intensity(fields)) * lit_by[frames]
+                    if result is None:
+                        # Of the light itself, so that torch.func.vmap may write it.
+                        result = light.new_zeros(shape)
+                        written = _in_one_colour(result) if alone else result
+                    written[frames, planes] = light
         return result
 
     def plane_chunks(self) -> list[slice]:
@@ -589,6 +536,11 @@ class propagator(display_volume):
             return pairs
         samples = self.number_of_channels * self.field_shape[0] * self.field_shape[1]
         return min(pairs, self.memory_budget // (samples * _BYTES_PER_SAMPLE))
+
+
+def _in_one_colour(values: torch.Tensor) -> torch.Tensor:
+    """Return values ``[F, D, C, …]`` of frame f in colour f alone, ``[min(F, C), D, 1, …]``, in the same memory."""
+    return values.diagonal(dim1=0, dim2=2).movedim(-1, 0)[:, :, None]
 
 
 def _parts(count: int, at_once: int) -> list[slice]:

@@ -15,6 +15,7 @@ from odak.learn._tensors import checked_device, floating, floating_tensor, tenso
 from odak.learn.tools.matrix import circular_binary_mask
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.propagation import propagate_beam
+from odak.learn.wave.slm import iris_cutoff
 from odak.learn.wave.training import fingerprint, generator_from
 from odak.tools.matrix import zero_pad
 from odak.wave.methods import WITH_TRANSFER_FUNCTION, linear_kernel_of, linear_method, method_named, spread
@@ -204,7 +205,8 @@ class display_volume(Prepared, torch.nn.Module):
     _follow = dict.fromkeys(("volume_depth", "number_of_depth_layers", "image_location_offset"), "init_distances")
     volume_depth: float
     aperture: torch.Tensor
-    _transfer: "_Kept | None"
+    # Transfer functions ``[D, C, 2ms, 2ns]`` with the stop, and which planes of them are built.
+    _transfer: tuple[torch.Tensor, list[bool]] | None
     _kernels: torch.Tensor | None
 
     def __init__(
@@ -355,8 +357,7 @@ class display_volume(Prepared, torch.nn.Module):
         """
         (aperture_size,) = _validate.constants(aperture_size=aperture_size)
         padded = self.padded_shape
-        if (iris_radius is None) != (iris_focal_length is None):
-            raise ValueError("iris_radius and iris_focal_length must be given together")
+        cutoffs = [iris_cutoff(w, iris_radius, iris_focal_length) for w in _validate.numbers(self.wavelengths)]
         if iris_radius is not None and not (aperture is None and aperture_size is None):
             raise ValueError("iris_radius excludes aperture and aperture_size, got more than one of them")
         if aperture_size is not None:
@@ -373,10 +374,7 @@ class display_volume(Prepared, torch.nn.Module):
         elif aperture_size is not None:
             self._put_disc(aperture_size)
         elif iris_radius is not None and iris_focal_length is not None:
-            radius = _validate.real("iris_radius", iris_radius, positive=True)
-            focal = _validate.real("iris_focal_length", iris_focal_length, positive=True)
-            cutoffs = [float(radius / (w * focal)) for w in _validate.numbers(self.wavelengths)]
-            self._put_round(f"iris, radius {radius:g} m at {focal:g} m", cutoffs)
+            self._put_round(f"iris, radius {iris_radius:g} m at {iris_focal_length:g} m", cutoffs)
         else:
             self._put_released()
 
@@ -415,7 +413,7 @@ class display_volume(Prepared, torch.nn.Module):
             return self._kernels
         self._need_kernels()
         with nullcontext() if self._is_traced(self._distances) else _torch_private.keeping():
-            kernels = self._stacked(self._net_distances(), torch.complex64, [None] * self.number_of_channels)
+            kernels = self._stacked(self._net_distances(), torch.complex64, stopped=False)
             kernels = torch.fft.fftshift(kernels, dim=(-2, -1))
         if self._may_keep(torch.complex64) and not self._is_traced(self._distances):
             self._kernels = kernels
@@ -424,7 +422,7 @@ class display_volume(Prepared, torch.nn.Module):
     @property
     def generated_kernels(self) -> torch.Tensor:
         """Whether the transfer function of each plane and colour has been built, ``[D, C]``."""
-        built = [False] * self.number_of_depth_layers if self._transfer is None else self._transfer.built
+        built = [False] * self.number_of_depth_layers if self._transfer is None else self._transfer[1]
         return torch.tensor(built, device=self.device)[:, None].repeat(1, self.number_of_channels)
 
     def get_kernels(self) -> tuple[torch.Tensor, torch.Tensor]:
@@ -449,27 +447,35 @@ class display_volume(Prepared, torch.nn.Module):
             ``[planes, C, 2ms, 2ns]`` in FFT order: kept from call to call, or built anew where they would take more
             than the memory budget, where the distances are drawn on each call, or where gradients are asked of them.
         """
-        checked_slice("planes", planes)
+        _validate.instance("planes", planes, slice, "a slice")
         self._need_kernels()
         if dtype not in (torch.complex64, torch.complex128):
             raise TypeError(f"dtype must be torch.complex64 or torch.complex128, got {dtype!r:.80}")
         distances = self._drawn_distances()
         if self._is_traced(distances):
-            kernels = self._stacked(distances[planes], dtype, self._cutoffs)
-            return kernels * torch.fft.ifftshift(self.aperture) if self._stop == "mask" else kernels
+            return self._stacked(distances[planes], dtype)
         if self.vaccination or not self._may_keep(dtype):
             return self._fill(self._empty(len(distances[planes]), dtype), distances[planes])
-        return self._kept(planes, distances, dtype)
+        if self._transfer is None or self._transfer[0].dtype != dtype:
+            self._transfer = self._empty(len(distances), dtype), [False] * len(distances)
+        kernels, built = self._transfer
+        for plane in range(len(distances))[planes]:
+            if not built[plane]:
+                self._fill(kernels[plane : plane + 1], distances[plane : plane + 1])
+                built[plane] = True
+        return kernels[planes]
 
-    def _stacked(self, distances, dtype, cutoffs) -> torch.Tensor:
+    def _stacked(self, distances, dtype, *, stopped: bool = True) -> torch.Tensor:
         """Return transfer functions ``[planes, C, 2ms, 2ns]`` that are differentiable in distances and wavelengths."""
-        shape, pairs = self.padded_shape, list(zip(self.wavelengths, cutoffs, strict=True))
-        return torch.stack(
+        shape, cutoffs = self.padded_shape, self._cutoffs if stopped else [None] * self.number_of_channels
+        pairs = list(zip(self.wavelengths, cutoffs, strict=True))
+        kernels = torch.stack(
             [
                 torch.stack([self._path.kernel(shape, w, distance, self.device, dtype, cut) for w, cut in pairs])
                 for distance in distances
             ]
         )
+        return kernels * torch.fft.ifftshift(self.aperture) if stopped and self._stop == "mask" else kernels
 
     def _need_kernels(self):
         if not self._has_kernels:
@@ -507,19 +513,6 @@ class display_volume(Prepared, torch.nn.Module):
     def _is_traced(self, distances) -> bool:
         return any(_array.is_traced(value) for value in (distances, *pitches(self.pixel_pitch), *self.wavelengths))
 
-    def _kept(self, planes: slice, distances, dtype) -> torch.Tensor:
-        """Return the transfer functions of some planes, those built that were not yet."""
-        kept = self._transfer
-        if kept is None or kept.kernels.dtype != dtype or kept.aperture is not self.aperture:
-            count = self.number_of_depth_layers
-            kept = self._transfer = _Kept(self.aperture, self._empty(count, dtype), [False] * count)
-        for plane in range(self.number_of_depth_layers)[planes]:
-            if not kept.built[plane]:
-                # Complete, for another thread may build the same plane.
-                kept.kernels[plane] = self._fill(self._empty(1, dtype), distances[plane : plane + 1])[0]
-                kept.built[plane] = True
-        return kept.kernels[planes]
-
     def _may_keep(self, dtype) -> bool:
         samples = self.number_of_depth_layers * self.number_of_channels * self.padded_shape[0] * self.padded_shape[1]
         return self.memory_budget is None or samples * dtype.itemsize <= self.memory_budget
@@ -532,9 +525,10 @@ class display_volume(Prepared, torch.nn.Module):
 
     def _fill(self, kernels, distances) -> torch.Tensor:
         with _torch_private.keeping(), torch.no_grad():
-            for plane, distance in enumerate(_validate.numbers(distances)):
-                kernels[plane] = self._stacked([distance], kernels.dtype, self._cutoffs)[0]
-            return kernels.mul_(torch.fft.ifftshift(self.aperture)) if self._stop == "mask" else kernels
+            for kernel, distance in zip(kernels, _validate.numbers(distances), strict=True):
+                # Complete, for another thread may build the same plane.
+                kernel.copy_(self._stacked([distance], kernels.dtype)[0])
+        return kernels
 
     def forward(
         self,
@@ -565,8 +559,8 @@ class display_volume(Prepared, torch.nn.Module):
             If the field does not fit, or there is no such colour or plane.
         """
         field = self._on_grid(input_field)
-        colour = index("channel_id", channel_id, self.number_of_channels)
-        plane = index("depth_id", depth_id, self.number_of_depth_layers)
+        colour = _validate.integer("channel_id", channel_id, most=self.number_of_channels - 1)
+        plane = _validate.integer("depth_id", depth_id, most=self.number_of_depth_layers - 1)
         if not self._has_kernels:
             planes = slice(plane, plane + 1)
             field = field[..., None, None, :, :]
@@ -624,25 +618,6 @@ def _warn_of_averaged_fields(name: str, samples: tuple[int, int, int, int], scal
             f"aperture_samples=({samples[0]}, {samples[1]}, 1, 1) gives the light at the middle of each sample",
             AccuracyWarning,
         )
-
-
-@dataclass
-class _Kept:
-    """Transfer functions ``[D, C, 2ms, 2ns]`` with an aperture, and which planes of them are built."""
-
-    aperture: torch.Tensor
-    kernels: torch.Tensor
-    built: list[bool]
-
-
-def checked_slice(name: str, value: object) -> slice:
-    """Return a slice after checking that it is one."""
-    return _validate.instance(name, value, slice, "a slice")
-
-
-def index(name: str, value: int, count: int) -> int:
-    """Return `value` after checking that it counts one of `count` things, from zero."""
-    return _validate.integer(name, value, most=count - 1)
 
 
 def _checked_wavelengths(wavelengths) -> list[float | torch.Tensor]:
@@ -799,8 +774,8 @@ class holographic_display(display_volume):
             If the field does not fit, or there is no such colour or plane.
         """
         field = self._on_grid(input_field)
-        colour = index("wavelength_id", wavelength_id, self.number_of_channels)
-        plane = index("depth_id", depth_id, self.number_of_depth_layers)
+        colour = _validate.integer("wavelength_id", wavelength_id, most=self.number_of_channels - 1)
+        plane = _validate.integer("depth_id", depth_id, most=self.number_of_depth_layers - 1)
         return self._propagated(field, self.transfer(slice(plane, plane + 1), field.dtype)[0, colour])
 
     def _propagated(self, field, kernels):
