@@ -115,6 +115,8 @@ MOVED_MODULES = _by_former_path()
 # Names that were exposed in a package unintentionally, with the package they belong to, or that are others now, with
 # package:name; they come with a DeprecationWarning.
 MOVED_NAMES: dict[str, dict[str, str]] = {
+    "odak.catalog": {"Material": "odak.catalog:OpticalMaterial"},
+    "odak.instruments": {"Modulator": "odak.instruments:SLMDriver"},
     "odak.learn.raytracing": {"Scene": "odak.learn.raytracing:RayScene"},
     "odak.learn.raytracing.system": {"Stage": "odak.learn.raytracing.system:DesignStage"},
     "odak.learn.tools": {"read_PLY": "odak.tools"},

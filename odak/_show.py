@@ -20,6 +20,8 @@ from odak._array import is_array, is_readable
 from odak._warnings import OdakWarning
 
 Kind = TypeVar("Kind", bound=type)
+# Of the fields or the wavelengths of a figure.
+COLOURS = ("#2166ac", "#1b7837", "#b2182b", "#762a83", "#b35806", "#016665")
 # Longest description, and longest text within one.
 LONGEST, WORDS = 600, 48
 # Largest side of a picture in pixels.
@@ -85,12 +87,25 @@ def to_html(view: View) -> str:
         f'alt="{html.escape(caption)}" src="{source(picture)}"><figcaption>{html.escape(caption)}</figcaption></figure>'
         for caption, picture in view.pictures
     ]
-    rows = [
-        "<tr>" + "".join(f'<{tag} style="{_CELL}">{html.escape(_cell(value))}</{tag}>' for value in row) + "</tr>"
-        for tag, row in zip(["th", *["td"] * len(view.table)], view.table, strict=False)
+    return f"<div>{''.join(parts)}{table(view.table, _CELL) if view.table else ''}</div>"
+
+
+def table(rows: Sequence[Sequence[Any]], style: str = "") -> str:
+    """Return rows as HTML, which scrolls where it is wider than the page.
+
+    Parameters
+    ----------
+    rows : sequence of sequence
+        Numbers and texts, the first row of which is the head.
+    style : str
+        Style of the cells on pages that have no style sheet.
+    """
+    style = f' style="{style}"' if style else ""
+    lines = [
+        "<tr>" + "".join(f"<{tag}{style}>{html.escape(_cell(value))}</{tag}>" for value in row) + "</tr>"
+        for tag, row in zip(["th", *["td"] * len(rows)], rows, strict=False)
     ]
-    table = f'<div style="overflow-x:auto"><table style="border-collapse:collapse">{"".join(rows)}</table></div>'
-    return f"<div>{''.join(parts)}{table if rows else ''}</div>"
+    return f'<div style="overflow-x:auto"><table style="border-collapse:collapse">{"".join(lines)}</table></div>'
 
 
 def source(picture: bytes | str) -> str:

@@ -1,4 +1,4 @@
-from .materials import Material as Material
+from .materials import OpticalMaterial as OpticalMaterial
 from .materials import abbe_number as abbe_number
 from .materials import air_index as air_index
 from .materials import glass_makers as glass_makers

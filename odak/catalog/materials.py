@@ -32,7 +32,7 @@ Wavelength = TypeVar("Wavelength", bound=float | Array)
 
 
 @dataclass(frozen=True)
-class Material:
+class OpticalMaterial:
     """A material with its dispersion formula.
 
     Parameters
@@ -66,8 +66,8 @@ class Material:
 
     Examples
     --------
-    >>> from odak.catalog import Material
-    >>> glass = Material("own", "cauchy", {"A": [1.5, 0.004]}, (0.4, 0.8), "air", "measured")
+    >>> from odak.catalog import OpticalMaterial
+    >>> glass = OpticalMaterial("own", "cauchy", {"A": [1.5, 0.004]}, (0.4, 0.8), "air", "measured")
     >>> glass.range
     (0.4, 0.8)
     """
@@ -90,7 +90,7 @@ class Material:
         if self.expansion is not None:
             expansion_in(f"expansion of {self.name}", self.expansion)
 
-    def at(self, temperature: float | Array, pressure: float | Array = 101325.0) -> "Material":
+    def at(self, temperature: float | Array, pressure: float | Array = 101325.0) -> "OpticalMaterial":
         """Return the material at a temperature in degrees Celsius, in air of a pressure in pascal.
 
         Parameters
@@ -180,7 +180,7 @@ def table(squared: Array | float, coefficients: dict[str, Any]) -> Array | float
     return found
 
 
-def tabulated(name: str, wavelengths: Iterable[float], values: Iterable[float], source: str) -> Material:
+def tabulated(name: str, wavelengths: Iterable[float], values: Iterable[float], source: str) -> OpticalMaterial:
     """Return a material by its indices at some wavelengths in micrometres, relative to air."""
     rows = sorted(zip(wavelengths, values, strict=True))
     if not rows or any(not (place > 0 and value > 0) for place, value in rows):
@@ -189,10 +189,10 @@ def tabulated(name: str, wavelengths: Iterable[float], values: Iterable[float], 
         raise ValueError(f"{name} must have different wavelengths, got {[place for place, _ in rows]!r:.80}")
     places, indices = (tuple(map(float, part)) for part in zip(*rows, strict=True))
     reach = (places[0], places[-1]) if len(places) > 1 else (0.2, 20.0)
-    return Material(name, "table", {"W": places, "N": indices}, reach, "air", source)
+    return OpticalMaterial(name, "table", {"W": places, "N": indices}, reach, "air", source)
 
 
-def model_glass(nd: float, vd: float, dpgf: float = 0.0) -> Material:
+def model_glass(nd: float, vd: float, dpgf: float = 0.0) -> OpticalMaterial:
     """Return a model glass of given index and dispersion, as patents and lens files state them.
 
     Parameters
@@ -207,7 +207,7 @@ def model_glass(nd: float, vd: float, dpgf: float = 0.0) -> Material:
 
     Returns
     -------
-    Material
+    OpticalMaterial
         n = A + B/λ² + C/λ⁴ through the three statements, for 0.35 to 1.1 micrometres.
 
     Raises
@@ -227,7 +227,7 @@ def model_glass(nd: float, vd: float, dpgf: float = 0.0) -> Material:
         raise ValueError(f"nd must be above 1, got {nd}")
     coefficients = {"A": cauchy_through(nd, vd, dpgf)}
     name = f"model {nd:g} {vd:g}" + (f" {dpgf:g}" if dpgf else "")
-    return Material(name, "cauchy", coefficients, (0.35, 1.1), "air", "index and Abbe number", nd, vd)
+    return OpticalMaterial(name, "cauchy", coefficients, (0.35, 1.1), "air", "index and Abbe number", nd, vd)
 
 
 def cauchy_through(nd: Any, vd: Any, dpgf: Any = 0.0) -> tuple[Any, ...]:
@@ -259,7 +259,7 @@ FORMULAS["herzberger"] = Formula(herzberger, ("A", "P", "B"))
 _KNOWN = {"formula", "A", "B", "C", "P", "range", "relative_to", "nd", "vd", "source"}
 
 
-def read_materials(path: Path | str) -> tuple[list[Material], dict[str, str]]:
+def read_materials(path: Path | str) -> tuple[list[OpticalMaterial], dict[str, str]]:
     """Return the materials and aliases of a JSON file.
 
     Parameters
@@ -301,7 +301,7 @@ def read_materials(path: Path | str) -> tuple[list[Material], dict[str, str]]:
     return [_material(f"{path}: {name!r}", name, entry) for name, entry in entries.items()], aliases
 
 
-def _material(where: str, name: str, entry) -> Material:
+def _material(where: str, name: str, entry) -> OpticalMaterial:
     if not isinstance(entry, dict):
         raise ValueError(f"{where} must be an object, got {type(entry).__name__}")
     unknown = sorted(set(entry) - _KNOWN)
@@ -310,7 +310,7 @@ def _material(where: str, name: str, entry) -> Material:
     if not isinstance(entry.get("source"), str) or not entry["source"].strip():
         raise ValueError(f'{where} needs a "source", the origin of its coefficients')
     formula = _validate.one_of(f"{where} formula", entry.get("formula", ""), FORMULAS)
-    made = Material(
+    made = OpticalMaterial(
         name,
         formula,
         _coefficients(where, formula, entry),
@@ -363,7 +363,7 @@ def _is_number(value) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool) and abs(value) <= largest
 
 
-def _check_against_published(where: str, made: Material) -> None:
+def _check_against_published(where: str, made: OpticalMaterial) -> None:
     for wavelength in (made.range[0], sum(made.range) / 2, made.range[1]):
         index = _value(made.index, wavelength)
         if isinstance(index, complex) or not index > 0:
@@ -393,7 +393,7 @@ _AGF_POWERS = {
 }
 
 
-def read_agf(path: Path) -> list[Material]:
+def read_agf(path: Path) -> list[OpticalMaterial]:
     """Return the materials of a glass catalogue in the AGF format.
 
     Parameters
@@ -403,7 +403,7 @@ def read_agf(path: Path) -> list[Material]:
 
     Returns
     -------
-    list of Material
+    list of OpticalMaterial
         In the order of the file. Glasses whose formula is not known (numbers 3 and above 13) are left out with an
         ArgumentWarning that names them.
 
@@ -413,7 +413,7 @@ def read_agf(path: Path) -> list[Material]:
         If a line of a glass is malformed, or the file holds no glass.
     """
     path = Path(os.path.expanduser(path))
-    found: list[Material] = []
+    found: list[OpticalMaterial] = []
     unknown: list[str] = []
     head: list[str] = []
     numbers: list[float] = []
@@ -479,7 +479,9 @@ def _catalogue_text(path: Path) -> str:
     raise ValueError(f"{path.name}: not a text file")
 
 
-def _from_agf(path: Path, head: list[str], c: list[float], limits: list[float], passed: list[Any]) -> Material | None:
+def _from_agf(
+    path: Path, head: list[str], c: list[float], limits: list[float], passed: list[Any]
+) -> OpticalMaterial | None:
     """Return a glass of an AGF file, None for an unknown formula.
 
     `head` are the words of its line NM, then come coefficients, range, and the lines of internal transmission.
@@ -509,12 +511,12 @@ def _from_agf(path: Path, head: list[str], c: list[float], limits: list[float], 
         made = {"A": (c[0] + c[1], -c[3]), "P": (0.0, 2.0), "B": (c[1] * c[2],), "C": (c[2],)}
     else:
         return None
-    glass = Material(name, formula, made, (limits[0], limits[1]), "air", f"glass catalogue {path.name}")
+    glass = OpticalMaterial(name, formula, made, (limits[0], limits[1]), "air", f"glass catalogue {path.name}")
     index = _value(glass.index, LINE_D)
     if nd > 1 and limits[0] <= LINE_D <= limits[1] and not abs(index - nd) < 2e-3:
         raise ValueError(f"{path.name}: {name} states nd = {nd} but its formula gives {index:.6g}")
     extinction = _extinction(passed)
-    return Material(name, formula, made, glass.range, "air", glass.source, nd or None, vd or None, extinction)
+    return OpticalMaterial(name, formula, made, glass.range, "air", glass.source, nd or None, vd or None, extinction)
 
 
 def _extinction(passed: list[Any]) -> tuple[Any, ...] | None:
@@ -526,7 +528,7 @@ def _extinction(passed: list[Any]) -> tuple[Any, ...] | None:
     return places, tuple(-math.log(rows[w][0]) * w * 1e-3 / (4 * math.pi * rows[w][1]) for w in places)
 
 
-def read_entry(path: Path) -> Material:
+def read_entry(path: Path) -> OpticalMaterial:
     """Return the material of an entry of refractiveindex.info.
 
     Parameters
@@ -536,7 +538,7 @@ def read_entry(path: Path) -> Material:
 
     Returns
     -------
-    Material
+    OpticalMaterial
         Named after the file; its index is counted in vacuum unless it comes from a maker's catalogue.
 
     Raises
@@ -574,7 +576,7 @@ def read_entry(path: Path) -> Material:
     medium = "air" if "catalog" in source.lower() else "vacuum"
     source = source or "refractiveindex.info"
     extinction = _tabulated(lines)
-    return Material(path.stem, formula, made, (limits[0], limits[1]), medium, source, extinction=extinction)
+    return OpticalMaterial(path.stem, formula, made, (limits[0], limits[1]), medium, source, extinction=extinction)
 
 
 def _tabulated(lines: list[str]) -> tuple[Any, ...] | None:
@@ -595,7 +597,7 @@ _DATA = Path(__file__).parent / "data" / "materials.json"
 _GLASSES = Path(__file__).parent / "data" / "glasses.json"
 _THERMAL = Path(__file__).parent / "data" / "thermal.json"
 _ABSORPTION = Path(__file__).parent / "data" / "absorption.json"
-_found: dict[str, Material] = {}
+_found: dict[str, OpticalMaterial] = {}
 
 
 def air_index(
@@ -726,7 +728,7 @@ def _compressibility(kelvin, pressure, share):
 
 
 def refractive_index(
-    name: str | Material,
+    name: str | OpticalMaterial,
     wavelength: float | Array,
     unit: str = "m",
     medium: str | None = None,
@@ -738,7 +740,7 @@ def refractive_index(
 
     Parameters
     ----------
-    name : str or Material
+    name : str or OpticalMaterial
         Name in the catalogue (:func:`material_names`), in any case, with or without hyphens and spaces.
     wavelength : float or array
         Wavelength, numbers or an array of any shape and library. Formulas of glasses are fitted to wavelengths in air,
@@ -783,7 +785,7 @@ def refractive_index(
     >>> round(refractive_index("sf11", 633, unit="nm"), 4)
     1.7786
     """
-    found = name if isinstance(name, Material) else material(name)
+    found = name if isinstance(name, OpticalMaterial) else material(name)
     scale = MICROMETRES[_validate.one_of("unit", unit, MICROMETRES)]
     wavelength = in_unit("wavelength", wavelength, unit)
     medium = None if medium is None else _validate.one_of("medium", medium, MEDIA)
@@ -805,7 +807,7 @@ def refractive_index(
     return _array.cast(index, wavelength, _array.real_dtype(wavelength)) if _array.is_array(wavelength) else index
 
 
-def _tell_constant(found: Material, temperature) -> None:
+def _tell_constant(found: OpticalMaterial, temperature) -> None:
     """Warn of a temperature that is given for a material whose dn/dT is not known."""
     if temperature is None or found.formula == "gas" or _key(found.name) == "vacuum":
         return
@@ -815,12 +817,12 @@ def _tell_constant(found: Material, temperature) -> None:
         return
     warn(
         f"dn/dT of {found.name} is not known and counts as 0: the index in vacuum is that at {start:g} °C; give a "
-        "Material with `thermal`, or load a maker's catalogue (AGF)",
+        "OpticalMaterial with `thermal`, or load a maker's catalogue (AGF)",
         AccuracyWarning,
     )
 
 
-def _in_environment(found: Material, index, wide, medium: str, temperature, pressure):
+def _in_environment(found: OpticalMaterial, index, wide, medium: str, temperature, pressure):
     """Return an index at a temperature and a pressure, relative to air of both or to vacuum."""
     air = _ciddor(wide, temperature, pressure)
     if found.formula == "gas" and _key(found.name) == "air":
@@ -835,7 +837,7 @@ def _in_environment(found: Material, index, wide, medium: str, temperature, pres
     return absolute if medium == "vacuum" else absolute / air
 
 
-def thermal_of(found: Material) -> tuple[tuple[float, ...] | None, float | None, float]:
+def thermal_of(found: OpticalMaterial) -> tuple[tuple[float, ...] | None, float | None, float]:
     """Return Schott's constants of dn/dT and the expansion, None where unknown, and the temperature of the index."""
     if found.thermal is not None or found.expansion is not None:
         return found.thermal, found.expansion, found.measured_at
@@ -863,13 +865,13 @@ def _thermal_data() -> dict:
 
 
 def internal_transmittance(
-    name: str | Material, wavelength: float | Array, thickness: float | Array, unit: str = "m"
+    name: str | OpticalMaterial, wavelength: float | Array, thickness: float | Array, unit: str = "m"
 ) -> float | Array:
     """Return the internal transmittance of a thickness of glass, without the losses at its faces.
 
     Parameters
     ----------
-    name : str or Material
+    name : str or OpticalMaterial
         Name in the catalogue, see :func:`material_names`, or a material.
     wavelength : float or array
         Vacuum wavelength.
@@ -898,7 +900,7 @@ def internal_transmittance(
     >>> round(internal_transmittance("N-BK7", 400e-9, 0.025), 3)
     0.992
     """
-    found = name if isinstance(name, Material) else material(name)
+    found = name if isinstance(name, OpticalMaterial) else material(name)
     if extinction_of(found) is None:
         raise ValueError(f"name {found.name!r} is a material whose absorption is not known")
     _validate.one_of("unit", unit, MICROMETRES)
@@ -913,7 +915,7 @@ def internal_transmittance(
     return _array.namespace(value).exp(value)
 
 
-def absorption_coefficient(found: Material, wavelength: float | Array, unit: str = "m") -> Any:
+def absorption_coefficient(found: OpticalMaterial, wavelength: float | Array, unit: str = "m") -> Any:
     """Return 4πκ/λ per unit of length, 0 for a material whose absorption is not known."""
     scale = MICROMETRES[_validate.one_of("unit", unit, MICROMETRES)]
     wide = _in_double(wavelength) * scale
@@ -935,7 +937,7 @@ def absorption_coefficient(found: Material, wavelength: float | Array, unit: str
     return _array.cast(found_value, wavelength, _array.real_dtype(wavelength))
 
 
-def extinction_of(found: Material) -> tuple[Any, ...] | None:
+def extinction_of(found: OpticalMaterial) -> tuple[Any, ...] | None:
     """Return wavelengths in micrometres and imaginary parts of the index, None where they are not known."""
     if found.extinction is not None:
         return found.extinction
@@ -958,7 +960,7 @@ def _extinctions() -> dict[Any, Any]:
     return {"grids": held["grids"], "makers": makers}
 
 
-def abbe_number(name: str | Material) -> float:
+def abbe_number(name: str | OpticalMaterial) -> float:
     """Return the Abbe number (n_d − 1)/(n_F − n_C) of a material, from its formula.
 
     Parameters
@@ -977,10 +979,10 @@ def abbe_number(name: str | Material) -> float:
     >>> round(abbe_number("N-BK7"), 1)
     64.2
     """
-    return (name if isinstance(name, Material) else material(name)).abbe_number()
+    return (name if isinstance(name, OpticalMaterial) else material(name)).abbe_number()
 
 
-def material(name: str) -> Material:
+def material(name: str) -> OpticalMaterial:
     """Return the record of a material: formula, coefficients, range of validity, source.
 
     Parameters
@@ -1157,7 +1159,7 @@ def load_materials(path: str | os.PathLike[str], replace: bool = False) -> tuple
     return tuple(item.name for item in materials)
 
 
-def _catalogue() -> dict[str, Material]:
+def _catalogue() -> dict[str, OpticalMaterial]:
     if not _found:
         _found.update(_indexed(*read_materials(_DATA), _DATA, {}))
     return _found
@@ -1187,7 +1189,7 @@ def _named(key: str) -> str:
 
 
 @cache
-def _glass(maker: str, key: str) -> Material:
+def _glass(maker: str, key: str) -> OpticalMaterial:
     held, name = _glass_data()["makers"][maker], _glasses()[maker][key]
     kind, low, high, numbers, source = held["glasses"][name]
     if kind == "s":
@@ -1199,14 +1201,14 @@ def _glass(maker: str, key: str) -> Material:
     alone = len(_makers_of(key)) == 1 and key not in _catalogue()
     full = name if alone else f"{maker}:{name}"
     text = f"{held['sources'][source]}, from the refractiveindex.info database (CC0)"
-    made = Material(full, formula, coefficients, (low, high), "air", text)
+    made = OpticalMaterial(full, formula, coefficients, (low, high), "air", text)
     if low <= LINE_F and high >= LINE_C:
         made = replace(made, nd=float(made.index(LINE_D)), vd=float(made.abbe_number()))
     return made
 
 
-def _indexed(materials, aliases, path, known) -> dict[str, Material]:
-    found: dict[str, Material] = {}
+def _indexed(materials, aliases, path, known) -> dict[str, OpticalMaterial]:
+    found: dict[str, OpticalMaterial] = {}
     for item in materials:
         if _key(item.name) in found:
             raise ValueError(f"{path}: {item.name!r} occurs twice; case, hyphens and spaces are ignored")
@@ -1231,7 +1233,7 @@ def _in_double(wavelength):
     return _array.namespace(wavelength).astype(wavelength, _array.namespace(wavelength).float64)
 
 
-def _check_range(found: Material, wide, extrapolate: bool) -> None:
+def _check_range(found: OpticalMaterial, wide, extrapolate: bool) -> None:
     if not _array.is_readable(wide) or (_array.is_array(wide) and 0 in wide.shape):
         return
     low, high = _ends(wide)

@@ -11,7 +11,7 @@ import numpy as np
 
 from odak import _show, _validate
 from odak._array import Array
-from odak.catalog.materials import Material, material, refractive_index
+from odak.catalog.materials import OpticalMaterial, material, refractive_index
 from odak.raytracing import arguments
 from odak.raytracing.boundary import intersect_w_circle, intersect_w_sphere, intersect_w_surface, refract
 from odak.raytracing.geometry import unit
@@ -515,7 +515,7 @@ class plano_convex_lens(_show.Shown):
 
 
 def _medium(name: str, value):
-    if not isinstance(value, Material):
+    if not isinstance(value, OpticalMaterial):
         try:
             material(_validate.text(name, value))
         except ValueError as error:

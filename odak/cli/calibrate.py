@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from odak import instruments
 from odak._call_forms import did_you_mean
+from odak._drawn import png
 from odak._lengths import parse_length
 from odak.cli.files import REPORT, SILENT, Notices, announce, claim, claiming, writable_folder, write_json
 from odak.cli.job import is_length
@@ -31,7 +32,7 @@ from odak.instruments.registration import SPREAD
 from odak.instruments.simulated import REALISTIC
 from odak.instruments.spots import lens_phase, spots_phase
 from odak.instruments.wavefronts import wavefront_with_uncertainty
-from odak.tools.paths import replacing
+from odak.tools.paths import write_file
 
 SIMULATED, RESULTS = "simulated", "calibration"
 
@@ -215,8 +216,7 @@ def run(job: CalibrateSettings, notices: Notices = SILENT) -> dict[str, Any]:
     instruments.save_calibration(path, found.calibration)
     figure = Figure(figsize=(9, 3.4), layout="constrained")
     found.draw(figure)
-    with replacing(folder / f"{step}.png") as stream:
-        figure.savefig(stream, format="png", dpi=110)
+    write_file(folder / f"{step}.png", png(figure, 110))
     report = {
         "step": step,
         "found": {name: value for name, (value, _) in found.values.items()},
@@ -533,7 +533,7 @@ def check_driver(job: InstrumentsSettings, notices: Notices = SILENT) -> dict[st
         except (ImportError, OSError, TypeError, ValueError) as error:
             raise InputError(f"an instrument cannot be opened: {error}") from None
         cameras = [one for one in opened if isinstance(one, instruments.Camera)]
-        modulators = [one for one in opened if isinstance(one, instruments.Modulator)]
+        modulators = [one for one in opened if isinstance(one, instruments.SLMDriver)]
         if len(cameras) > 1 or len(modulators) > 1 or not cameras + modulators:
             raise InputError("DRIVER and --beside must be a camera, a modulator, or one of each")
         with collected_warnings() as texts:

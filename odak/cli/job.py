@@ -62,7 +62,7 @@ LONGEST_WAVELENGTH = 2e-5
 FEWEST_POINTS = 16
 
 
-class Modulator(NamedTuple):
+class Preset(NamedTuple):
     """Nominal data of a commercial spatial light modulator; its data sheet is authoritative."""
 
     name: str
@@ -73,13 +73,13 @@ class Modulator(NamedTuple):
 
 
 PRESETS = {
-    "holoeye-pluto-2.1": Modulator(
+    "holoeye-pluto-2.1": Preset(
         "HOLOEYE PLUTO-2.1", 8.0e-6, (1080, 1920), 8, "https://holoeye.com/products/spatial-light-modulators"
     ),
-    "holoeye-leto-3": Modulator(
+    "holoeye-leto-3": Preset(
         "HOLOEYE LETO-3", 6.4e-6, (1080, 1920), 8, "https://holoeye.com/products/spatial-light-modulators"
     ),
-    "hamamatsu-x15213": Modulator(
+    "hamamatsu-x15213": Preset(
         "Hamamatsu X15213 series", 12.5e-6, (1024, 1272), 8, "https://www.hamamatsu.com (LCOS-SLM X15213 series)"
     ),
 }
@@ -537,7 +537,7 @@ def warn_of_samples(name: str, wavelength: float, pitch_name: str, pitch: float,
     return False
 
 
-def find_preset(name: str) -> Modulator:
+def find_preset(name: str) -> Preset:
     """Return a modulator by its name; raise InputError with the nearest names otherwise."""
     if name.casefold() not in PRESETS:
         raise InputError(f"--preset must be one of {', '.join(PRESETS)}; got {name!r}.{did_you_mean(name, PRESETS)}")

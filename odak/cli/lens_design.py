@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
+from odak._drawn import png
 from odak._warnings import ArgumentWarning, warn
 from odak.cli import files
 from odak.cli.files import writable_folder
@@ -40,7 +41,7 @@ from odak.learn.raytracing.system.operands import View, clear_heights, edge_thic
 from odak.learn.raytracing.system.sketches import field_label
 from odak.learn.raytracing.system.surfaces import is_break
 from odak.learn.raytracing.system.system_files import MICROMETRES
-from odak.tools.paths import replacing
+from odak.tools.paths import write_file
 
 CROWN, FLINT = "N-LAK33B", "SF5"
 # Materials for a number of elements: flints next to the stop, as in the triplet and the double Gauss.
@@ -135,8 +136,7 @@ def run(job: DesignSettings, notices: files.Notices = files.SILENT) -> dict[str,
     save_system(lens, folder / "lens.json")
     if job.zmx:
         write_zmx(lens, folder / "lens.zmx")
-    with replacing(folder / "layout.png") as stream:
-        drawing.savefig(stream, format="png", dpi=140)
+    write_file(folder / "layout.png", png(drawing))
     return files.write_report(folder, report, mark, names)
 
 

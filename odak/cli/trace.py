@@ -8,6 +8,7 @@ from typing import Any
 import torch
 
 from odak._call_forms import did_you_mean
+from odak._drawn import png
 from odak.cli import files
 from odak.cli.files import writable_folder
 from odak.cli.options import InputError
@@ -50,7 +51,7 @@ from odak.learn.raytracing.system.environment import replaced
 from odak.learn.raytracing.system.sketches import field_label
 from odak.learn.raytracing.system.system_files import SEALED, load_materials
 from odak.raytracing.intersections import RayStatus
-from odak.tools.paths import replacing
+from odak.tools.paths import replacing, write_file
 
 
 def read_glasses(paths: Sequence[Path]) -> None:
@@ -278,8 +279,7 @@ def run_tolerance(job: ToleranceSettings, notices: files.Notices = files.SILENT)
         quality = field_quality(system)
         drawn = {"tolerance": tolerance_figure(system, found, limit), "sensitivity": tolerance_figure(system, alone)}
     for title, figure in drawn.items():
-        with replacing(folder / f"{title}.png") as stream:
-            figure.savefig(stream, format="png", dpi=140)
+        write_file(folder / f"{title}.png", png(figure))
     lens_report(system, folder / "report.html", "paraxial", {"layout": layout_figure(system), **drawn}, quality)
     sizes = found.merit.square().mean(-1).sqrt()
     good = sizes[torch.isfinite(sizes)]

@@ -39,8 +39,8 @@ from .phase_response import measure_regional_response as measure_regional_respon
 from .phase_response import measure_unmodulated_light as measure_unmodulated_light
 from .protocols import Camera as Camera
 from .protocols import Laser as Laser
-from .protocols import Modulator as Modulator
 from .protocols import Rotator as Rotator
+from .protocols import SLMDriver as SLMDriver
 from .protocols import Stage as Stage
 from .protocols import open_instrument as open_instrument
 from .registration import register_camera as register_camera

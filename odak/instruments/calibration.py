@@ -25,7 +25,7 @@ from odak.instruments.phase_response import (
     regions_with_uncertainty,
     warn_of_short_range,
 )
-from odak.instruments.protocols import Camera, Modulator, check_square_pixels
+from odak.instruments.protocols import Camera, SLMDriver, check_square_pixels
 from odak.instruments.registration import SMALLEST_SHARE, beyond_view, check_view, registered
 from odak.instruments.spots import DEFOCUS, Part, aberration_modes, deflected, ideal_capture, pixel_axes, without
 from odak.instruments.steadiness import watched
@@ -132,12 +132,12 @@ class Calibration(_show.Shown):
     unmodulated: complex = 0.0
 
     @classmethod
-    def nominal(cls, modulator: Modulator, camera: Camera, wavelength: float, distance: float | Lens) -> "Calibration":
+    def nominal(cls, modulator: SLMDriver, camera: Camera, wavelength: float, distance: float | Lens) -> "Calibration":
         """Return the nominal properties of a table, without faults.
 
         Parameters
         ----------
-        modulator : Modulator
+        modulator : SLMDriver
             The modulator; its levels are taken to be spread evenly over 2π.
         camera : Camera
             The camera, taken to be aligned.
@@ -164,12 +164,12 @@ class Calibration(_show.Shown):
             Registration(np.diag([camera.pitch, camera.pitch, 1.0]), 0.0, shape),
         )
 
-    def table(self, modulator: Modulator, camera: Camera) -> OpticalTable:
+    def table(self, modulator: SLMDriver, camera: Camera) -> OpticalTable:
         """Return the table of a modulator and a camera as it was found, for further measurements.
 
         Parameters
         ----------
-        modulator : Modulator
+        modulator : SLMDriver
             The modulator.
         camera : Camera
             The camera.
@@ -258,15 +258,13 @@ def _doubts(uncertainty: Mapping[str, float]) -> list[str]:
 
 def _response_drawn(phases: np.ndarray) -> str:
     """Return the curve of a response, and in grey the straight one."""
-    levels = np.linspace(0, 1, len(phases))
-    top = max(1.0, float(np.max(phases)) / (2 * np.pi))
+    from odak._drawn import FAINT, color_of, subplots, svg
 
-    def curve(values: np.ndarray, colour: str) -> str:
-        points = " ".join(f"{10 + 300 * x:.1f},{210 - 200 * y / top:.1f}" for x, y in zip(levels, values, strict=True))
-        return f'<polyline points="{points}" stroke="{colour}" stroke-width="2"/>'
-
-    drawn = curve(levels, "#9a9a9a") + curve(phases / (2 * np.pi), "#1f4e9c")
-    return f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 320 220" width="320" fill="none">{drawn}</svg>'
+    figure, ((axes,),) = subplots(1, 1, (3.6, 2.6))
+    axes.plot(2 * np.pi * np.linspace(0, 1, len(phases)), color=FAINT)
+    axes.plot(phases, color=color_of(0))
+    axes.set(xlabel="level", ylabel="phase (rad)")
+    return svg(figure)
 
 
 @_validate.takes_fields("modulator camera wavelength distance", table=OpticalTable)
@@ -425,7 +423,7 @@ def _calibrated(table: OpticalTable, rounds: int, regions: Sequence[int] | None,
     return Calibration(*found, registration, regional, uncertainty, measure_unmodulated_light(table, samples=5))
 
 
-def _regions_to_measure(regions, modulator: Modulator, spread: float, behind_lens: bool) -> tuple[int, int]:
+def _regions_to_measure(regions, modulator: SLMDriver, spread: float, behind_lens: bool) -> tuple[int, int]:
     """Return rows and columns of regions to measure: by default several if the captures show a varying response."""
     varies = spread > SPREAD_OF_RESPONSE
     if regions is None:
@@ -503,7 +501,7 @@ def _with_distance_and_wavefront(table: OpticalTable, raw: np.ndarray, first: bo
     return replace(table, wavefront=without(astigmatism_by_focus(table), low)) if astigmatic else table
 
 
-def _focused(modulator: Modulator, wavelength: float, distance: float, wavefront: np.ndarray) -> float:
+def _focused(modulator: SLMDriver, wavelength: float, distance: float, wavefront: np.ndarray) -> float:
     """Return the distance of which a measured wavefront is the error.
 
     Lenslets focus straight ahead at any distance, but lenses of the whole modulator at points in proportion to it: what
@@ -518,7 +516,7 @@ def _focused(modulator: Modulator, wavelength: float, distance: float, wavefront
 class _Middle:
     """Middle part of a modulator as a modulator of its own; the light of the other pixels is deflected."""
 
-    def __init__(self, modulator: Modulator, shape: tuple[int, int]):
+    def __init__(self, modulator: SLMDriver, shape: tuple[int, int]):
         self.modulator, self.shape, self.pitch, self.bits = modulator, shape, modulator.pitch, modulator.bits
         self.settling_time = modulator.settling_time
         self.inside = tuple(

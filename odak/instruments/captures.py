@@ -9,7 +9,7 @@ import numpy as np
 
 from odak import _show, _validate
 from odak.instruments.array_files import checked_array, checked_number, read_hdf5, write_hdf5
-from odak.instruments.protocols import Camera, Modulator, Stage, check_square_pixels, checked_camera, checked_dark
+from odak.instruments.protocols import Camera, SLMDriver, Stage, check_square_pixels, checked_camera, checked_dark
 
 CAPTURES, CAPTURES_VERSION = "odak captures", 1
 CAPTURE_UNITS = {
@@ -113,7 +113,7 @@ class Captures(_show.Shown):
 
 @_validate.takes_units("wavelength")
 def record_captures(
-    modulator: Modulator,
+    modulator: SLMDriver,
     camera: Camera,
     levels: np.ndarray,
     wavelength: float,
@@ -127,7 +127,7 @@ def record_captures(
 
     Parameters
     ----------
-    modulator : Modulator
+    modulator : SLMDriver
         The modulator.
     camera : Camera
         The camera; its exposure is taken as it is.

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from odak import _show, _validate
-from odak.instruments.protocols import Camera, CheckedCamera, Modulator
+from odak.instruments.protocols import Camera, CheckedCamera, SLMDriver
 
 # Share of the range that the brightest pixel gets, and the one from which a pixel is lit.
 BRIGHT, LIT = 0.6, 0.3
@@ -54,7 +54,7 @@ class Finding(_show.Shown):
 
 
 def check_instruments(
-    camera: Camera | None = None, modulator: Modulator | None = None, *, captures: int = 1000
+    camera: Camera | None = None, modulator: SLMDriver | None = None, *, captures: int = 1000
 ) -> list[Finding]:
     """Test whether a camera and a modulator do what their protocols say.
 
@@ -65,7 +65,7 @@ def check_instruments(
     ----------
     camera : Camera, optional
         The camera, which sees steady light that it can saturate. Its exposure and region are restored.
-    modulator : Modulator, optional
+    modulator : SLMDriver, optional
         The modulator; with a camera, the one whose light the camera sees.
     captures : int
         Number of captures in a row, among which frozen frames and growing memory are looked for.
@@ -124,9 +124,9 @@ def _run(found: list[Finding], checks: dict[str, tuple[Callable[[Any], Finding |
             found.append(finding)
 
 
-def _levels(modulator: Modulator) -> Finding:
+def _levels(modulator: SLMDriver) -> Finding:
     """Return whether a modulator has its members, takes levels, waits, and refuses what is none."""
-    if not isinstance(modulator, Modulator):
+    if not isinstance(modulator, SLMDriver):
         missing = [name for name in ("shape", "pitch", "bits", "settling_time", "show") if not hasattr(modulator, name)]
         return Finding("levels", False, f"the modulator has no {', '.join(missing)}", "add what the protocol names")
     rows, columns = modulator.shape
@@ -146,7 +146,7 @@ def _levels(modulator: Modulator) -> Finding:
 class _Bench:
     """A camera under test, and the modulator whose light it sees."""
 
-    def __init__(self, camera: Any, modulator: Modulator | None, captures: int):
+    def __init__(self, camera: Any, modulator: SLMDriver | None, captures: int):
         self.camera, self.modulator, self.captures = camera, modulator, captures
         self.checked: Any = None
         self.exposure = 0.0

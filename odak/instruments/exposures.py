@@ -10,7 +10,7 @@ from scipy.optimize import brentq, curve_fit, least_squares
 
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.instruments.protocols import Camera, CheckedCamera, Laser, Modulator, Rotator, checked_camera, checked_dark
+from odak.instruments.protocols import Camera, CheckedCamera, Laser, Rotator, SLMDriver, checked_camera, checked_dark
 
 # Share of the range of a camera that its brightest pixel should reach.
 EXPOSED = 0.6
@@ -430,7 +430,7 @@ class SettlingResult:
 
 
 def measure_settling(
-    modulator: Modulator,
+    modulator: SLMDriver,
     camera: Camera,
     phases: np.ndarray,
     *,
@@ -449,7 +449,7 @@ def measure_settling(
 
     Parameters
     ----------
-    modulator : Modulator
+    modulator : SLMDriver
         The modulator; its settling time is restored.
     camera : Camera
         The camera; its exposure is restored.
@@ -582,7 +582,7 @@ class PolarisationResult:
 
 
 def measure_polarisation(
-    modulator: Modulator,
+    modulator: SLMDriver,
     camera: Camera,
     rotator: Rotator,
     levels: np.ndarray,
@@ -597,7 +597,7 @@ def measure_polarisation(
 
     Parameters
     ----------
-    modulator : Modulator
+    modulator : SLMDriver
         The modulator.
     camera : Camera
         The camera.

@@ -13,7 +13,7 @@ from odak._warnings import AccuracyWarning, warn
 from odak.instruments.exposures import exposed, set_exposure
 from odak.instruments.mapping import ray_matrix
 from odak.instruments.phase_response import nearest_levels, without_lens
-from odak.instruments.protocols import Camera, Modulator
+from odak.instruments.protocols import Camera, SLMDriver
 from odak.instruments.spots import (
     DEFOCUS,
     aberration_modes,
@@ -204,7 +204,7 @@ def _summit(values: np.ndarray) -> tuple[np.ndarray, float]:
     return np.clip(-back @ found[1:4], -2, 2), deviation * float(np.linalg.norm(back[0]))
 
 
-def _share_on_axis(modulator: Modulator, wavelength: float, distance: float, width: float) -> np.ndarray:
+def _share_on_axis(modulator: SLMDriver, wavelength: float, distance: float, width: float) -> np.ndarray:
     """Return the share of each pixel ``[rows, columns]`` of the field on the axis, of those within a square."""
     y, x = pixel_axes(modulator)
     across, down = (
@@ -213,7 +213,7 @@ def _share_on_axis(modulator: Modulator, wavelength: float, distance: float, wid
     return down * across / (down.sum() * across.sum())
 
 
-def _depth_of_focus(modulator: Modulator, wavelength: float, distance: float, width: float) -> float:
+def _depth_of_focus(modulator: SLMDriver, wavelength: float, distance: float, width: float) -> float:
     """Return the depth of focus as a power, wavelength/width² of a square, of the light that reaches the axis."""
     y, x = pixel_axes(modulator)
     share = _share_on_axis(modulator, wavelength, distance, width)
@@ -359,7 +359,7 @@ def _vertex(powers: np.ndarray, values: np.ndarray, depth: float) -> tuple[float
     return float(peak - slope / (2 * bend) * depth), math.sqrt(toward @ covariance @ toward) * depth
 
 
-def _ideal_sharpness(modulator: Modulator, camera: Camera, wavelength: float, distance: float, power: float) -> float:
+def _ideal_sharpness(modulator: SLMDriver, camera: Camera, wavelength: float, distance: float, power: float) -> float:
     """Return the sharpness of a lens of a power on an evenly lit panel, whose light is a product of two axes."""
     pixel, lines = modulator.pitch, []
     # Two points of each of 29 pixels of the camera give their means.

@@ -13,7 +13,7 @@ from odak import _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.instruments.exposures import SATURATED, STALE, set_exposure
 from odak.instruments.mapping import Lens
-from odak.instruments.protocols import Camera, Modulator
+from odak.instruments.protocols import Camera, SLMDriver
 from odak.instruments.spots import averaged, brightest, deflected, lens_phase, pixel_axes, read_around
 from odak.instruments.steadiness import CLEAR, SLOPES, moved_back, slopes_of, watched
 from odak.instruments.tables import OpticalTable, parts_of
@@ -360,7 +360,7 @@ def _ambient(camera: Camera, frame: np.ndarray) -> float:
     return darkest / top
 
 
-def _onto_the_other_half(modulator: Modulator, wavelength: float, distance: float, top: int) -> np.ndarray:
+def _onto_the_other_half(modulator: SLMDriver, wavelength: float, distance: float, top: int) -> np.ndarray:
     """Return the levels that deflect the light of each half of a modulator onto the light of the other."""
     # The lens narrows the light of a half to four fifths, away from the border, whose fringing fields disturb.
     columns = modulator.shape[1]
@@ -374,7 +374,7 @@ def _onto_the_other_half(modulator: Modulator, wavelength: float, distance: floa
 
 
 def _sign(
-    modulator: Modulator, camera: Camera, wavelength: float, distance: float, levels: np.ndarray, phases: np.ndarray
+    modulator: SLMDriver, camera: Camera, wavelength: float, distance: float, levels: np.ndarray, phases: np.ndarray
 ) -> int:
     """Return the sign of phases of levels, which interference does not tell, as that for which a lens focuses."""
     y, x = pixel_axes(modulator)
@@ -403,7 +403,7 @@ def _sign(
 
 
 def check_frames_are_new(
-    modulator: Modulator, camera: Camera, pair: np.ndarray, other: np.ndarray, count: int = 5
+    modulator: SLMDriver, camera: Camera, pair: np.ndarray, other: np.ndarray, count: int = 5
 ) -> None:
     """Raise an error if a camera returns frames as a pair of the pattern before, after another one was shown."""
     first, second = pair
@@ -425,7 +425,7 @@ def check_frames_are_new(
         )
 
 
-def _guard(modulator: Modulator, top: int) -> np.ndarray:
+def _guard(modulator: SLMDriver, top: int) -> np.ndarray:
     """Return the levels beside the border of a part that shows one level g: 0 and the highest in alternate rows.
 
     Fringing fields smooth the phase across that border, between 0 and φ(g) or between φ(g) and about 2π. The light that
@@ -749,7 +749,7 @@ def without_lens(path: float | Lens, reason: str) -> float:
 class _Transposed:
     """Modulator whose rows are the columns of another."""
 
-    def __init__(self, modulator: Modulator):
+    def __init__(self, modulator: SLMDriver):
         self.modulator, self.shape, self.pitch = modulator, modulator.shape[::-1], modulator.pitch
         self.bits, self.settling_time = modulator.bits, modulator.settling_time
 

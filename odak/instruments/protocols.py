@@ -12,7 +12,7 @@ ENTRY_POINTS = "odak.instruments"
 
 
 @runtime_checkable
-class Modulator(Protocol):
+class SLMDriver(Protocol):
     """Spatial light modulator that shows patterns of grey levels.
 
     Attributes
@@ -31,12 +31,12 @@ class Modulator(Protocol):
     Any class with these attributes and methods is one; it needs no base class:
 
     >>> import numpy as np
-    >>> from odak.instruments import Modulator
+    >>> from odak.instruments import SLMDriver
     >>> class Panel:
     ...     shape, pitch, bits, settling_time = (1080, 1920), 8e-6, 8, 0.05
     ...     def show(self, levels):
     ...         self.shown = np.asarray(levels)
-    >>> isinstance(Panel(), Modulator)
+    >>> isinstance(Panel(), SLMDriver)
     True
     """
 
@@ -178,7 +178,7 @@ def check_square_pixels(modulator: Any, camera: Any) -> None:
 
     Parameters
     ----------
-    modulator : Modulator
+    modulator : SLMDriver
         The modulator.
     camera : Camera
         The camera.
@@ -384,7 +384,7 @@ def open_instrument(name: str, **options: Any) -> Any:
 
     Returns
     -------
-    Modulator, Camera, Laser, Stage or Rotator
+    SLMDriver, Camera, Laser, Stage or Rotator
         The instrument.
 
     Raises
@@ -412,7 +412,7 @@ def open_instrument(name: str, **options: Any) -> Any:
         known = ", ".join(map(repr, sorted(found))) or "none"
         raise ValueError(f"name must be one of the installed drivers ({known}), got {name!r}")
     instrument = found[name].load()(**options)
-    if not isinstance(instrument, (Modulator, Camera, Laser, Stage, Rotator)):
+    if not isinstance(instrument, (SLMDriver, Camera, Laser, Stage, Rotator)):
         raise TypeError(
             f"driver {name!r} returned {type(instrument).__name__}, which implements none of the instrument protocols"
         )

@@ -8,11 +8,11 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from odak import _validate
-from odak.instruments.protocols import Camera, Laser, Modulator, Rotator, Stage, open_instrument
+from odak.instruments.protocols import Camera, Laser, Rotator, SLMDriver, Stage, open_instrument
 from odak.manager.server import check_transport, load_security, require_dask
 
 _KINDS: dict[type, tuple[str, ...]] = {
-    Modulator: ("show",),
+    SLMDriver: ("show",),
     Camera: ("capture",),
     Laser: (),
     Stage: ("move",),
@@ -97,7 +97,7 @@ def open_remote(
 
     Returns
     -------
-    Modulator, Camera, Laser, Stage or Rotator
+    SLMDriver, Camera, Laser, Stage or Rotator
         Instrument with the attributes and methods of its protocol, and ``close()``. A driver's other attributes are
         left out.
 

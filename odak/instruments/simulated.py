@@ -153,7 +153,7 @@ class SimulatedTable(_show.Shown):
     Attributes
     ----------
     modulator : SimulatedModulator
-        Follows :class:`odak.instruments.Modulator`.
+        Follows :class:`odak.instruments.SLMDriver`.
     camera : SimulatedCamera
         Follows :class:`odak.instruments.Camera`.
     laser : SimulatedLaser

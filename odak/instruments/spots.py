@@ -10,7 +10,7 @@ from scipy.ndimage import map_coordinates, uniform_filter
 from odak import _validate
 from odak.instruments.exposures import SATURATED
 from odak.instruments.mapping import Lens, Registration
-from odak.instruments.protocols import Camera, Modulator
+from odak.instruments.protocols import Camera, SLMDriver
 from odak.tools.zernike import zernike_polynomial
 from odak.wave import propagate_beam
 from odak.wave.linear_kernels import pixels_spectrum
@@ -45,13 +45,13 @@ class Part(NamedTuple):
 
 
 def lens_phase(
-    modulator: Modulator | Part, wavelength: float, distance: float | Lens, point: Sequence[float] | np.ndarray = (0, 0)
+    modulator: SLMDriver | Part, wavelength: float, distance: float | Lens, point: Sequence[float] | np.ndarray = (0, 0)
 ) -> np.ndarray:
     """Return the phase in radians ``[rows, columns]`` of a lens that focuses at a point x, y of a plane.
 
     Parameters
     ----------
-    modulator : Modulator
+    modulator : SLMDriver
         The modulator.
     wavelength : float
         Vacuum wavelength in metres.
@@ -71,7 +71,7 @@ def lens_phase(
 
 
 def spots_phase(
-    modulator: Modulator | Part,
+    modulator: SLMDriver | Part,
     wavelength: float,
     distance: float | Lens,
     points: np.ndarray,
@@ -115,7 +115,7 @@ def without(surface: np.ndarray, modes: np.ndarray) -> np.ndarray:
 DEFOCUS = 3
 
 
-def aberration_modes(modulator: Modulator, order: int) -> np.ndarray:
+def aberration_modes(modulator: SLMDriver, order: int) -> np.ndarray:
     """Return the Zernike polynomials of orders 1 to `order` over the circle around the modulator."""
     y, x = pixel_axes(modulator)
     half = math.hypot(*modulator.shape) * modulator.pitch / 2
@@ -124,7 +124,7 @@ def aberration_modes(modulator: Modulator, order: int) -> np.ndarray:
     return np.stack([zernike_polynomial(n, m, np.minimum(rho, 1), theta) for n, m in pairs])
 
 
-def pixel_axes(modulator: Modulator | Part) -> tuple[np.ndarray, np.ndarray]:
+def pixel_axes(modulator: SLMDriver | Part) -> tuple[np.ndarray, np.ndarray]:
     """Return the coordinates y ``[rows, 1]`` and x ``[1, columns]`` of the pixels in metres."""
     rows, columns = modulator.shape
     y, x = ((np.arange(n) - n // 2) * modulator.pitch for n in (rows, columns))
@@ -164,7 +164,7 @@ def brightest_near(frame: np.ndarray, place: np.ndarray, reach: int) -> np.ndarr
     return brightest(frame[first[1] : last[1], first[0] : last[0]]) + first
 
 
-def deflected(modulator: Modulator) -> np.ndarray:
+def deflected(modulator: SLMDriver) -> np.ndarray:
     """Return the phase 0 and π of a chequerboard, which deflects light by the largest angle."""
     rows, columns = np.indices(modulator.shape)
     return np.pi * ((rows + columns) % 2)
@@ -198,7 +198,7 @@ def read_around(camera: Camera, place: np.ndarray, reach: int) -> None:
 
 
 def ideal_capture(
-    modulator: Modulator | Part,
+    modulator: SLMDriver | Part,
     phase: np.ndarray,
     amplitude: np.ndarray | float,
     wavelength: float,

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from odak._warnings import AccuracyWarning, warn
 from odak.instruments.mapping import Registration, ray_matrix
-from odak.instruments.protocols import CheckedCamera, Modulator, checked_camera
+from odak.instruments.protocols import CheckedCamera, SLMDriver, checked_camera
 from odak.instruments.spots import pixel_axes
 from odak.instruments.tables import OpticalTable
 
@@ -131,7 +131,7 @@ class Watched:
     The first pattern that the camera captured within its range is the reference.
     """
 
-    def __init__(self, modulator: Modulator, camera: CheckedCamera):
+    def __init__(self, modulator: SLMDriver, camera: CheckedCamera):
         self.modulator, self.camera = modulator, camera
         self.shape, self.pitch, self.bits = modulator.shape, modulator.pitch, modulator.bits
         self.levels: np.ndarray | None = None

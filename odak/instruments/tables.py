@@ -7,7 +7,7 @@ import numpy as np
 
 from odak import _show, _validate
 from odak.instruments.mapping import Lens, Registration, ray_matrix
-from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
+from odak.instruments.protocols import Camera, SLMDriver, check_square_pixels, checked_camera
 
 
 @_validate.takes_units("wavelength", "distance")
@@ -22,7 +22,7 @@ class OpticalTable(_show.Shown):
 
     Attributes
     ----------
-    modulator : Modulator
+    modulator : SLMDriver
         The modulator.
     camera : Camera
         The camera, roughly at `distance`.
@@ -55,7 +55,7 @@ class OpticalTable(_show.Shown):
     (256,)
     """
 
-    modulator: Modulator
+    modulator: SLMDriver
     camera: Camera
     wavelength: float
     distance: float | Lens

@@ -10,7 +10,7 @@ from odak._warnings import AccuracyWarning, warn
 from odak.instruments.exposures import exposed
 from odak.instruments.mapping import Lens, ray_matrix
 from odak.instruments.phase_response import nearest_levels
-from odak.instruments.protocols import Modulator
+from odak.instruments.protocols import SLMDriver
 from odak.instruments.registration import SPREAD
 from odak.instruments.spots import (
     DEFOCUS,
@@ -240,7 +240,7 @@ def wavefront_with_uncertainty(
     return wavefront - wavefront.mean(), math.sqrt(variance)
 
 
-def lit(modulator: Modulator, frame: np.ndarray, spots: np.ndarray, places: np.ndarray, reach: int) -> np.ndarray:
+def lit(modulator: SLMDriver, frame: np.ndarray, spots: np.ndarray, places: np.ndarray, reach: int) -> np.ndarray:
     """Return the amplitude at each pixel, estimated from the light of spots (column, row) of lenslets at x, y."""
     frame = frame - np.quantile(frame, 0.02)
     corners = np.clip(np.rint(spots).astype(int) - reach, 0, None)

@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, Protocol
+from typing import Any
 
 from odak._warnings import MissingPackageWarning, warn
 from odak.manager import tasks
@@ -45,37 +45,7 @@ class Lost(Exception):
     """A group of tasks whose results were lost with a worker; they are computed again."""
 
 
-class Backend(Protocol):
-    """Interface of what computes groups of tasks: they are started, and their results are waited for."""
-
-    client: Any
-
-    def connect(self) -> None:
-        """Connect to the cluster, unless this has been done."""
-
-    def slots(self) -> int:
-        """Return how many tasks run at once."""
-
-    def load(self, compute: Callable[..., Any]) -> None:
-        """Set the function that the tasks of the next run call."""
-
-    def start(self, groups: list[tuple[Group, list[Job]]]) -> None:
-        """Submit groups of tasks: their numbers and their arguments."""
-
-    def wait(self) -> list[tuple[Group, list[tasks.Outcome] | BaseException]]:
-        """Return groups that are done, or an exception in the place of outcomes; none after :meth:`wake`."""
-
-    def wake(self) -> None:
-        """End a call of :meth:`wait` in another thread."""
-
-    def drop(self) -> None:
-        """Drop all groups."""
-
-    def close(self) -> None:
-        """Disconnect from the cluster."""
-
-
-def choose(cluster: Any, depends: Sequence[Any], server: bool, **settings: Any) -> Backend:
+def choose(cluster: Any, depends: Sequence[Any], server: bool, **settings: Any) -> "Serial | Cluster":
     """Return the backend selected by `cluster`; parameters as in :class:`odak.manager.agent`."""
     here = cluster is None or cluster is True or cluster == "local"
     if settings.get("workers") is not None and not here and not server:

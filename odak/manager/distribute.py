@@ -16,7 +16,7 @@ from typing import Any
 from odak import _validate
 from odak._attributes import Prepared
 from odak._bars import tqdm
-from odak.manager.backends import Backend, Group, Job, Lost, choose
+from odak.manager.backends import Cluster, Group, Job, Lost, Serial, choose
 from odak.manager.server import LOOPBACK
 from odak.manager.tasks import HERE, Outcome
 from odak.tools import validate_path
@@ -368,7 +368,7 @@ class _Run:
 
     Parameters
     ----------
-    backend : Backend
+    backend : Serial or Cluster
         Where tasks run.
     jobs : sequence
         Arguments and keywords of each task.
@@ -384,7 +384,7 @@ class _Run:
 
     def __init__(
         self,
-        backend: Backend,
+        backend: Serial | Cluster,
         jobs: Sequence[Job],
         retries: int,
         records: list[dict[Any, Any]],

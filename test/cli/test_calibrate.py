@@ -104,7 +104,7 @@ def test_drivers_of_another_package_are_found_and_used(tmp_path, monkeypatch, ca
     install(DRIVER, tmp_path, monkeypatch)
     panel = instruments.open_instrument("rig-panel", number=4)
     camera = instruments.open_instrument("rig-sensor", number=4)
-    assert isinstance(panel, instruments.Modulator) and isinstance(camera, instruments.Camera)
+    assert isinstance(panel, instruments.SLMDriver) and isinstance(camera, instruments.Camera)
     options = [f"--option={name}.number=4" for name in ("modulator", "camera")]
     arguments = ["calibrate", "exposure", "--modulator", "rig-panel", "--camera", "rig-sensor", *options]
     assert main([*arguments, "--output", str(tmp_path / "found")]) == 0

@@ -4,9 +4,10 @@ import sys
 import numpy as np
 import pytest
 import torch
-from PIL import Image
+from PIL import Image, ImageColor
 from typer.testing import CliRunner
 
+from odak._show import COLOURS
 from odak.cli import app, main, trace
 from odak.learn.raytracing.system import (
     Perturbation,
@@ -27,7 +28,6 @@ from odak.learn.raytracing.system import (
     wavefront,
     write_zmx,
 )
-from odak.learn.raytracing.system.drawing import COLOURS
 
 
 @pytest.mark.parametrize(
@@ -84,13 +84,13 @@ def test_a_sample_is_traced_drawn_and_reported(name, tmp_path, capsys):
     for picture in ("layout.png", "spots.png"):
         pixels = np.asarray(Image.open(tmp_path / picture).convert("RGB")).reshape(-1, 3).astype(int)
         for colour in COLOURS[:3]:
-            assert (abs(pixels - colour).sum(-1) < 60).sum() > 20, (picture, colour)
+            assert (abs(pixels - ImageColor.getrgb(colour)).sum(-1) < 60).sum() > 20, (picture, colour)
 
 
 def test_rays_in_the_layout_end_where_they_are_traced_to():
     lens = load_system("cooke_triplet")
     (axes,) = layout_figure(lens, count=3).axes
-    rays = [line.get_xydata() for line in axes.get_lines() if line.get_color() == tuple(v / 255 for v in COLOURS[2])]
+    rays = [line.get_xydata() for line in axes.get_lines() if line.get_color() == COLOURS[2]]
     heights = trace_fields(lens, "y", 3).y[lens.reference, 2]
     ends = sum(float(item.thickness) for item in lens.surfaces)
     assert len(rays) == 3

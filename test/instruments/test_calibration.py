@@ -306,7 +306,7 @@ def test_simulated_instruments_follow_protocols_and_repeat():
     first, second, other = (
         instruments.SimulatedTable(seed, shape=(24, 32), camera_shape=(40, 48)) for seed in (3, 3, 4)
     )
-    assert isinstance(first.modulator, instruments.Modulator) and isinstance(first.camera, instruments.Camera)
+    assert isinstance(first.modulator, instruments.SLMDriver) and isinstance(first.camera, instruments.Camera)
     assert isinstance(first.laser, instruments.Laser) and isinstance(first.stage, instruments.Stage)
     levels = np.random.default_rng(0).integers(256, size=(24, 32))
     for table in (first, second, other):

@@ -27,7 +27,7 @@ def test_a_pattern_fills_the_screen(monkeypatch):
         instruments.ScreenModulator(8e-6, 0, (20, 30)).close()
     modulator = instruments.ScreenModulator(8e-6, 0, settling_time=0.0)
     try:
-        assert isinstance(modulator, instruments.Modulator)
+        assert isinstance(modulator, instruments.SLMDriver)
         columns, rows = pygame.display.get_desktop_sizes()[0]
         assert modulator.shape == (rows, columns)
         levels = np.random.default_rng(0).integers(256, size=modulator.shape)
@@ -199,7 +199,7 @@ def test_a_table_behind_a_folder(tmp_path):
     with served(tmp_path, table):
         modulator = instruments.FileModulator(tmp_path, (24, 24), 8e-6, settling_time=0)
         camera = instruments.FileCamera(tmp_path, (32, 40), 4e-6, exposure=0.02)
-        assert isinstance(modulator, instruments.Modulator) and isinstance(camera, instruments.Camera)
+        assert isinstance(modulator, instruments.SLMDriver) and isinstance(camera, instruments.Camera)
         levels = np.random.default_rng(0).integers(256, size=(2, 24, 24))
         for pattern in levels:
             modulator.show(pattern)
@@ -391,7 +391,7 @@ def test_micro_manager_shows_and_captures(tmp_path):
     core.getExposure, core.setExposure = lambda: core.exposure, lambda value: setattr(core, "exposure", value)
     modulator = instruments.MicroManagerModulator(core, 8e-6, settling_time=0)
     camera = instruments.MicroManagerCamera(core, 6.5e-6)
-    assert isinstance(modulator, instruments.Modulator) and isinstance(camera, instruments.Camera)
+    assert isinstance(modulator, instruments.SLMDriver) and isinstance(camera, instruments.Camera)
     levels = np.arange(48, dtype=np.uint8).reshape(6, 8)
     modulator.show(levels)
     assert shown[-2:] == ["Panel", "Panel"] and (shown[-3] == levels).all()

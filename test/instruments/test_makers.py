@@ -77,7 +77,7 @@ def test_meadowlark_gets_levels_by_functions_of_its_library(sdk, monkeypatch, tm
     blink = Blink(sdk)
     monkeypatch.setattr(makers.ctypes, "CDLL", lambda path: {str(library): blink}[path])
     modulator = instruments.MeadowlarkModulator(library, 9.2e-6, lut, sdk, settling_time=0)
-    assert isinstance(modulator, instruments.Modulator) and modulator.shape == (6, 8)
+    assert isinstance(modulator, instruments.SLMDriver) and modulator.shape == (6, 8)
     assert blink.lut == str(lut).encode()
     # Rows that are not contiguous arrive in order, too.
     levels = np.arange(48).reshape(8, 6).T
@@ -167,7 +167,7 @@ def test_holoeye_shows_levels_as_image_data(monkeypatch):
     monkeypatch.setitem(sys.modules, "HEDS", sdk)
     modulator = instruments.HoloeyeModulator("index:1", settling_time=0)
     assert shown == [("index:1", False)] and modulator.shape == (6, 8) and np.isclose(modulator.pitch, 3.74e-6)
-    assert isinstance(modulator, instruments.Modulator)
+    assert isinstance(modulator, instruments.SLMDriver)
     levels = np.arange(48).reshape(6, 8)
     modulator.show(levels)
     assert shown[-1].dtype == np.uint8 and (shown[-1] == levels).all()

@@ -34,7 +34,7 @@ def test_a_table_of_another_computer_is_measured_as_one_here(server, tmp_path):
         instruments.open_remote(driver="file-modulator", options=panel, **server) as modulator,
         instruments.open_remote(driver="file-camera", options=sensor, worker="bench-0", **server) as camera,
     ):
-        assert isinstance(modulator, instruments.Modulator) and isinstance(camera, instruments.Camera)
+        assert isinstance(modulator, instruments.SLMDriver) and isinstance(camera, instruments.Camera)
         assert not hasattr(camera, "show")
         assert repr(camera) == f"RemoteCamera('file-camera' at {server['address']})"
         known = instruments.OpticalTable(modulator, camera, twin.wavelength, twin.truth.distance)

@@ -18,7 +18,7 @@ from odak import _validate
 from odak._threads import each
 from odak._torch_private import in_own_precision
 from odak._warnings import AccuracyWarning, warn
-from odak.catalog.materials import MICROMETRES, Material, absorption_coefficient, extinction_of, refractive_index
+from odak.catalog.materials import MICROMETRES, OpticalMaterial, absorption_coefficient, extinction_of, refractive_index
 from odak.catalog.materials import material as find_material
 from odak.learn._tensors import reals_of, tensor
 from odak.learn.raytracing.mesh import triangle_mesh
@@ -349,7 +349,7 @@ class Element:
     ----------
     shape : Shape or triangle_mesh
         A plane, a conic, any other surface z = sag(x, y), or triangles.
-    media : pair of str, float, torch.Tensor or Material
+    media : pair of str, float, torch.Tensor or OpticalMaterial
         Medium 0, from which the normal points away (in front of a surface, inside a mesh with outward normals), and
         medium 1, into which it points.
     interface : Interface, optional
@@ -554,7 +554,7 @@ def _checked_medium(value):
             return 1.0 if value.casefold() == "air" else find_material(value)
         except ValueError as error:
             raise ValueError(f"media: {error}") from None
-    if isinstance(value, Material):
+    if isinstance(value, OpticalMaterial):
         return value
     if isinstance(value, bool) or not isinstance(value, (Real, torch.Tensor)):
         raise TypeError(f"media must be names, indices or Materials, got {type(value).__name__}")
@@ -1078,12 +1078,12 @@ class _Walk:
         return walk
 
     def _index(self, medium):
-        if isinstance(medium, Material):
+        if isinstance(medium, OpticalMaterial):
             return refractive_index(medium, self.wavelength, self.scene.unit, medium="air")
         return medium
 
     def _absorption(self, medium):
-        if not isinstance(medium, Material) or extinction_of(medium) is None:
+        if not isinstance(medium, OpticalMaterial) or extinction_of(medium) is None:
             return None
         return absorption_coefficient(medium, self.wavelength, self.scene.unit)
 

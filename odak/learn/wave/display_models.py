@@ -18,7 +18,7 @@ from odak._array import Array
 from odak._attributes import Prepared
 from odak._torch_private import forward_derivative, in_own_precision
 from odak._warnings import ConvergenceWarning, warn
-from odak.instruments import Calibration, Camera, Captures, Modulator, Registration, load_calibration
+from odak.instruments import Calibration, Camera, Captures, Registration, SLMDriver, load_calibration
 from odak.instruments.mapping import Lens, plane_points, ray_matrix
 from odak.instruments.protocols import checked_camera
 from odak.learn._tensors import tensor, trainable
@@ -1008,7 +1008,7 @@ def display_hologram(
 
 def display_camera(
     model: display_model,
-    modulator: Modulator,
+    modulator: SLMDriver,
     camera: Camera,
     *,
     captures: int = 1,
@@ -1024,7 +1024,7 @@ def display_camera(
     ----------
     model : display_model
         Model of the display.
-    modulator : odak.instruments.Modulator
+    modulator : odak.instruments.SLMDriver
         The modulator.
     camera : odak.instruments.Camera
         The camera; its exposure is taken as it is.

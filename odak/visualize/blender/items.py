@@ -10,8 +10,7 @@ import numpy as np
 from PIL import ImageColor
 
 from odak import _array, _validate
-from odak.catalog.materials import Material as CatalogMaterial
-from odak.catalog.materials import refractive_index
+from odak.catalog.materials import OpticalMaterial, refractive_index
 from odak.raytracing.surfaces import even_asphere_sag
 from odak.tools.transformation import rotation_matrix
 from odak.visualize._arrays import grid_faces, linear_light, real_array
@@ -458,7 +457,7 @@ def glass(
     if wavelength is not None:
         wavelength = _validate.real("wavelength", wavelength, positive=True)
     name = index if isinstance(index, str) else getattr(index, "name", "glass")
-    if isinstance(index, (str, CatalogMaterial)):
+    if isinstance(index, (str, OpticalMaterial)):
         given = (D_LINE, "m") if wavelength is None else (wavelength, unit)
         try:
             index = refractive_index(index, given[0], unit=given[1], medium="air")
@@ -508,7 +507,7 @@ def chosen(material: Material, color: str | Sequence[float], default: Any, wavel
         found = material
     elif isinstance(material, str) and material.casefold() == "mirror":
         found = metal()
-    elif isinstance(material, (str, Real, CatalogMaterial)) or _array.is_array(material):
+    elif isinstance(material, (str, Real, OpticalMaterial)) or _array.is_array(material):
         found = glass(material, wavelength, unit)
     else:
         raise TypeError(

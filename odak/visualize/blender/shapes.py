@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from odak import _validate
+from odak._show import COLOURS
 from odak.catalog.materials import MICROMETRES
 from odak.tools.asset import read_mesh
 from odak.tools.file import read_levels, validate_path
@@ -36,8 +37,6 @@ from odak.visualize.blender.items import (
 # Default thickness of a line as a fraction of the extent of the drawing.
 THIN = 1 / 400
 ORIGIN = (0.0, 0.0, 0.0)
-# Colours of the fields of a system.
-COLORS = ("#2166ac", "#1b7837", "#b2182b", "#762a83", "#b35806", "#016665")
 # Gap drawn between cemented faces, as a fraction of the thickness of the glass behind them: a renderer cannot determine
 # which of two coincident faces comes first. A gap between parallel faces does not change the directions of rays.
 GAP = 1e-4
@@ -339,12 +338,10 @@ class Shapes:
         smooth = _validate.flag("smooth", smooth)
         if not np.isfinite(found.vertices).all():
             raise ValueError("mesh must be finite")
-        many = None
-        if not (isinstance(color, str) or color is None) and np.ndim(color) == 2:
-            color, many = None, _vertex_colors(color, len(found.vertices))
+        color, many = _colors(color, len(found.vertices))
         item = self._add(default if name is None else name, found, material, color, diffuse(), smooth=smooth)
         item.location, item.rotation = three("location", location), three("rotation", rotation)
-        item.scale, item.colors = three("scale", scale), many
+        item.scale, item.colors = three("scale", scale), None if many is None else many.astype(np.float32)
         return item
 
     def add_surface(
@@ -617,15 +614,6 @@ def _grid(parts, shape) -> np.ndarray:
     return points
 
 
-def _vertex_colors(color, count: int) -> np.ndarray:
-    found = _arrays.real_array("color", color)
-    if found.shape != (count, 3):
-        raise ValueError(f"color must be [3], or one for each vertex: [{count}, 3]; got {list(found.shape)}")
-    if not (found >= 0).all() or not (found <= 1).all():
-        raise ValueError("color must be red, green, blue from 0 to 1")
-    return linear_light(found.astype(np.float64)).astype(np.float32)
-
-
 class Lenses:
     """The part of a scene that draws lenses."""
 
@@ -728,7 +716,7 @@ class Lenses:
         count: int = 7,
         *,
         radius: float | None = None,
-        colors: Sequence[Any] = COLORS,
+        colors: Sequence[Any] = COLOURS,
         location: Sequence[float] = ORIGIN,
         rotation: Sequence[float] = ORIGIN,
         segments: int = 128,

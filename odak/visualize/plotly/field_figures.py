@@ -1,7 +1,5 @@
 """Figures of fields, surfaces and curves: amplitude, phase, intensity, angular spectrum, with physical axes."""
 
-import base64
-import io
 import itertools
 import math
 import os
@@ -590,8 +588,8 @@ def _upper(quantity: Quantity, values: np.ndarray):
     return greatest if greatest > 0 else 1.0
 
 
-def _inset(path) -> str:
-    """Return an image file as the address of a PNG image."""
+def _inset(path):
+    """Return the image of a file, as Plotly takes it."""
     from PIL import Image
 
     path = validate_path(path, INSETS, name="zoomed_inset")
@@ -600,9 +598,7 @@ def _inset(path) -> str:
     except ValueError as error:
         raise ValueError(f"zoomed_inset {path!r} cannot be read as an image: {error}") from error
     levels = (levels // 257).astype(np.uint8) if levels.dtype == np.uint16 else levels
-    stream = io.BytesIO()
-    Image.fromarray(levels).convert("RGBA").save(stream, "PNG")
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
+    return Image.fromarray(levels).convert("RGBA")
 
 
 MARGIN = (85, 40, 80, 90)

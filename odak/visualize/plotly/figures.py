@@ -645,7 +645,10 @@ class Figure:
             The figure as a ``<div>`` without plotly.js, for a page that has it.
         """
         self.update_layout()
-        return write_html(self.fig, filename, plotlyjs)
+        path, plotlyjs = validate_path(filename, HTML), _library_of(plotlyjs)
+        text = page.to_html(self.fig, include_plotlyjs=plotlyjs, include_mathjax=False, full_html=True)
+        write_file(path, text.encode())
+        return division(self.fig)
 
     def save_markdown(self, filename: str | os.PathLike[str] = "plot.md", plotlyjs: bool | str = False) -> str:
         """Save the figure as a ``<div>`` for a Markdown page.
@@ -663,7 +666,10 @@ class Figure:
             The text written.
         """
         self.update_layout()
-        return write_markdown(self.fig, filename, plotlyjs)
+        path = validate_path(filename, MARKDOWN)
+        text = division(self.fig, _library_of(plotlyjs))
+        write_file(path, text.encode() + b"\n")
+        return text
 
     def save_image(self, filename: str | os.PathLike[str], scale: float = 1.0) -> None:
         """Save the figure as an image.
@@ -726,43 +732,6 @@ class Figure:
             self._say(note)
 
 
-def write_html(figure: Any, filename: str | os.PathLike[str], plotlyjs: Any = True) -> str:
-    """Write a figure as a page and return its ``<div>``, for pages that load plotly.js.
-
-    Parameters
-    ----------
-    figure : plotly.graph_objects.Figure
-        The figure.
-    filename : str or os.PathLike
-        A ``.html`` file, written atomically.
-    plotlyjs : bool or str
-        As for :func:`plotly.io.to_html`: True writes plotly.js into the page (5 MB, works without a network), "cdn"
-        lets the page fetch it.
-    """
-    path, plotlyjs = validate_path(filename, HTML), _library_of(plotlyjs)
-    text = page.to_html(figure, include_plotlyjs=plotlyjs, include_mathjax=False, full_html=True)
-    write_file(path, text.encode())
-    return division(figure)
-
-
-def write_markdown(figure: dict[Any, Any], filename: str | os.PathLike[str], plotlyjs: bool | str = False) -> str:
-    """Write the ``<div>`` of a figure, for a Markdown page that is shown as HTML, and return it.
-
-    Parameters
-    ----------
-    figure : plotly.graph_objects.Figure
-        The figure.
-    filename : str or os.PathLike
-        A ``.md`` file, written atomically.
-    plotlyjs : bool or str
-        As for :func:`plotly.io.to_html`.
-    """
-    path = validate_path(filename, MARKDOWN)
-    text = division(figure, _library_of(plotlyjs))
-    write_file(path, text.encode() + b"\n")
-    return text
-
-
 def division(figure: Any, plotlyjs: Any = False) -> str:
     """Return a figure as a ``<div>`` without the blank lines at which Markdown would end it."""
     text = page.to_html(figure, include_plotlyjs=plotlyjs, include_mathjax=False, full_html=False)
@@ -796,15 +765,8 @@ def show(figure: dict[Any, Any]) -> str | None:
         return None
     path = _next_page()
     # plotly.js (5 MB) is written once beside the pages of this process.
-    write_html(figure, path, plotlyjs="directory")
-    script = path.with_name("plotly.min.js")
-    if not script.exists():
-        from plotly.offline import get_plotlyjs
-
-        write_file(str(script), get_plotlyjs().encode())
+    page.write_html(figure, path, include_plotlyjs="directory", include_mathjax=False, auto_open=can_open())
     logger.info("Figure written to %s", path)
-    if can_open():
-        webbrowser.open(path.as_uri())
     return str(path)
 
 

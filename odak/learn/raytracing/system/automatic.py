@@ -11,7 +11,7 @@ import torch
 from odak import _show, _validate
 from odak._lengths import expansion_in, focal_length_in, in_unit, light_in
 from odak._warnings import ConvergenceWarning, warn
-from odak.catalog import Material, glass_makers
+from odak.catalog import OpticalMaterial, glass_makers
 from odak.catalog.materials import MICROMETRES
 from odak.learn.raytracing.system.analysis import distortion as relative_distortion
 from odak.learn.raytracing.system.analysis import rms_spot
@@ -250,7 +250,7 @@ class LensDimensions:
     edge: float | None = None
     back: float | None = None
     track: float | None = None
-    cover: tuple[str | Material, float] | None = None
+    cover: tuple[str | OpticalMaterial, float] | None = None
 
     def __post_init__(self) -> None:
         for name in ("glass", "air"):

@@ -8,7 +8,7 @@ import torch
 from odak import _show, _validate
 from odak._array import namespace
 from odak._torch_private import differentiates
-from odak.catalog.materials import MICROMETRES, Material
+from odak.catalog.materials import MICROMETRES, OpticalMaterial
 from odak.jones.thin_films import stack_response
 from odak.learn._tensors import takes_constants
 from odak.learn.raytracing.system.optimise import LADDER, least_squares
@@ -100,8 +100,8 @@ class _Aim(NamedTuple):
 @differentiates
 def needle_design(
     start: Coating,
-    media: Sequence[str | complex | Material],
-    between: Sequence[str | complex | Material],
+    media: Sequence[str | complex | OpticalMaterial],
+    between: Sequence[str | complex | OpticalMaterial],
     wavelengths: float | Sequence[float] | torch.Tensor,
     target: float | Sequence[float] | torch.Tensor = 0.0,
     angles: float | Sequence[float] | torch.Tensor = 0.0,
@@ -167,7 +167,7 @@ def needle_design(
     if not start.media or start.substrate is not None:
         raise ValueError("start must have at least one film and no substrate, which is the second of between")
     if isinstance(media, (str, bytes)) or not isinstance(media, Iterable) or not len(list(media)):
-        raise ValueError(f"media must be a sequence of at least one name, Material or index, got {media!r:.80}")
+        raise ValueError(f"media must be a sequence of at least one name, OpticalMaterial or index, got {media!r:.80}")
     if isinstance(between, (str, bytes)) or not isinstance(between, Sequence) or len(between) != 2:
         raise ValueError(f"between must be a pair of media, that light comes from and substrate, got {between!r:.80}")
     _validate.integer("films", films, minimum=len(start.media))

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from odak.catalog.materials import MICROMETRES, Material, material, model_glass, tabulated
+from odak.catalog.materials import MICROMETRES, OpticalMaterial, material, model_glass, tabulated
 from odak.learn.raytracing.system.paraxial import first_order
 from odak.learn.raytracing.system.specification import AIR, MIRROR, SystemAperture
 from odak.learn.raytracing.system.surfaces import (
@@ -127,7 +127,7 @@ class _Reader:
         self.head: dict[str, list[str]] = {}
         self.zooms = 1
         self.settings: list[tuple[int, str, list[str]]] = []
-        self.glasses: dict[str, Material] = {}
+        self.glasses: dict[str, OpticalMaterial] = {}
 
     def take(self, number: int, words: list[str]) -> None:
         """Read one command."""
@@ -300,12 +300,12 @@ _ENTRIES: dict[str, Callable[[_Surface, _Command], None]] = {
 }
 
 
-def _laurent(number: int, name: str, values: list[float], waves: list[float]) -> Material:
+def _laurent(number: int, name: str, values: list[float], waves: list[float]) -> OpticalMaterial:
     """Return a private glass by its coefficients of n² = A₀ + A₁λ² + A₂λ⁻² + A₃λ⁻⁴ + …, λ in micrometres."""
     powers = (0, 2, *range(-2, -2 * len(values), -2))[: len(values)]
     reach = (min(waves), max(waves)) if len(waves) > 1 else (0.35, 2.5)
     source = "private catalogue of a CODE V file"
-    glass = Material(name, "polynomial", {"A": tuple(values), "P": powers}, reach, "air", source)
+    glass = OpticalMaterial(name, "polynomial", {"A": tuple(values), "P": powers}, reach, "air", source)
     index = glass.index(sum(reach) / 2) if values else math.nan
     if isinstance(index, complex) or not 1 <= index < 6:
         raise ValueError(f"line {number}: the private glass {name} must have an index, got {index:.4g} from {values}")
@@ -693,7 +693,7 @@ def _share(digits: str) -> float:
     return int(digits) / 10 ** len(digits)
 
 
-def glass_by_name(number: int, name: str, context: Context, reader: str) -> Material:
+def glass_by_name(number: int, name: str, context: Context, reader: str) -> OpticalMaterial:
     """Return a glass by its name, with or without its maker behind it ("NBK7_SCHOTT").
 
     Parameters
@@ -975,7 +975,7 @@ def _glass_name(item, system, private: dict) -> str:
     if medium == AIR:
         return ""
     names = {value: key for key, value in SPECIAL.items()}
-    if isinstance(medium, Material):
+    if isinstance(medium, OpticalMaterial):
         full = medium.name
         if full in names:
             return f"{names[full]}_SPECIAL"

@@ -10,17 +10,17 @@ import math
 import os
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from importlib import resources
 from typing import Any
 
-import matplotlib
 import numpy as np
 import torch
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
 from odak import _show, _validate
+from odak._drawn import FAINT, INK, Drawing, color_of, png, subplots, svg
 from odak.catalog.materials import MICROMETRES
 from odak.learn._tensors import takes_constants
 from odak.learn.raytracing.system.analysis import (
@@ -73,30 +73,10 @@ from odak.learn.raytracing.system.waves import (
 )
 from odak.tools.paths import _text, write_file
 
-COLOURS = ((33, 102, 172), (27, 120, 55), (178, 24, 43), (118, 42, 131), (179, 88, 6), (1, 102, 94))
-INK, FAINT, GLASS = "#202020", "#9a9a9a", "#d9e9f6"
+GLASS = "#d9e9f6"
 POINTS = 81
 # Configurations that are drawn in a notebook.
 SHOWN = 4
-
-
-class _Figure(Figure):
-    """A figure that a notebook shows as the last line of a cell, whether or not pyplot is in use."""
-
-    def __init__(self, *arguments: Any, **options: Any):
-        super().__init__(*arguments, **options)
-        FigureCanvasAgg(self)
-
-    def _repr_html_(self) -> str:
-        return f'<img style="max-width:100%" alt="figure" src="{_show.source(_svg_of(self))}">'
-
-
-def _svg_of(figure: Figure) -> str:
-    """Return a figure as the text of an SVG file that has its letters as letters."""
-    stream = io.StringIO()
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "odak"}):
-        figure.savefig(stream, format="svg", metadata={"Date": None})
-    return stream.getvalue()
 
 
 def layout_figure(system: optical_system, aim: str = "paraxial", count: int = 5) -> Figure:
@@ -134,7 +114,7 @@ def layout_figure(system: optical_system, aim: str = "paraxial", count: int = 5)
     profiles = [_profile(scene, i) for i in range(len(scene.items))]
     drawn = np.concatenate([*profiles, paths[..., [2, 1]].reshape(-1, 2)])
     width, height = np.nanmax(drawn, 0) - np.nanmin(drawn, 0)
-    figure = _Figure(figsize=(10, 5) if height < width else (6, 6.6), layout="constrained")
+    figure = Drawing(figsize=(10, 5) if height < width else (6, 6.6), layout="constrained")
     axes = figure.add_subplot()
     axes.set_aspect("equal", adjustable="datalim")
     axes.axis("off")
@@ -229,11 +209,6 @@ def _with_curves(path: np.ndarray, curves: dict[int, np.ndarray], stations: int)
     return np.concatenate(parts)
 
 
-def color_of(i: int) -> tuple[float, ...]:
-    """Return the colour of a field or a wavelength by its number."""
-    return tuple(value / 255 for value in COLOURS[i % len(COLOURS)])
-
-
 def image_unit(system: optical_system) -> str:
     """Return the unit of small lengths in the image; afocal systems have angles instead."""
     return "µrad" if system.afocal else "µm"
@@ -296,7 +271,7 @@ def spots_figure(system: optical_system, found: Spots | None = None) -> Figure:
     count = found.x.shape[-2]
     rows = 1 if count < 4 else 2
     columns = -(-count // rows)
-    figure, cells = _panels(rows, columns, (2.6 * columns + 1.2, 3.4 * rows), sharex=True, sharey=True)
+    figure, cells = subplots(rows, columns, (2.6 * columns + 1.2, 3.4 * rows), sharex=True, sharey=True)
     for axes in cells.flat[count:]:
         axes.remove()
     panels = cells.flat[:count]
@@ -349,7 +324,7 @@ def fans_figure(system: optical_system, count: int = 41, aim: str = "paraxial") 
     """
     checked_system(system)
     scale, fields = MICROMETRES[system.unit], len(system.fields)
-    figure, panels = _panels(fields, 4, (11, 2.0 * fields + 0.8), sharex=True, sharey="col")
+    figure, panels = subplots(fields, 4, (11, 2.0 * fields + 0.8), sharex=True, sharey="col")
     for column, (kind, axis) in enumerate((("ray", "y"), ("ray", "x"), ("path", "y"), ("path", "x"))):
         with torch.no_grad():
             place, values = (ray_fan if kind == "ray" else path_fan)(system, axis, count, aim=aim)
@@ -402,7 +377,7 @@ def field_figure(system: optical_system, points: int = 21, aim: str = "paraxial"
     numbers = system.prescription().at(system.reference)
     curves = field_curvature(system, prescription=numbers, fields=fields, aim=aim)
     tangential, sagittal = (value.detach()[0] * focus_unit(system)[1] for value in curves)
-    figure, ((first, second, third),) = _panels(1, 3, (9, 3.6), sharey=True)
+    figure, ((first, second, third),) = subplots(1, 3, (9, 3.6), sharey=True)
     first.plot(tangential, heights, color=color_of(0), label="tangential")
     first.plot(sagittal, heights, color=color_of(2), ls="--", label="sagittal")
     first.legend(fontsize=8, frameon=False)
@@ -472,7 +447,7 @@ def transfer_figure(system: optical_system, samples: int = 64, aim: str = "parax
         raise ValueError("system must have a focus, got an afocal one: there is no modulation transfer at an image")
     numbers = system.prescription().at(place)
     options: dict[str, Any] = {"prescription": numbers, "aim": aim}
-    figure, ((left, right),) = _panels(1, 2, (10, 3.6))
+    figure, ((left, right),) = subplots(1, 2, (10, 3.6))
     with torch.no_grad():
         # More than a wave of aberration: geometric, for the samples would not resolve the diffraction.
         large = wavefront(system, "rings", 8, aim=aim).rms.nan_to_num().max() > 1
@@ -569,14 +544,7 @@ def draw_spots(system: optical_system, found: Spots) -> Image.Image:
 
 
 def _picture(figure: Figure) -> Image.Image:
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=140)
-    return Image.open(stream).convert("RGB")
-
-
-def _panels(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Figure, np.ndarray]:
-    figure = _Figure(figsize=size, layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False, **options)
+    return Image.open(io.BytesIO(png(figure))).convert("RGB")
 
 
 def _over_pupil(samples: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -670,7 +638,7 @@ def through_focus_figure(
     shown = sorted({round(i * (len(shifts) - 1) / 4) for i in range(5)})
     fields = len(system.fields)
     size = (2 + 1.5 * len(shown) + 3.4, 1.5 * fields + 1.2)
-    figure = _Figure(figsize=size, layout="constrained")
+    figure = Drawing(figsize=size, layout="constrained")
     widths = [1.0] * len(shown) + [2.2]
     cells = figure.add_gridspec(max(fields, 2), len(shown) + 1, width_ratios=widths)
     unit, factor = focus_unit(system)
@@ -760,7 +728,7 @@ def wavefront_figure(
     found = wavefront(system, points, prescription=numbers, aim=aim)
     quality = _quality(system, aim, quality)
     small = float(found.rms.nan_to_num(nan=9.0).max()) <= LARGE
-    figure, panels = _panels(1 + small, fields, (2.9 * fields + 0.6, 2.9 * (1 + small) + 0.2))
+    figure, panels = subplots(1 + small, fields, (2.9 * fields + 0.6, 2.9 * (1 + small) + 0.2))
     for i, axes in enumerate(panels[0]):
         span = float(found.path[0, i].abs().nan_to_num().max()) or 1.0
         axes.set_title(f"field {field_label(system, i)}\nRMS {float(quality.wavefront_rms[i]):.3g} λ", fontsize=9)
@@ -812,7 +780,7 @@ def image_figure(system: optical_system, points: int = 11, aim: str = "paraxial"
     checked_system(system)
     points, aim = _validate.integer("points", points, minimum=2), _validate.one_of("aim", aim, AIMS)
     low, high = min(system.wavelengths), max(system.wavelengths)
-    figure, panels = _panels(1, 3 if low < high else 2, (10 if low < high else 6.8, 3.4))
+    figure, panels = subplots(1, 3 if low < high else 2, (10 if low < high else 6.8, 3.4))
     first, second = panels[0, :2]
     name = "milliradian" if system.afocal else unit_of(system)
     scale = 1e3 / (1e6 / MICROMETRES[system.unit]) if system.afocal else 1.0
@@ -900,7 +868,7 @@ def performance_figure(
     samples = pupil_quadrature(system, 16, fields=fields, aim=aim)
     spots = spot_diagram(system, samples, fields=fields, aim=aim).rms
     waves = wavefront(system, samples, fields=fields, aim=aim, prescription=numbers).rms[0]
-    figure, panels = _panels(1, 2 + focus, (3.6 * (2 + focus), 3.4))
+    figure, panels = subplots(1, 2 + focus, (3.6 * (2 + focus), 3.4))
     first, last = panels[0, 0], panels[0, -1]
     first.plot(heights, spots.cpu() * MICROMETRES[system.unit], color=color_of(0))
     first.set_ylabel(f"RMS spot ({image_unit(system)})", color=color_of(0))
@@ -959,7 +927,7 @@ def pupil_figure(system: optical_system, place: int | None = None, aim: str = "p
     aim = _validate.one_of("aim", aim, AIMS)
     if not any(any(field) for field in system.fields):
         raise ValueError("system must have a field off the axis")
-    figure, panels = _panels(1, 3, (10.8, 3.6))
+    figure, panels = subplots(1, 3, (10.8, 3.6))
     first, second, third = panels[0]
     rays = paraxial_rays(system)
     shown = [i for i, item in enumerate(system.surfaces) if not is_break(item)]
@@ -1031,7 +999,7 @@ def footprint_figure(system: optical_system, places: Sequence[int] | None = None
         raise TypeError(f"places must be a sequence of numbers of surfaces, got {type(places).__name__}")
     places = [_validate.place_in("places", place, len(system.surfaces)) for place in places]
     numbers = system.prescription().at(system.reference)
-    figure, panels = _panels(1, max(len(places), 1), (3.0 * max(len(places), 1) + 1.0, 3.2))
+    figure, panels = subplots(1, max(len(places), 1), (3.0 * max(len(places), 1) + 1.0, 3.2))
     circle = np.linspace(0, 2 * np.pi, 200)
     for axes, place in zip(panels[0], places, strict=False):
         found = footprint(system, place, "rings", 7, prescription=numbers, aim=aim)
@@ -1081,7 +1049,7 @@ def polarisation_figure(system: optical_system, samples: int = 24, aim: str = "p
     inside, points = _over_pupil(samples)
     numbers, fields = system.prescription().at(system.reference), len(system.fields)
     found = polarized_trace(system, launch(system, points, prescription=numbers, aim=aim), prescription=numbers)
-    figure, panels = _panels(2, fields, (2.9 * fields + 0.6, 5.6))
+    figure, panels = subplots(2, fields, (2.9 * fields + 0.6, 5.6))
     maps = (found.diattenuation, "diattenuation"), (found.retardance, "retardance (rad)")
     for row, (values, name) in enumerate(maps):
         top = float(values.nan_to_num().max()) or 1.0
@@ -1119,7 +1087,7 @@ def seidel_figure(system: optical_system) -> Figure:
     waves = seidel_sums(system).seidel / system.wavelengths[system.reference]
     values = torch.cat([waves, waves.sum(-1, keepdim=True)], -1).cpu().numpy()
     count = values.shape[-1]
-    figure, panels = _panels(1, 1, (min(3 + 0.7 * count, 14), 3.2))
+    figure, panels = subplots(1, 1, (min(3 + 0.7 * count, 14), 3.2))
     axes = panels[0, 0]
     for k, name in enumerate(("spherical", "coma", "astigmatism", "Petzval", "distortion")):
         axes.bar(np.arange(count) + (k - 2) * 0.16, values[k], 0.16, color=color_of(k), label=name)
@@ -1168,7 +1136,7 @@ def tolerance_figure(
     if isinstance(found, Sensitivity):
         merit = (found.merit * scale).reshape(2, len(found.names), -1).square().mean(-1).sqrt().cpu().numpy()
         nominal = float((found.nominal * scale).square().mean().sqrt())
-        figure, panels = _panels(1, 1, (7.5, 1.2 + 0.22 * len(found.names)))
+        figure, panels = subplots(1, 1, (7.5, 1.2 + 0.22 * len(found.names)))
         axes, place = panels[0, 0], np.arange(len(found.names))
         for sign, values, shift in (("+", merit[0], -0.18), ("−", merit[1], 0.18)):
             axes.barh(place + shift, values - nominal, 0.34, color=color_of(0 if sign == "+" else 2), label=sign)
@@ -1181,7 +1149,7 @@ def tolerance_figure(
         return figure
     _validate.instance("found", found, ToleranceResult, "a ToleranceResult or a Sensitivity")
     merit = (found.merit.detach() * scale).reshape(len(found.merit), -1).cpu()
-    figure, panels = _panels(1, 2, (9.0, 3.4))
+    figure, panels = subplots(1, 2, (9.0, 3.4))
     axes, share = panels[0, 0], np.arange(1, len(merit) + 1) / len(merit)
     overall = merit.square().mean(-1).sqrt()
     panels[0, 1].hist(overall[overall.isfinite()].numpy(), bins=max(8, round(len(merit) ** 0.5)), color=color_of(0))
@@ -1311,48 +1279,19 @@ def lens_report(
         "tolerance": "Spots of lenses with deviations",
         "sensitivity": "Change of the spots by each deviation alone",
     }
-    parts = [f"<h1>{html.escape(system.name or 'Optical system')}</h1>", f"<p>{html.escape(system.source)}</p>"]
+    parts = [f"<p>{html.escape(system.source)}</p>"]
     _validate.instance("figures", figures, (dict, type(None)), "a result of report_figures")
     quality = _quality(system, aim, quality)
     figures = report_figures(system, aim, quality) if figures is None else figures
     for name in headings:
         if name in figures:
-            parts += [f"<h2>{headings[name]}</h2>", _svg(figures[name])]
+            text = svg(figures[name])
+            parts += [f"<h2>{headings[name]}</h2>", f"<figure>{text[text.index('<svg') :]}</figure>"]
         if name == "layout":
             parts += _numbers_of(system, aim, quality)
-    page = _PAGE.format(title=html.escape(system.name or "Optical system"), body="\n".join(parts))
-    write_file(path, page.encode("utf-8"))
-
-
-_PAGE = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{title}</title>
-<style>body{{font:15px/1.5 system-ui,sans-serif;max-width:1050px;margin:2em auto;padding:0 1em;color:#202020}}
-table{{border-collapse:collapse;margin:1em 0}}td,th{{padding:.2em .9em;text-align:right;border-bottom:1px solid #ddd}}
-th:first-child,td:first-child{{text-align:left}}svg{{max-width:100%;height:auto}}.table,.figure{{overflow-x:auto}}
-@media (max-width:45em){{body{{margin:1em auto}}td,th{{padding:.2em .5em}}.figure svg{{max-width:none;width:660px}}}}
-</style></head>
-<body>
-{body}
-</body></html>
-"""
-
-
-def _svg(figure: Figure) -> str:
-    stream = io.StringIO()
-    figure.savefig(stream, format="svg")
-    text = stream.getvalue()
-    return f'<div class="figure">{text[text.index("<svg") :]}</div>'
-
-
-def _table(head, rows) -> str:
-    top = "".join(f"<th>{html.escape(str(cell))}</th>" for cell in head)
-    body = ""
-    for row in rows:
-        cells = [float(value.detach()) if isinstance(value, torch.Tensor) else value for value in row]
-        # A zero has no sign in a table.
-        texts = [f"{value + 0.0:.6g}" if isinstance(value, float) else str(value) for value in cells]
-        body += "<tr>" + "".join(f"<td>{html.escape(text)}</td>" for text in texts) + "</tr>"
-    return f'<div class="table"><table><tr>{top}</tr>{body}</table></div>'
+    template = resources.files("odak").joinpath("assets/page.html").read_text(encoding="utf-8")
+    body = "\n".join(['<div class="report">', *parts, "</div>"])
+    write_file(path, template.format(title=html.escape(system.name or "Optical system"), body=body).encode())
 
 
 @torch.no_grad()
@@ -1395,8 +1334,8 @@ def _surface_rows(system) -> list[tuple[Any, ...]]:
 def _numbers_of(system, aim: str, quality: FieldQuality) -> list[str]:
     """Return the tables of a report."""
     unit, scale = unit_of(system), MICROMETRES[system.unit]
-    parts = [f"<h2>First order ({unit})</h2>", _table(("property", "value"), _first_order_rows(system))]
-    parts += [f"<h2>Prescription ({unit})</h2>", _table(("surface", *_COLUMNS), _surface_rows(system))]
+    parts = [f"<h2>First order ({unit})</h2>", _show.table([("property", "value"), *_first_order_rows(system)])]
+    parts += [f"<h2>Prescription ({unit})</h2>", _show.table([("surface", *_COLUMNS), *_surface_rows(system)])]
     largest = spot_diagram(system, "rings", 8, aim=aim).largest
     rows = [
         (
@@ -1413,7 +1352,7 @@ def _numbers_of(system, aim: str, quality: FieldQuality) -> list[str]:
     head = (
         "field", f"RMS spot ({small})", f"largest ({small})", "wavefront RMS (λ)", "Strehl ratio", "vignetted (%)"
     )  # fmt: skip
-    parts += ["<h2>Fields</h2>", _table(head, rows)]
+    parts += ["<h2>Fields</h2>", _show.table([head, *rows])]
     stated = f"Means over the area of the pupil by Gaussian quadrature with {quality.count} rings"
     parts += [f"<p>{stated}; with half as many they differ by at most {quality.change:.1g}.</p>"]
     if image_aperture(system) and not system.afocal:
@@ -1421,7 +1360,7 @@ def _numbers_of(system, aim: str, quality: FieldQuality) -> list[str]:
         found = field_modulation(system, frequencies, aim=aim)
         names = [f"{f * 1e3 / scale:.3g} cycles/mm {way}" for f in frequencies for way in ("T", "S")]
         rows = [(field_label(system, i), *found[:, :, i].T.flatten()) for i in range(len(system.fields))]
-        parts += ["<h2>Modulation at the reference wavelength</h2>", _table(("field", *names), rows)]
+        parts += ["<h2>Modulation at the reference wavelength</h2>", _show.table([("field", *names), *rows])]
     try:
         sums = seidel_sums(system)
     except ValueError:
@@ -1429,7 +1368,7 @@ def _numbers_of(system, aim: str, quality: FieldQuality) -> list[str]:
     waves = sums.seidel / system.wavelengths[system.reference]
     names = ("spherical", "coma", "astigmatism", "Petzval", "distortion")
     rows = [(str(i), *waves[:, i]) for i in range(waves.shape[-1])] + [("sum", *waves.sum(-1))]
-    return [*parts, "<h2>Seidel coefficients by surface (wavelengths)</h2>", _table(("surface", *names), rows)]
+    return [*parts, "<h2>Seidel coefficients by surface (wavelengths)</h2>", _show.table([("surface", *names), *rows])]
 
 
 # First-order properties that have no unit.
@@ -1443,7 +1382,7 @@ def _drawn(system) -> tuple[list[Any], list[Any], list[Any]]:
     rows: list[Any] = []
     failed: list[Any] = []
     try:
-        pictures = [("layout", _svg_of(layout_figure(system)))]
+        pictures = [("layout", svg(layout_figure(system)))]
     except (ValueError, RuntimeError, ArithmeticError, IndexError) as error:
         failed.append(f"the layout cannot be drawn: {error}")
     try:
@@ -1515,18 +1454,16 @@ def spots_view(found: Spots) -> _show.View:
     rms, largest, center = rms.reshape(-1, count)[0], largest.reshape(-1, count)[0], center.reshape(-1, count, 2)[0]
     half = 1.1 * float(largest.nan_to_num(0.0, 0.0, 0.0).max()) or 1.0
     shown = min(count, 8)
-    figure, panels = _panels(1, shown, (2.2 * shown + 0.4, 2.6), sharey=True)
+    figure, panels = subplots(1, shown, (2.2 * shown + 0.4, 2.6), sharey=True)
     for i, axes in enumerate(panels[0]):
         for j in range(len(x)):
             axes.plot(x[j, i].numpy(), y[j, i].numpy(), ".", ms=2, color=color_of(j))
         axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal")
         axes.set_title(f"field {i}", fontsize=9)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=80)
     table: list[Any] = [("field", "centre x", "centre y", "RMS", "largest", "rays lost")]
     for i in range(count):
         missing = f"{int(lost[:, i].sum())} of {lost[:, i].numel()}"
         table.append((str(i), *map(float, (*center[i].round(decimals=9), rms[i], largest[i])), missing))
     batch = x.shape != found.x.shape
     title = "Spot diagram, in the unit of the lens" + (", of the first system of a batch" if batch else "")
-    return _show.View(title, [("spots of each field, a colour for each wavelength", stream.getvalue())], table)
+    return _show.View(title, [("spots of each field, a colour for each wavelength", png(figure, 80))], table)

@@ -9,7 +9,7 @@ import torch
 from odak import _validate
 from odak._lengths import expansion_in
 from odak._warnings import AccuracyWarning, warn
-from odak.catalog.materials import Material, check_weather, refractive_index, thermal_of
+from odak.catalog.materials import OpticalMaterial, check_weather, refractive_index, thermal_of
 from odak.learn.raytracing.system.prescriptions import Prescription
 from odak.learn.raytracing.system.surfaces import Row, checked_system, is_break, optical_system, wavelengths_of
 
@@ -114,13 +114,13 @@ def tell_unknown(systems: Iterable[Any]) -> None:
                 )
             if item.own_shape is not None:
                 raise ValueError(f"surfaces[{i}] is a {item.own_shape.kind.__name__}, whose expansion is not known")
-            if isinstance(item.material, Material) and None in thermal_of(item.material)[:2]:
+            if isinstance(item.material, OpticalMaterial) and None in thermal_of(item.material)[:2]:
                 unknown.append(item.material.name)
     if unknown:
         names = ", ".join(dict.fromkeys(unknown))
         warn(
-            f"the expansion or dn/dT of {names} is not known and counts as 0; give a Material with `thermal` and "
-            "`expansion`, or load a maker's catalogue (AGF)",
+            f"the expansion or dn/dT of {names} is not known and counts as 0; give an OpticalMaterial with `thermal` "
+            "and `expansion`, or load a maker's catalogue (AGF)",
             AccuracyWarning,
         )
 
@@ -147,9 +147,9 @@ def expanded_system(system: optical_system, given: Environment) -> optical_syste
             if item.semi_diameter is not None:
                 other.semi_diameter = float((item.semi_diameter * growth[i]).detach())
         replaced(other, "thickness", p.thickness[i])
-        if isinstance(item.material, Material):
+        if isinstance(item.material, OpticalMaterial):
             other.material = item.material.at(given.temperature, given.pressure)
-    if isinstance(system.object_material, Material):
+    if isinstance(system.object_material, OpticalMaterial):
         found.object_material = system.object_material.at(given.temperature, given.pressure)
     found.surfaces = Row(copies, found.object_material)
     return found
@@ -197,7 +197,7 @@ def _growth(items, given: Environment, device: torch.device) -> tuple[torch.Tens
     rates: list[float | None] = []
     for item in items:
         rate = None
-        if isinstance(item.material, Material):
+        if isinstance(item.material, OpticalMaterial):
             rate = thermal_of(item.material)[1] or 0.0
         elif (item.reflects or is_break(item)) and rates:
             # Behind a mirror or a break in glass, that glass goes on.
@@ -217,7 +217,7 @@ def _is_fixed(item) -> bool:
 
 
 def _index_change(medium, waves: torch.Tensor, unit: str, given: Environment, none: torch.Tensor) -> torch.Tensor:
-    if not isinstance(medium, Material):
+    if not isinstance(medium, OpticalMaterial):
         return none
     there: Any = refractive_index(medium.at(given.temperature, given.pressure), waves, unit, medium="air")
     return there - refractive_index(medium, waves, unit, medium="air")

@@ -11,7 +11,7 @@ import torch
 
 from odak import _show, _torch_private, _validate
 from odak._array import is_readable
-from odak.catalog.materials import Material
+from odak.catalog.materials import OpticalMaterial
 from odak.learn._tensors import complex_tensor, kind_of, tensor
 from odak.learn.raytracing.system.analysis import wavefront
 from odak.learn.raytracing.system.specification import Conjugates, SystemRecord
@@ -227,7 +227,7 @@ def _shifted_medium(index):
     """Return a medium of this index at 555 nm, with the dispersion that Liou and Brennan give all media."""
     formula = {"A": (index + 0.0512, -0.1455, 0.0961), "P": (0.0, 1.0, 2.0)}
     source = "Liou and Brennan (1997)"
-    return Material(f"medium of {index} of the eye", "conrady", formula, LIOU_BRENNAN_RANGE, "air", source)
+    return OpticalMaterial(f"medium of {index} of the eye", "conrady", formula, LIOU_BRENNAN_RANGE, "air", source)
 
 
 def _pupil_width(value):
@@ -264,7 +264,7 @@ def _medium(name, added=0.0):
         sum(index * row[term] for index, row in zip(indices, HERZBERGER, strict=True)) for term in range(4)
     )
     formula = {"A": (constant, square), "P": (0.0, 2.0), "B": tuple(poles)}
-    return Material(f"{name} of the eye", "herzberger", formula, RANGE, "air", "Navarro et al. (1985)")
+    return OpticalMaterial(f"{name} of the eye", "herzberger", formula, RANGE, "air", "Navarro et al. (1985)")
 
 
 @functools.lru_cache(maxsize=512)

@@ -9,7 +9,7 @@ import numpy as np
 
 from odak import _validate
 from odak._array import Array, is_array, is_readable, namespace, phasor_of_cycles, to_complex
-from odak.catalog.materials import MICROMETRES, Material, refractive_index
+from odak.catalog.materials import MICROMETRES, OpticalMaterial, refractive_index
 from odak.catalog.materials import material as find_material
 from odak.jones.calculus import DEGREE, stack_matrix
 from odak.raytracing.surfaces import Parametric
@@ -190,7 +190,7 @@ class RetarderFilm(PolarizingFilm):
     wavelength : float, optional
         Wavelength of the retardance, in the system's unit; at others it follows from the indices. By default the same
         retardance holds at all wavelengths.
-    crystal : pair of str, Material or float
+    crystal : pair of str, OpticalMaterial or float
         Ordinary and extraordinary index or their names in the catalogue. Equal indices stand for a difference that is
         small beside them.
 
@@ -215,7 +215,7 @@ class RetarderFilm(PolarizingFilm):
     retardance: float | Array = 90.0
     angle: float | Array = 0.0
     wavelength: float | None = None
-    crystal: Sequence[str | Material | float] = (1.5, 1.5)
+    crystal: Sequence[str | OpticalMaterial | float] = (1.5, 1.5)
     fixed: ClassVar[tuple[str, ...]] = ("wavelength", "crystal")
 
     def __post_init__(self) -> None:
@@ -229,7 +229,7 @@ class RetarderFilm(PolarizingFilm):
             find_material(value)
             if isinstance(value, str)
             else value
-            if isinstance(value, Material)
+            if isinstance(value, OpticalMaterial)
             else _validate.constant(f"crystal[{i}]", value, positive=True)
             for i, value in enumerate(held)
         )
@@ -276,7 +276,7 @@ class RetarderFilm(PolarizingFilm):
     def _indices(self, wavelength: Array | float, unit: str) -> list[Any]:
         return [
             refractive_index(value, wavelength, _validate.one_of("unit", unit, MICROMETRES), medium="air")
-            if isinstance(value, Material)
+            if isinstance(value, OpticalMaterial)
             else value
             for value in self.crystal
         ]

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 
 from odak import _validate
 from odak.catalog import glass_makers, material, material_names
-from odak.catalog.materials import Material
+from odak.catalog.materials import OpticalMaterial
 from odak.learn.raytracing.system.analysis import (
     Wavefront,
     axial_color,
@@ -428,7 +428,7 @@ def _glass(view: View, surfaces: Any, makers: Any = ("schott",), hull: bool = Fa
 
 
 @cache
-def glass_pool(makers: tuple[str, ...]) -> tuple[list[Material], torch.Tensor]:
+def glass_pool(makers: tuple[str, ...]) -> tuple[list[OpticalMaterial], torch.Tensor]:
     """Return all glasses of some makers, and their n_d/0.01 and V_d, ``[n, 2]``."""
     named = [_validate.one_of("makers", maker, glass_makers()) for maker in makers]
     items: list[Any] = [material(name) for maker in named for name in material_names(maker)]

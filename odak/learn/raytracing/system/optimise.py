@@ -9,7 +9,7 @@ import torch
 from odak import _show, _validate
 from odak._torch_private import differentiates, forward_derivative
 from odak._warnings import AccuracyWarning, warn
-from odak.catalog.materials import MICROMETRES, Material
+from odak.catalog.materials import MICROMETRES, OpticalMaterial
 from odak.learn._tensors import takes_constants
 from odak.learn.raytracing.system.analysis import rms_spot
 from odak.learn.raytracing.system.operands import clear_heights
@@ -775,7 +775,7 @@ def iso_10110_tolerances(system: optical_system) -> list[Perturbation]:
         _, depth, centring, power, ripple, within = next(row for row in classes if diameter <= row[0])
         found.append(Perturbation("thickness", i, depth * scale, False, "uniform"))
         found.append(Perturbation("index", i, 1e-3, False, "uniform"))
-        if isinstance(surfaces[i].material, Material):
+        if isinstance(surfaces[i].material, OpticalMaterial):
             found.append(Perturbation("abbe", i, 8e-3, True, "uniform"))
         for j, reach in zip(ends, radii, strict=True):
             if any(item.name == "wedge" and item.surfaces == j for item in found):
@@ -1066,7 +1066,7 @@ def _dispersed(system, index: torch.Tensor, change: torch.Tensor, relative: bool
     for i, item in enumerate(system.surfaces):
         if not bool(change[:, i].any()):
             continue
-        if not isinstance(item.material, Material):
+        if not isinstance(item.material, OpticalMaterial):
             raise ValueError(f"abbe of surfaces[{i}] cannot be perturbed: the medium behind it has no dispersion")
         number = 1.0 if relative else item.material.abbe_number()
         middle = index[:, system.reference : system.reference + 1, i + 1]

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _show, _validate
-from odak.catalog.materials import Material, absorption_coefficient
+from odak.catalog.materials import OpticalMaterial, absorption_coefficient
 from odak.learn.raytracing.nonsequential import axes_across, binned
 from odak.learn.raytracing.system.films import PolarizingFilm
 from odak.learn.raytracing.system.paraxial import first_order, ghost_system
@@ -281,7 +281,7 @@ class _Record:
 
     def _passed(self, length):
         """Return the fraction of the power that the medium in front of a surface lets pass."""
-        if not isinstance(self.medium, Material):
+        if not isinstance(self.medium, OpticalMaterial):
             return 1.0
         return torch.exp(-absorption_coefficient(self.medium, self.wavelength, self.system.unit) * length.abs())
 

@@ -10,12 +10,12 @@ import torch
 
 from odak import _array, _torch_private, _validate
 from odak._lengths import expansion_in, in_metres, light_in
-from odak.catalog.materials import Material, check_weather
+from odak.catalog.materials import OpticalMaterial, check_weather
 from odak.catalog.materials import material as find_material
 from odak.raytracing.geometry import safe_sqrt
 
 # In signatures: a medium by its name, its record or its index; numbers; field points y or (x, y), or ``[F, 2]``.
-Medium: TypeAlias = str | Material | float | torch.Tensor
+Medium: TypeAlias = str | OpticalMaterial | float | torch.Tensor
 Values: TypeAlias = Sequence[float] | torch.Tensor
 FieldPoints: TypeAlias = Sequence[float | Sequence[float]] | torch.Tensor
 MIRROR, AIR = "mirror", "air"
@@ -150,7 +150,7 @@ class Conjugates:
     ----------
     object_distance : float or torch.Tensor
         From the object to the first vertex; differentiable.
-    object_material : str, float or Material
+    object_material : str, float or OpticalMaterial
         Medium in front of the first surface, from the object on: the oil of an immersion objective, the water in front
         of an eye. Angles and numerical apertures in object space are measured in it. The image lies in the medium
         behind the last surface.
@@ -186,7 +186,7 @@ class Conjugates:
         except (TypeError, ValueError) as error:
             raise type(error)(f"object_material: {error}") from None
         if medium == MIRROR or isinstance(medium, torch.Tensor):
-            raise ValueError(f"object_material must be a name, a Material or an index, got {medium!r:.80}")
+            raise ValueError(f"object_material must be a name, an OpticalMaterial or an index, got {medium!r:.80}")
         set_(self, object_material=medium, afocal=_validate.flag("afocal", self.afocal))
 
 
@@ -249,7 +249,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, torch.Tensor):
         held = _torch_private.as_constant(value).detach()
         return (torch.view_as_real(held) if held.is_complex() else held).tolist()
-    if isinstance(value, Material):
+    if isinstance(value, OpticalMaterial):
         return value.name
     return [plain(entry) for entry in value] if isinstance(value, (tuple, list)) else value
 
@@ -264,10 +264,10 @@ def number_or_infinity(name: str, value: float | torch.Tensor) -> float | torch.
     return _validate.number(name, value)
 
 
-def checked_medium(value: Any) -> str | Real | torch.Tensor | Material:
+def checked_medium(value: Any) -> str | Real | torch.Tensor | OpticalMaterial:
     """Return "air", "mirror", a material of the catalogue, or the number or tensor that came."""
-    if isinstance(value, bool) or not isinstance(value, (str, Real, torch.Tensor, Material)):
-        raise TypeError(f"material must be a name, an index or a Material, got {type(value).__name__}")
+    if isinstance(value, bool) or not isinstance(value, (str, Real, torch.Tensor, OpticalMaterial)):
+        raise TypeError(f"material must be a name, an index or an OpticalMaterial, got {type(value).__name__}")
     if isinstance(value, str):
         return value.casefold() if value.casefold() in (MIRROR, AIR) else find_material(value)
     return value

@@ -16,7 +16,7 @@ from odak import _show, _validate
 from odak._array import Amount, Array, complex_dtype, is_array, is_complex, is_readable, namespace
 from odak._lengths import film_in, in_unit, light_in
 from odak._warnings import ArgumentWarning, warn
-from odak.catalog.materials import MICROMETRES, Material, refractive_index
+from odak.catalog.materials import MICROMETRES, OpticalMaterial, refractive_index
 from odak.catalog.materials import material as find_material
 from odak.jones.thin_films import stack_response
 from odak.learn.raytracing.system.films import PolarizingFilm
@@ -71,7 +71,7 @@ class Coating:
         wavelengths, complex for absorbing films (n + iκ, κ ≥ 0).
     thicknesses : sequence or array
         Thickness of each film; texts have units of their own, such as "100nm".
-    substrate : str, Material or number, optional
+    substrate : str, OpticalMaterial or number, optional
         What is behind the films of a mirror: a metal's complex index, or the medium on the other side where light is
         reflected totally or in part. Of refracting surfaces it is the medium behind, and this must be left out.
     unit : str, optional
@@ -86,7 +86,7 @@ class Coating:
 
     media: Sequence[Any] = ()
     thicknesses: Sequence[float | Array | str] | Array = ()
-    substrate: str | Material | complex | None = None
+    substrate: str | OpticalMaterial | complex | None = None
     unit: str | None = None
 
     def __post_init__(self) -> None:
@@ -190,14 +190,14 @@ class Coating:
 
 def _coating_medium(name: str, value):
     """Return a catalogue's material, or an index as a number."""
-    if isinstance(value, Material):
+    if isinstance(value, OpticalMaterial):
         return value
     if isinstance(value, str):
         return 1.0 if value.casefold() == "air" else find_material(value)
     if isinstance(value, (list, tuple)) and len(value) == 2:
         value = complex(*value)
     if isinstance(value, bool) or not isinstance(value, Number):
-        raise TypeError(f"{name} must be a name, a Material or an index, got {type(value).__name__}")
+        raise TypeError(f"{name} must be a name, an OpticalMaterial or an index, got {type(value).__name__}")
     number = complex(cast(SupportsComplex, value))  # Number itself promises no conversion
     if not (0 < abs(number) < float("inf")) or number.imag < 0 or number.real < 0:
         raise ValueError(f"{name} must be an index n + iκ with n, κ ≥ 0, not 0, got {value}")
@@ -206,7 +206,7 @@ def _coating_medium(name: str, value):
 
 def _index(medium, wavelength: Array | float, unit: str):
     """Return the index of a medium at wavelengths, relative to air."""
-    if not isinstance(medium, Material):
+    if not isinstance(medium, OpticalMaterial):
         return medium
     _validate.one_of("unit", unit, MICROMETRES)
     return refractive_index(medium, wavelength, unit, medium="air")
@@ -246,7 +246,7 @@ class _Films(torch.nn.Module):
     def __init__(self, given: Coating):
         super().__init__()
         self.media: Sequence[Any] = given.media
-        self.substrate: str | Material | complex | None = given.substrate
+        self.substrate: str | OpticalMaterial | complex | None = given.substrate
         self.unit: str | None = given.unit
         values = given.thicknesses
         values = values if isinstance(values, torch.Tensor) else list(values)
@@ -275,7 +275,7 @@ class surface(torch.nn.Module):
         Any other shape, in place of the four above: a Toroid, a ZernikeFreeform, a class of one's own.
     thickness : float or torch.Tensor
         Distance to the next vertex, or from the last surface to the image plane. Negative after a mirror.
-    material : str, float, torch.Tensor or Material
+    material : str, float, torch.Tensor or OpticalMaterial
         Medium behind it: a name of :func:`odak.catalog.material_names`, "air" (index 1), "mirror", or an index that
         holds for all wavelengths.
     semi_diameter : float, optional
@@ -1099,7 +1099,7 @@ class Row(torch.nn.ModuleList):
     ----------
     surfaces : sequence of surface
         The surfaces.
-    front : str, float or Material
+    front : str, float or OpticalMaterial
         The medium.
     """
 

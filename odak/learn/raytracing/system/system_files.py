@@ -18,7 +18,7 @@ from odak import _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.catalog.materials import (  # noqa: F401
     MICROMETRES,
-    Material,
+    OpticalMaterial,
     glass_makers,
     load_materials,
     material,
@@ -179,7 +179,7 @@ def system_to_dict(system: optical_system) -> dict[Any, Any]:
 
 def _named_medium(medium: Any) -> Any:
     """Return the name of a material, with where it is used if that is known, or an index."""
-    if not isinstance(medium, Material):
+    if not isinstance(medium, OpticalMaterial):
         return medium
     name = " ".join(("model", *model_numbers(medium))) if medium.name.startswith("model ") else medium.name
     if medium.environment is None:
@@ -191,7 +191,7 @@ def _named_medium(medium: Any) -> Any:
 def _setting(name: str, place: int | None, values: tuple) -> list:
     """Return a setting of configurations in plain numbers and names; infinities are null."""
     kept = [
-        _named_medium(value) if isinstance(value, Material) else None if value == math.inf else plain(value)
+        _named_medium(value) if isinstance(value, OpticalMaterial) else None if value == math.inf else plain(value)
         for value in values
     ]
     return [name, place, kept]
@@ -279,7 +279,7 @@ def _from_fields(where: str, base: type, entry):
 def _medium(item: Any) -> dict:
     medium = float(item.index.detach()) if item.material is None else _named_medium(item.material)
     entry = {"thickness": float(item.thickness.detach()), "material": medium}
-    if not isinstance(item.material, Material):
+    if not isinstance(item.material, OpticalMaterial):
         return entry
     with suppress(ValueError):
         # A range that a file extended beyond the range of the glass.
@@ -293,7 +293,7 @@ def _is_described(name: Any) -> bool:
     return isinstance(name, str) and (name.startswith("model ") or " at " in name)
 
 
-def _material(name: str) -> Material:
+def _material(name: str) -> OpticalMaterial:
     """Return a glass of the catalogue, or the model glass that "model" and its two or three numbers describe.
 
     Behind " at " follow the temperature in degrees Celsius and the pressure in pascal at which it is used.
@@ -312,7 +312,7 @@ def _material(name: str) -> Material:
     return model_glass(*map(float, words))
 
 
-def model_numbers(glass: Material) -> list[str]:
+def model_numbers(glass: OpticalMaterial) -> list[str]:
     """Return every digit of a model glass's index and Abbe number, and its deviation of partial dispersion if any."""
     return [repr(glass.nd), repr(glass.vd), *glass.name.split()[3:]]
 
@@ -591,7 +591,7 @@ def own_tilt(tilt: tuple[float, float, float]) -> tuple[float, float, float]:
     return tuple(map(math.degrees, found))  # type: ignore[return-value]
 
 
-def catalogued(number: int, name: str, context: Context) -> tuple[Material | None, str]:
+def catalogued(number: int, name: str, context: Context) -> tuple[OpticalMaterial | None, str]:
     """Return a glass by its name or its successor's, and otherwise None and what is wrong with the name."""
     makers, problem = context.makers, ""
     first = makers[: makers.index("schott")] if "schott" in makers else makers

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from odak.catalog.materials import MICROMETRES, Material, glass_makers, material, model_glass, nearest_materials
+from odak.catalog.materials import MICROMETRES, OpticalMaterial, glass_makers, material, model_glass, nearest_materials
 from odak.learn.raytracing.system.operands import clear_heights
 from odak.learn.raytracing.system.paraxial import first_order, matrix, signed_indices
 from odak.learn.raytracing.system.pupils import trace_fields
@@ -501,8 +501,8 @@ def _in_weather(settings: list, surfaces, weather: dict, count: int, context: Co
     found = [entry for entry in settings if entry[0] != "material"]
     for place in range(len(surfaces) - 2):
         media = given.get(place) or [_glass(place + 1, surfaces, context)] * count
-        if any(isinstance(medium, Material) for medium in media) or place in given:
-            at = [m.at(*w) if isinstance(m, Material) else m for m, w in zip(media, weathers, strict=True)]
+        if any(isinstance(medium, OpticalMaterial) for medium in media) or place in given:
+            at = [m.at(*w) if isinstance(m, OpticalMaterial) else m for m, w in zip(media, weathers, strict=True)]
             found.append(("material", place, at))
     return found
 
@@ -1200,7 +1200,7 @@ def _resolved(system) -> tuple[list[tuple], list[tuple]]:
             rows: list[Any] = [view.surfaces[i] for view in views]
             if len({tuple(item.coefficients.tolist()) for item in rows}) > 1:
                 raise ValueError(f"settings of temperatures change the coefficients of surfaces[{i}]: not written")
-            if isinstance(rows[0].material, Material):
+            if isinstance(rows[0].material, OpticalMaterial):
                 settings.append(("material", i, tuple(item.material for item in rows)))
             for name in ("thickness", "curvature") if not is_break(rows[0]) else ("thickness",):
                 values = tuple(float(getattr(item, name).detach()) for item in rows)
@@ -1208,7 +1208,7 @@ def _resolved(system) -> tuple[list[tuple], list[tuple]]:
                     settings.append((name, i, values))
     media = [values for name, _, values in settings if name == "material"]
     weathers = [
-        {m.environment and tuple(map(float, m.environment)) for m in row if isinstance(m, Material)} or {None}
+        {m.environment and tuple(map(float, m.environment)) for m in row if isinstance(m, OpticalMaterial)} or {None}
         for row in zip(*media, strict=True)
     ]
     if any(len(row) > 1 for row in weathers):

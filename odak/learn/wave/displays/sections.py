@@ -1,10 +1,14 @@
 """Views of displays for notebooks: a section as SVG, and the numbers. Touches what a display and its path state."""
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
+from matplotlib.colors import hsv_to_rgb
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
+
 from odak import _show
+from odak._drawn import FAINT, INK, subplots, svg
 
 
 def view_of(display: Any) -> _show.View:
@@ -23,11 +27,8 @@ def view_of(display: Any) -> _show.View:
         ("stop", "one diffraction order" if display.iris == "order" else repr(display.iris)),
         ("refractive index", f"{display.medium:g}"),
     ]
-    angles = []
-    for wavelength in display.wavelengths:
-        sine = wavelength / (2 * max(pair) * display.medium)
-        angles.append(math.asin(min(1.0, sine)))
-        table.append((f"largest angle at {1e9 * wavelength:.4g} nm", f"{math.degrees(angles[-1]):.4g}°"))
+    for wavelength, angle in _angles(display):
+        table.append((f"largest angle at {1e9 * wavelength:.4g} nm", f"{math.degrees(angle):.4g}°"))
     for row in display.extents():
         at = f"{1e9 * row['wavelength']:.4g} nm"
         table.append((f"étendue at {at}", f"{row['etendue']:.4g} m²·sr"))
@@ -37,31 +38,31 @@ def view_of(display: Any) -> _show.View:
     for image in range(display.shape[0]):
         kind, place = display.path.place_in_words(image)
         table.append((f"{kind} {image}", place))
-    drawing = section(rows * pair[0], display.distances, list(zip(display.wavelengths, angles, strict=True)))
+    drawing = svg(section(display))
     return _show.View(repr(display), [("section: panel, planes, and the light of a pixel", drawing)], table)
 
 
-def section(height: float, distances: Sequence[float], colours: list[tuple[float, float]]) -> str:
+def _angles(display: Any) -> list[tuple[float, float]]:
+    """Return each wavelength and the largest angle at which the pixels deflect it, in radians."""
+    sines = [wave / (2 * max(display.path.pitches) * display.medium) for wave in display.wavelengths]
+    return [(wave, math.asin(min(1.0, sine))) for wave, sine in zip(display.wavelengths, sines, strict=True)]
+
+
+def section(display: Any) -> Figure:
     """Return a drawing of a panel, planes and cones of light, lengths along the axis and across it to scales apart."""
+    height, distances = display.modulator.resolution[0] * display.path.pitches[0], display.distances
     near, far = min(0.0, *distances), max(0.0, *distances)
-    length = far - near or 1.0
-
-    def at(z: float, y: float) -> str:
-        return f"{40 + 560 * (z - near) / length:.1f},{110 - 80 * y / height:.1f}"
-
-    def line(z: float, colour: str, width: float) -> str:
-        return f'<polyline points="{at(z, -height / 2)} {at(z, height / 2)}" stroke="{colour}" stroke-width="{width}"/>'
-
-    parts = []
-    for wavelength, angle in colours:
+    figure, ((axes,),) = subplots(1, 1, (6.4, 2.4))
+    for wavelength, angle in _angles(display):
         # Visible light from violet to red.
-        hue = max(0.0, min(270.0, 270 * (700e-9 - wavelength) / 300e-9))
+        hue = max(0.0, min(270.0, 270 * (700e-9 - wavelength) / 300e-9)) / 360
         for end in (near, far):
             reach = min(math.tan(angle) * abs(end) if angle < 1.5 else height, 1.3 * height)
             stop = end if reach < 1.3 * height else math.copysign(reach / math.tan(angle) if angle < 1.5 else 0.0, end)
-            points = f"{at(0, 0)} {at(stop, reach)} {at(stop, -reach)}"
-            parts.append(f'<polygon points="{points}" fill="hsl({hue:.0f},90%,50%)" fill-opacity="0.2"/>')
-    parts += [line(distance, "#9a9a9a", 2) for distance in distances] + [line(0.0, "#202020", 5)]
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 640 220" width="640" fill="none">{"".join(parts)}</svg>'
-    )
+            axes.fill([0, stop, stop], [0, reach, -reach], color=hsv_to_rgb((hue, 0.95, 0.95)), alpha=0.2, lw=0)
+    for place, colour, width in (*((distance, FAINT, 2) for distance in distances), (0.0, INK, 4)):
+        axes.plot([place, place], [-height / 2, height / 2], color=colour, lw=width)
+    for axis, name in ((axes.xaxis, "distance"), (axes.yaxis, "height")):
+        axis.set_major_formatter(EngFormatter("m"))
+        axis.set_label_text(name)
+    return figure

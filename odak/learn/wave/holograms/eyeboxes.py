@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 import torch
 
 from odak import _show, _validate
@@ -16,9 +17,6 @@ from odak.learn.wave.holograms.result import DisplayedHologram
 from odak.learn.wave.holograms.scenery import Scenery
 from odak.learn.wave.holograms.targets import checked_target
 from odak.learn.wave.pictures import shown_on_a_screen
-
-# Side of a place of the map in the drawing, in its units.
-_SIDE = 46
 
 
 @dataclass(frozen=True)
@@ -96,19 +94,27 @@ class EyeboxMap:
 
     def drawing(self) -> str:
         """Return the map of quality, the map of light, and the quality over focus, as the text of an SVG file."""
-        parts = [
-            _map(0, "PSNR (dB)", self.psnr, "{:.0f}"),
-            _map(len(self.columns) + 1, "light", self.brightness, "{:.2f}"),
-        ]
-        wide = 2 * (len(self.columns) + 1) * _SIDE
+        from odak._drawn import color_of, subplots, svg
+
+        columns = 2 + bool(len(self.foci))
+        figure, (axes,) = subplots(1, columns, (columns * (1.2 + 0.6 * len(self.columns)), 1.4 + 0.5 * len(self.rows)))
+        ticks = [[f"{1e3 * place:.3g}" for place in places.tolist()] for places in (self.columns, self.rows)]
+        for axis, title, values, form in (
+            (axes[0], "PSNR (dB)", self.psnr.numpy(), ".0f"),
+            (axes[1], "light", self.brightness.numpy(), ".2f"),
+        ):
+            axis.imshow(values, cmap="Blues_r")
+            for (r, q), value in np.ndenumerate(values):
+                colour = "white" if 2 * value < values.min() + values.max() else "black"
+                axis.text(q, r, format(value, form), color=colour, ha="center", va="center", fontsize=9)
+            axis.set_xticks(range(len(self.columns)), ticks[0])
+            axis.set_yticks(range(len(self.rows)), ticks[1])
+            axis.set(title=title, xlabel="x of the pupil (mm)", ylabel="y of the pupil (mm)")
         if len(self.foci):
-            parts.append(_curve(wide, len(self.rows) * _SIDE, 1 / self.foci, self.psnr_of_focus))
-            wide += 6 * _SIDE
-        high = (len(self.rows) + 2) * _SIDE
-        return (
-            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {wide} {high}" width="{wide}" '
-            f'font-family="sans-serif" font-size="13" text-anchor="middle">{"".join(parts)}</svg>'
-        )
+            order = self.foci.argsort()
+            axes[2].plot((1 / self.foci[order]).numpy(), self.psnr_of_focus[order].numpy(), "o-", color=color_of(0))
+            axes[2].set(title="PSNR over focus (dB)", xlabel="focus (dioptres)")
+        return svg(figure)
 
 
 @_validate.takes_units("box", "diameter", "focus", "foci", "distance")
@@ -206,41 +212,3 @@ def _judged(
     wanted = checked_target(display, target)
     found = judged(display, hologram.phases, hologram.amplitudes, Comparison(hologram.observer, wanted))
     return wanted, found.areas, found.compared
-
-
-def _map(start: int, title: str, values: torch.Tensor, form: str) -> str:
-    """Return the drawing of a map whose first column is the given one: squares from dark to bright, with numbers."""
-    least, most = float(values.min()), float(values.max())
-    left = (start + 0.5) * _SIDE
-    parts = [_text(left + values.shape[1] * _SIDE / 2, 0.6 * _SIDE, title)]
-    for r, row in enumerate(values.tolist()):
-        for q, value in enumerate(row):
-            x, y = left + q * _SIDE, (r + 1) * _SIDE
-            bright = 35 + 55 * (value - least) / max(most - least, 1e-12)
-            colour = "#ffffff" if bright < 55 else "#202020"
-            parts.append(f'<rect x="{x}" y="{y}" width="{_SIDE}" height="{_SIDE}" fill="hsl(210,60%,{bright:.0f}%)"/>')
-            parts.append(_text(x + _SIDE / 2, y + 0.6 * _SIDE, form.format(value), colour))
-    return "".join(parts)
-
-
-def _curve(left: float, height: float, dioptres: torch.Tensor, ratios: torch.Tensor) -> str:
-    """Return the drawing of quality over focus in dioptres."""
-    order = dioptres.argsort()
-    x, y = dioptres[order], ratios[order].double()
-    ends = [(float(v.min()), max(float(v.max() - v.min()), 1e-9)) for v in (x, y)]
-    wide = 5 * _SIDE
-    points = [
-        (left + wide * (a - ends[0][0]) / ends[0][1], _SIDE + height * (1 - (b - ends[1][0]) / ends[1][1]))
-        for a, b in zip(x.tolist(), y.tolist(), strict=True)
-    ]
-    line = " ".join(f"{a:.1f},{b:.1f}" for a, b in points)
-    best, least = float(y.max()), float(y.min())
-    return (
-        _text(left + wide / 2, 0.6 * _SIDE, f"PSNR over focus: {least:.1f} to {best:.1f} dB")
-        + f'<polyline points="{line}" fill="none" stroke="#2166ac" stroke-width="2"/>'
-        + _text(left + wide / 2, height + 1.6 * _SIDE, f"{float(x[0]):.3g} to {float(x[-1]):.3g} dioptres")
-    )
-
-
-def _text(x: float, y: float, words: str, colour: str = "#808080") -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" fill="{colour}">{words}</text>'

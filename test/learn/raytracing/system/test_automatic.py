@@ -11,7 +11,7 @@ import torch
 
 import odak
 from odak.catalog import material, model_glass
-from odak.catalog.materials import Material
+from odak.catalog.materials import OpticalMaterial
 from odak.learn.raytracing.system import (
     DesignSearch,
     LensDimensions,
@@ -127,7 +127,7 @@ def test_glasses_that_vary_from_start_correct_colour_and_spots(terms, size):
         iterations=12,
         **options,
     ).system
-    names = [item.material.name for item in lens.surfaces if isinstance(item.material, Material)]
+    names = [item.material.name for item in lens.surfaces if isinstance(item.material, OpticalMaterial)]
     assert len(names) == 3 and all(material(name).source for name in names)
     judged_alone(lens, [0.625 * k for k in range(33)], size, 0.02, edge=0.3)
     assert all(1.5 <= float(lens.surfaces[i].thickness) <= 9.0 for i in (0, 3, 5))

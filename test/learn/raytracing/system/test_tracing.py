@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from odak.catalog.materials import Material
+from odak.catalog.materials import OpticalMaterial
 from odak.learn.raytracing.system import Rays, fused, launch, load_system, optical_system, surface, trace, trace_fields
 from odak.learn.raytracing.system.fused import Trace, plain
 from odak.learn.raytracing.system.sequence import Layout, Numbers
@@ -425,7 +425,7 @@ def test_media_are_distinguished_by_index_not_by_name():
         return trace_fields(lens, "y", 5).y
 
     indices = (1.5, 1.7, 1.7)
-    named = [Material("mine", "cauchy", {"A": (n,)}, (0.3, 2.0), "air", "test") for n in indices]
+    named = [OpticalMaterial("mine", "cauchy", {"A": (n,)}, (0.3, 2.0), "air", "test") for n in indices]
     torch.testing.assert_close(heights(named), heights(indices), rtol=1e-13, atol=1e-13)
 
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from odak import AccuracyWarning, ArgumentWarning
-from odak.catalog import Material, internal_transmittance, refractive_index
+from odak.catalog import OpticalMaterial, internal_transmittance, refractive_index
 from odak.learn.raytracing.system import (
     Coating,
     LensRequirements,
@@ -118,7 +118,7 @@ def test_expansions_in_parts_per_million_are_named():
     with pytest.warns(ArgumentWarning, match="mirror in settings is an expansion per kelvin: 7.1"):
         configurations(lens, [("temperature", None, [20.0, 40.0]), ("mirror", None, [7.1, 7.1])])
     with pytest.warns(ArgumentWarning, match="expansion of own is an expansion per kelvin: 7.1"):
-        Material("own", "cauchy", {"A": [1.5]}, (0.4, 0.8), "air", "measured", expansion=7.1)
+        OpticalMaterial("own", "cauchy", {"A": [1.5]}, (0.4, 0.8), "air", "measured", expansion=7.1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         in_environment(lens, 40.0, mount=23.6e-6)
