@@ -427,14 +427,12 @@ class display_model(Prepared, torch.nn.Module):
             points are λ·focal_length/(rows·pitch) and λ·focal_length/(columns·pitch) apart, those that pixels reach.
         """
         s, (rows, columns) = self.samples_per_pixel, self.shape
-        if self.lens is not None:
-            light = _averaged(self._intensity_on_grid(self.field(phase), position), self._fine, FINER)
-            light = torch.roll(light[..., ::FINER, ::FINER], (rows // 2, columns // 2), (-2, -1))
-            return light[..., :rows, :columns]
-        if s is None:
+        if s is None or self.lens is not None:
             # A whole number of samples lies between pixels.
-            finer = max(-(-fine // size) for fine, size in zip(self._fine, self._sizes, strict=True))
-            wide = [finer * size for size in self._sizes]
+            finer, wide = FINER, self._fine
+            if self.lens is None:
+                finer = max(-(-fine // size) for fine, size in zip(self._fine, self._sizes, strict=True))
+                wide = [finer * size for size in self._sizes]
             light = _averaged(self._intensity_on_grid(self.field(phase), position, wide), wide, finer)
             light = torch.roll(light[..., ::finer, ::finer], (rows // 2, columns // 2), (-2, -1))
             return light[..., :rows, :columns]

@@ -15,7 +15,7 @@ from odak.learn import perception
 from odak.learn._tensors import checked_device, checked_generator, floating_tensor, get_device, real_tensor, tensor
 from odak.learn.perception.sight import checked_viewing
 from odak.learn.tools.matrix import blur_gaussian, plane_indices, plane_masks
-from odak.learn.wave.training import with_noise
+from odak.learn.wave.training import checked_noise, with_noise
 from odak.wave.transfer_functions import checked_pitch, pitches
 
 SCHEMES = ("defocus", "naive")
@@ -274,16 +274,9 @@ class FocalTargets(Prepared, nn.Module):
         generator: torch.Generator | None = None,
     ) -> tuple[tuple[torch.Tensor, torch.Tensor], ...]:
         """Return three pairs to compare: images, images inside the plane's mask, images weighed by the target."""
-        (noise_ratio,) = _validate.constants(noise_ratio=noise_ratio)
         for name, value in (("image", image), ("target", target)):
             real_tensor(name, value)
-        if plane_id is not None:
-            plane_id = _validate.whole("plane_id", plane_id, minimum=-self.number_of_planes)
-        inject_noise, noise_ratio = (
-            _validate.flag("inject_noise", inject_noise),
-            _validate.real("noise_ratio", noise_ratio),
-        )
-        generator = checked_generator("generator", generator)
+        inject_noise, noise_ratio, generator = checked_noise(inject_noise, noise_ratio, generator)
         image, target = _without_leading_ones(image, target)
         mask = self._mask(image, plane_id)
         generator = self.generator if self.generator is not None else generator
@@ -293,9 +286,7 @@ class FocalTargets(Prepared, nn.Module):
     def _mask(self, image, plane_id):
         masks = self.masks
         if plane_id is not None:
-            if not -len(masks) <= plane_id < len(masks):
-                raise ValueError(f"plane_id must be None or 0 to {len(masks) - 1}, got {plane_id}")
-            masks = masks[plane_id]
+            masks = masks[_validate.place_in("plane_id", plane_id, len(masks))]
         if image.ndim == 2:
             # The mask is the same for every colour.
             masks = masks[..., 0, :, :]
@@ -315,10 +306,8 @@ def _checked_picture(image, depth):
     while depth.ndim > 2 and len(depth) == 1:
         depth = depth[0]
     image = image[None] if image.ndim == 2 else image
-    if image.ndim != 3 or depth.shape != image.shape[-2:]:
-        raise ValueError(
-            f"target_image must be [C, m, n] and target_depth [m, n], got {tuple(image.shape)} and {tuple(depth.shape)}"
-        )
+    _validate.shaped("target_image", image, "[m, n] or [C, m, n]")
+    _validate.shaped("target_depth", depth, f"[{image.shape[-2]}, {image.shape[-1]}] like target_image")
     _validate.one_device(target_image=image, target_depth=depth)
     if not bool(((depth >= 0) & (depth <= 1)).all()):
         raise ValueError(f"target_depth must be between 0 and 1, got {depth.min().item()} to {depth.max().item()}")

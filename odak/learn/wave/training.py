@@ -11,7 +11,7 @@ import torch
 
 from odak import _validate
 from odak._warnings import ArgumentWarning, warn
-from odak.learn._tensors import floating, real_tensor, trainable
+from odak.learn._tensors import checked_generator, floating, real_tensor, trainable
 from odak.learn.wave.holograms.bounds import least_error_of_light
 
 # Where the loss of a model with a camera in it rises.
@@ -197,6 +197,15 @@ def started(
         named = f", or one of {', '.join(map(repr, names))}" if names else ""
         raise ValueError(f"{name} must be {accepted}, which fits the target (targets){named}; got {list(phase.shape)}")
     return phase.to(like, copy=True)
+
+
+def checked_noise(
+    inject_noise: bool, noise_ratio: float, generator: torch.Generator | None = None
+) -> tuple[bool, float, torch.Generator | None]:
+    """Return whether and how targets get noise, and where it is drawn from, after checking each."""
+    (noise_ratio,) = _validate.constants(noise_ratio=noise_ratio)
+    injected, ratio = _validate.flag("inject_noise", inject_noise), _validate.real("noise_ratio", noise_ratio)
+    return injected, ratio, checked_generator("generator", generator)
 
 
 def with_noise(target: torch.Tensor, ratio: float, generator: torch.Generator | None) -> torch.Tensor:

@@ -298,7 +298,7 @@ def test_hologram_optimizers_take_the_losses(loss_type):
         (lambda: speckle_contrast(0), ValueError, "kernel_size must be at least 1"),
         (lambda: speckle_contrast(3, (1, 0)), ValueError, "step_size"),
         (lambda: speckle_contrast(5)(torch.ones(4, 9)), ValueError, "intensity must be at least kernel_size = 5"),
-        (lambda: multiplane_loss(PICTURE, DEPTH[:5]), ValueError, r"target_depth \[m, n\]"),
+        (lambda: multiplane_loss(PICTURE, DEPTH[:5]), ValueError, r"target_depth must be \[9, 8\]"),
         (lambda: multiplane_loss(PICTURE, DEPTH + 1), ValueError, "target_depth must be between 0 and 1"),
         (lambda: multiplane_loss(PICTURE, DEPTH * math.nan), ValueError, "target_depth must be between 0 and 1"),
         (lambda: multiplane_loss(PICTURE.int(), DEPTH), TypeError, "target_image must be a real floating tensor"),
@@ -307,7 +307,7 @@ def test_hologram_optimizers_take_the_losses(loss_type):
         (lambda: multiplane_loss(PICTURE, DEPTH, number_of_planes=0), ValueError, "number_of_planes must be at least"),
         (lambda: multiplane_loss(PICTURE, DEPTH, weights=[1.0]), ValueError, "weights must be three"),
         (lambda: multiplane_loss(PICTURE, DEPTH)(PICTURE, PICTURE[:1], 0), ValueError, "same shape"),
-        (lambda: multiplane_loss(PICTURE, DEPTH)(PICTURE, PICTURE, 4), ValueError, "plane_id must be None or 0 to 3"),
+        (lambda: multiplane_loss(PICTURE, DEPTH)(PICTURE, PICTURE, 4), ValueError, "plane_id must be -4 to 3, got 4"),
         (lambda: multiplane_loss(PICTURE, DEPTH)(PICTURE[:2], PICTURE[:2], 0), ValueError, "image must be"),
         (
             lambda: perceptual_multiplane_loss(PICTURE, DEPTH, base_loss_weights={"l2": 1.0}, **NO_MEASURES),

@@ -15,7 +15,7 @@ from odak import _show, _validate
 from odak._attributes import Prepared
 from odak._torch_private import differentiates
 from odak._warnings import ArgumentWarning, warn
-from odak.learn._tensors import checked_device, checked_generator, floating
+from odak.learn._tensors import checked_device, floating
 from odak.learn.tools.iterations import Run, minimise
 from odak.learn.wave.camera import captured_by, with_model_gradient
 from odak.learn.wave.older.propagators import power_method
@@ -41,6 +41,7 @@ from odak.learn.wave.slm import TURN, even_levels
 from odak.learn.wave.training import (
     REGISTER,
     check_brightness,
+    checked_noise,
     cosine,
     fingerprint,
     generator_from,
@@ -359,14 +360,11 @@ class multi_color_hologram_optimizer(Prepared):
         noise_ratio : float
             Standard deviation of that noise relative to the range of the target, default 1e-3.
         """
-        weights, noise_ratio = _validate.constants(weights=weights, noise_ratio=noise_ratio)
+        (weights,) = _validate.constants(weights=weights)
         iterations = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
         self.weights: dict[str, float] = loss_weights(weights, WEIGHTS | {"eyebox": 0.0})
         self._eyebox = checked_eyebox(eyebox)
-        inject_noise, noise_ratio = (
-            _validate.flag("inject_noise", inject_noise),
-            _validate.real("noise_ratio", noise_ratio),
-        )
+        inject_noise, noise_ratio, _ = checked_noise(inject_noise, noise_ratio)
         self._noise = {"inject_noise": inject_noise, "noise_ratio": noise_ratio}
         self.init_optimizer(iterations)
         self._workspace = Workspace()
@@ -505,11 +503,8 @@ class multi_color_hologram_optimizer(Prepared):
         torch.Tensor
             The loss; a given function is summed over colours.
         """
-        (noise_ratio,) = _validate.constants(noise_ratio=noise_ratio)
-        inject_noise, generator = (
-            _validate.flag("inject_noise", inject_noise), checked_generator("generator", generator),
-        )  # fmt: skip
-        plane_id, noise_ratio = _validate.integer("plane_id", plane_id), _validate.real("noise_ratio", noise_ratio)
+        inject_noise, noise_ratio, generator = checked_noise(inject_noise, noise_ratio, generator)
+        plane_id = _validate.integer("plane_id", plane_id)
         check_pair(input_image, target_image)
         if self.loss_function is not None:
             known = {

@@ -12,6 +12,7 @@ from odak.learn._tensors import ValuesRead, checked_device, complex_tensor, floa
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.older.volume import PROPAGATOR_TYPES, display_volume, plane_distances
 from odak.learn.wave.slm import checked_fill
+from odak.learn.wave.training import generator_from
 from odak.wave.methods import method_named
 from odak.wave.torch_convolution import Workspace, convolve
 
@@ -290,11 +291,11 @@ class propagator(display_volume):
             samples_per_pixel=samples_per_pixel,
             pixel_fill=pixel_fill,
             aperture_samples=aperture_samples,
-            vaccination=vaccination,
-            vaccination_scale=vaccination_scale,
-            seed=seed,
-            memory_budget=memory_budget,
         )
+        self.memory_budget = None if memory_budget is None else _validate.integer("memory_budget", memory_budget)
+        self.vaccination = _validate.flag("vaccination", vaccination)
+        self.vaccination_scale = _validate.real("vaccination_scale", vaccination_scale)
+        self._generator = None if seed is None else generator_from(seed)
         self.propagator_type, self.zero_mode_distance = kind, back_and_forth_distance
         self.volume_depth = volume_depth
         self.number_of_frames: int = _validate.integer("number_of_frames", number_of_frames, minimum=1)

@@ -188,12 +188,13 @@ class display_volume(Prepared, torch.nn.Module):
     pixel_fill : float, optional
         Share of a square pixel's area that emits, whose spectrum multiplies the transfer functions; fields are point
         samples by default.
+
+    Attributes
+    ----------
     vaccination : bool
-        Add an error to the distances, drawn anew on each call.
+        Whether an error is added to the distances, drawn anew on each call.
     vaccination_scale : float
         Its standard deviation in metres.
-    seed : int, optional
-        Makes those draws reproducible.
     memory_budget : int, optional
         Bytes above which transfer functions are built anew for each use instead of kept.
     """
@@ -203,8 +204,11 @@ class display_volume(Prepared, torch.nn.Module):
         *("aperture_samples", "field_shape", "padded_shape"),
     )
     _follow = dict.fromkeys(("volume_depth", "number_of_depth_layers", "image_location_offset"), "init_distances")
+    vaccination, vaccination_scale = False, 0.0
+    memory_budget: int | None = None
     volume_depth: float
     aperture: torch.Tensor
+    _generator: torch.Generator | None = None
     # Transfer functions ``[D, C, 2ms, 2ns]`` with the stop, and which planes of them are built.
     _transfer: tuple[torch.Tensor, list[bool]] | None
     _kernels: torch.Tensor | None
@@ -225,10 +229,6 @@ class display_volume(Prepared, torch.nn.Module):
         padding: int = 2,
         linear: bool = True,
         pixel_fill: float | None = None,
-        vaccination: bool = False,
-        vaccination_scale: float = 0.0,
-        seed: int | None = None,
-        memory_budget: int | None = None,
     ):
         super().__init__()
         self.resolution: list[int] = list(_validate.size("resolution", resolution))
@@ -237,10 +237,6 @@ class display_volume(Prepared, torch.nn.Module):
         self.pixel_pitch: float = checked_pitch("pixel_pitch", pixel_pitch)
         self.number_of_depth_layers: int = len(distances)
         self.image_location_offset = offset
-        self.memory_budget = None if memory_budget is None else _validate.integer("memory_budget", memory_budget)
-        self.vaccination: bool = _validate.flag("vaccination", vaccination)
-        self.vaccination_scale = _validate.real("vaccination_scale", vaccination_scale)
-        self._generator = None if seed is None else generator_from(seed)
         # No buffer: `.to(dtype)` would round distances that phases of 10⁶ rad depend on.
         self._distances, self._relay = distances, relay
         shape = tuple(n * samples_per_pixel for n in self.resolution)
