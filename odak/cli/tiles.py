@@ -167,23 +167,17 @@ def _claim(state: Path, job: Job, index: int) -> None:
     """Make a folder the state of this picture's colour; raise InputError if it holds the state of another."""
     if job.again:
         shutil.rmtree(state, ignore_errors=True)
-    identity = {
-        "picture": files.digest_of(image_path(job.image)),
+    values = {
         "colour": index,
         "grey": job.grey or len(job.wavelengths) == 1,
         "linear": job.linear,
         "resolution": list(job.resolution),
     }
-    about = state / "picture.json"
+    mark, about = files.fingerprint(values, [image_path(job.image)]), state / "fingerprint.json"
+    state.mkdir(parents=True, exist_ok=True)
     if not about.exists():
-        state.mkdir(parents=True, exist_ok=True)
-        files.write_json(about, identity)
-        return
-    try:
-        same = files.read_report(about) == identity
-    except ValueError as error:
-        raise InputError(f"--output: {str(about)!r} is damaged ({error}); use --again to start over") from None
-    if not same:
+        files.write_json(about, {"fingerprint": mark})
+    elif mark not in about.read_text(errors="replace"):
         raise InputError(
             f"--output contains the state of a run with another picture, {str(state)!r}; use --again to start over"
         )

@@ -176,9 +176,9 @@ def test_damage_between_two_runs_is_named_and_mended(grey_file, tmp_path):
     (warning,) = read_report(tmp_path / "b")["warnings"]
     assert "of phase.zarr; the iterations up to this one are computed again" in warning and warning in said.stderr
     assert read_report(tmp_path / "a")["channels"] == read_report(tmp_path / "b")["channels"]
-    (state / "picture.json").write_text("{")
+    (state / "fingerprint.json").write_text("{")
     said = run(grey_file, "-o", tmp_path / "b", *options, 3, expect=2)
-    assert "picture.json' is damaged" in said.stderr and "--again" in said.stderr
+    assert "state of a run with another picture" in said.stderr and "--again" in said.stderr
 
 
 # A run that ends without any warning, in the middle of writing the state of its third iteration.

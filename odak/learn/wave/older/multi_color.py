@@ -365,7 +365,7 @@ class multi_color_hologram_optimizer(Prepared):
         self.weights: dict[str, float] = loss_weights(weights, WEIGHTS | {"eyebox": 0.0})
         self._eyebox = checked_eyebox(eyebox)
         inject_noise, noise_ratio, _ = checked_noise(inject_noise, noise_ratio)
-        self._noise = {"inject_noise": inject_noise, "noise_ratio": noise_ratio}
+        self._noise: dict[str, Any] = {"inject_noise": inject_noise, "noise_ratio": noise_ratio}
         self.init_optimizer(iterations)
         self._workspace = Workspace()
 
