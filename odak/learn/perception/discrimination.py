@@ -336,15 +336,15 @@ class Metamer:
             along = (torch.fft.fftfreq(rows)[:, None], torch.fft.rfftfreq(columns))
             passed = (torch.hypot(*torch.broadcast_tensors(*along)) <= _CUTS[number]).to(picture)
 
-            def held(change):
-                return self._held(picture + torch.fft.irfft2(torch.fft.rfft2(change) * passed, (rows, columns)))
+            def held(free):
+                change = torch.fft.irfft2(torch.fft.rfft2(free - picture) * passed, (rows, columns))
+                return self._held(picture + change)
 
-            start = torch.zeros_like(picture)
         else:
-            held, start = self._held, picture
+            held = self._held
         steepness = STEEPNESS if self._by_scales else 0.0
         made = descended(
-            start, held, distance, count, progress, steepness, OUTSIDE_WEIGHT if held == self._held else 0.0
+            picture, held, distance, count, progress, steepness, OUTSIDE_WEIGHT if held == self._held else 0.0
         )
         for value in values[1 : count + 1]:
             best = min(best, math.sqrt(float(value) / self._units[index])) if self._units[index] else 0.0

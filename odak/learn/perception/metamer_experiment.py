@@ -1,4 +1,4 @@
-"""Files of an experiment that asks whether observers tell metamers apart: stimuli, masks, trials and a script."""
+"""Files of an experiment that asks whether observers tell metamers apart: stimuli, masks, trials, script and page."""
 
 import csv
 import io
@@ -14,7 +14,7 @@ from odak.learn.perception.sight import Viewing, angle_of, checked_viewing
 from odak.learn.tools.file import save_image
 from odak.tools.paths import validate_path, write_file
 
-_SCRIPT = Path(__file__).with_name("data") / "abx_experiment.txt"
+_SCRIPT, _PAGE = (Path(__file__).with_name("data") / f"abx_experiment{part}.txt" for part in ("", "_page"))
 
 
 def export_experiment(
@@ -28,7 +28,7 @@ def export_experiment(
     masks: int = 2,
     seed: int = 0,
 ) -> list[dict[str, str]]:
-    """Write the stimuli of an ABX experiment, and a PsychoPy script that shows them.
+    """Write the stimuli of an ABX experiment, and what shows them: a PsychoPy script and a jsPsych page.
 
     An observer fixates, sees A, B and then X, which is A or B, and says which.
 
@@ -63,11 +63,14 @@ def export_experiment(
 
     Notes
     -----
-    Files: picture.png, sample_1.png and so on, mask_1.png and so on, trials.csv, settings.json and experiment.py.
+    Files: picture.png, sample_1.png and so on, mask_1.png and so on, trials.csv, settings.json, experiment.py and
+    experiment.html.
     settings.json has the size of the pictures in degrees, the gaze, the luminances and the distances of the samples.
     Width, distance and pixels of the screen are filled in there by whoever runs the experiment, and the script starts
-    only with them. It reads these files and holds no text of the caller. ABX: Freeman and Simoncelli, Nat. Neurosci.
-    14, 1195 (2011).
+    only with them. It reads these files and holds no text of the caller. The page holds trials and settings, asks
+    for the width and the distance of the screen, and saves the same table of answers. It loads jsPsych (7 or later) and
+    its plugin html-keyboard-response from the two addresses at its head: put the files there, or change them.
+    ABX: Freeman and Simoncelli, Nat. Neurosci. 14, 1195 (2011).
 
     Examples
     --------
@@ -136,6 +139,10 @@ def export_experiment(
     write_file(place / "trials.csv", table.getvalue().encode())
     write_file(place / "settings.json", (json.dumps(settings, indent=2, allow_nan=False) + "\n").encode())
     write_file(place / "experiment.py", _SCRIPT.read_bytes())
+    # No text of the caller can end the element: JSON has "<" in strings alone, where it may be written as a number.
+    data = json.dumps({"settings": settings, "trials": trials}, allow_nan=False).replace("<", "\\u003c")
+    page = _PAGE.read_text(encoding="utf-8").replace("DATA", data, 1)
+    write_file(place / "experiment.html", page.encode())
     return trials
 
 

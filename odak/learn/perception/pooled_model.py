@@ -1,9 +1,11 @@
 """Models of peripheral vision with discrete pooling windows: luminance, spectral energy, bands and textures."""
 
+import copy
 import math
 from typing import NamedTuple
 
 import torch
+from torch.nn import functional
 
 from odak import _torch_private, _validate
 from odak.learn._tensors import floating_tensor
@@ -20,6 +22,8 @@ _REACH, _FWHM = 4, 2 * math.sqrt(2 * math.log(2))
 _TRANSITION = 0.5
 # Least number of windows in a ring around the gaze, and least sum of weights, in pixels, of a window that counts.
 _FEWEST, _LEAST = 4, 1e-3
+# Planes that are pooled at a time, whose pixels side by side fit a cache line.
+_PLANES = 8
 
 
 class MetamerPaper(NamedTuple):
@@ -149,6 +153,7 @@ class PooledModel:
         self.n_orientations: int = _validate.integer("n_orientations", n_orientations, minimum=1)
         self._makers, self._pools = Kept(), Kept()
         self._pools.room = self.n_pyramid_levels
+        self._units: list[torch.Tensor] | None = None
 
     @classmethod
     def of_paper(cls, paper: str, viewing: Viewing | None = None, **changes: float | str) -> "PooledModel":
@@ -195,27 +200,72 @@ class PooledModel:
         ValueError, TypeError
             If the picture does not fit the pyramid.
         """
+        found = [weight * value for weight, value in self._pooled(picture)]
+        return found if self._units is None else [a / unit.to(a) for a, unit in zip(found, self._units, strict=True)]
+
+    def over_deviations(self, pictures: torch.Tensor) -> "PooledModel":
+        """Return this model with each statistic divided by its standard deviation over pictures and windows.
+
+        Parameters
+        ----------
+        pictures : torch.Tensor
+            Two or more ``[B, C, H, W]``, of the channels to be compared, such as natural pictures. Their size may be
+            another than that of the pictures to be compared.
+
+        Returns
+        -------
+        PooledModel
+            Its distances have no unit: 1 is the root mean square by which statistics of such pictures vary.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If there is one picture, or they do not fit the pyramid.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.perception import PooledModel, Viewing
+        >>> model = PooledModel("luminance", 0.5, Viewing(0.4, 0.7))
+        >>> pictures = torch.rand(8, 1, 64, 64, generator=torch.Generator().manual_seed(1))
+        >>> model.over_deviations(pictures)(pictures)[1].std() > model(pictures)[1].std()
+        tensor(True)
+        """
+        floating_tensor("pictures", pictures, "a tensor of real floats [B, C, H, W]")
+        _validate.shaped("pictures", pictures, "[B, C, H, W], none empty")
+        if len(pictures) < 2:
+            raise ValueError(f"pictures must be two or more, got {len(pictures)}")
+        scaled = copy.copy(self)
+        with torch.no_grad():
+            values = [value.transpose(0, 1).flatten(1) for _, value in self._pooled(pictures)]
+        floor = math.sqrt(POWER_FLOOR)
+        scaled._units = [one.std(1).clamp_min(floor)[:, None, None] for one in values]
+        scaled._units[0] = scaled._units[0][..., 0]
+        return scaled
+
+    def _pooled(self, picture):
+        """Return the statistics, each with the weights of its windows."""
         whole = self.pool(picture)
         picture = rgb_2_ycrcb(picture) if picture.shape[1] == 3 else picture
-        found = [picture.flatten(2)[..., whole.inside] * whole.inside.double().mean().sqrt().to(picture)]
-        found.append(whole.weights * whole(picture))
+        found = [(whole.inside.double().mean().sqrt().to(picture), picture.flatten(2)[..., whole.inside])]
+        found.append((whole.weights, whole(picture)))
         if self.statistics == "luminance":
             return found
         maker = self._makers.get(picture.shape[1], lambda: self._pyramid(picture))
         groups, low = maker.stacked_bands(picture, self.n_pyramid_levels)
         pools = [self.pool(passed) for passed in low]
         pairs = joint_maps(groups[1:], low, pools, maker) if self.statistics == "texture" else [[] for _ in groups[1:]]
-        found.append(whole.weights * _moments(groups[0].flatten(1, 2), whole)[1])
+        found.append((whole.weights, _moments(groups[0].flatten(1, 2), whole)[1]))
         for bands, passed, pool, more in zip(groups[1:], low, pools, pairs, strict=False):
             if self.statistics == "energy":
                 power = pool((bands**2 + maker.quadrature(passed) ** 2).flatten(1, 2))
                 more = [power.clamp_min(POWER_FLOOR).sqrt()]
             else:
                 more = [*_moments(bands.flatten(1, 2), pool), *more]
-            found += [pool.weights * one for one in more]
+            found += [(pool.weights, one) for one in more]
         if self.statistics == "texture":
-            found += [pools[-1].weights * one for one in _moments(low[-1], pools[-1])]
-            found.append(whole.weights * _moments(picture, whole)[1])
+            found += [(pools[-1].weights, one) for one in _moments(low[-1], pools[-1])]
+            found.append((whole.weights, _moments(picture, whole)[1]))
         return found
 
     def pool(self, picture: torch.Tensor) -> "Windows":
@@ -275,11 +325,47 @@ class Windows:
 
     def __init__(self, means: torch.Tensor, weights: torch.Tensor, inside: torch.Tensor) -> None:
         self.means, self.weights, self.inside = means, weights, inside
+        self._tables = [_table(one) for one in (means, means.t().coalesce())]
 
     def __call__(self, values: torch.Tensor) -> torch.Tensor:
         """Return the means ``[B, N, K, 1]`` of values ``[B, N, H, W]``."""
         planes = values.flatten(2).flatten(0, 1)
-        return torch.sparse.mm(self.means, planes.T).T.reshape(*values.shape[:2], -1, 1)
+        if _torch_private.is_plain_on_cpu(values):
+            found = _pooled(planes, self._tables, False)
+        else:
+            found = torch.sparse.mm(self.means, planes.T).T
+        return found.reshape(*values.shape[:2], -1, 1)
+
+
+class _Pooled(torch.autograd.Function):
+    """Means of planes ``[N, H·W]`` over windows, or the adjoint; ten times as fast as sparse tensors."""
+
+    @staticmethod
+    def forward(planes, tables, adjoint):
+        columns, starts, weights = tables[adjoint]
+        result = planes.new_empty(len(planes), len(starts))
+        for part, target in zip(planes.split(_PLANES), result.split(_PLANES), strict=True):
+            rows = part.T.contiguous()
+            target.copy_(functional.embedding_bag(columns, rows, starts, mode="sum", per_sample_weights=weights).T)
+        return result
+
+    @staticmethod
+    def setup_context(context, inputs, output):
+        _, context.tables, context.adjoint = inputs
+
+    @staticmethod
+    def backward(context, gradient):
+        return _pooled(gradient, context.tables, not context.adjoint), None, None
+
+
+_pooled = _torch_private.operator(_Pooled)
+
+
+def _table(matrix):
+    """Return the columns of a sparse matrix row by row, the place at which each row starts, and the values."""
+    row, column = matrix.indices()
+    counts = torch.bincount(row, minlength=len(matrix))
+    return column.contiguous(), counts.cumsum(0) - counts, matrix.values()
 
 
 def _moments(values, pool):

@@ -207,6 +207,7 @@ BY_CALL = {
     f"{HERE}.Metamer.save": {"path": Build(lambda folder: folder / "run.pt")},
     f"{HERE}.Metamer.resume": {"path": Build(_metamer_file)},
     f"{HERE}.PooledModel.pool": {"picture": tensor(1, 1, 32, 32)},
+    f"{HERE}.PooledModel.over_deviations": {"pictures": tensor(2, 1, 32, 32)},
     f"{HERE}.eigendistortions": {"model": torch.square, "picture": tensor(1, 1, 16, 16)},
     f"{HERE}.maximum_differentiation": {
         "held": torch.nn.functional.mse_loss,

@@ -3,6 +3,8 @@
 import json
 import math
 import runpy
+import shutil
+import subprocess
 import sys
 import types
 
@@ -68,6 +70,72 @@ def test_the_script_of_an_experiment_shows_each_trial_and_writes_the_answers(tmp
     assert pictures[0][1] == pytest.approx((0.4 / 0.7 * 70, 0.4 / 0.7 * 70 * 16 / 24))
     lines = (folder / "answers.csv").read_text().split()
     assert [line.rsplit(",", 1)[1] for line in lines[1:]] == [str(int(t["answer"] == "a")) for t in trials]
+
+
+# Stands in for the document, the pictures, the screen and jsPsych of a page; prints what was shown and saved.
+STAND_IN = """
+const page = process.argv[1], shown = [], kept = [];
+const save = (names, file) =>
+  console.log(JSON.stringify({ shown, file, rows: kept.map((data) => names.map((name) => data[name])) }));
+const inner = (start, end) => page.split(start)[1].split(end)[0];
+const element = { textContent: inner('id="experiment">', "</script>"), remove() {} };
+element.addEventListener = (kind, run) => run({ preventDefault() {}, target: element });
+const values = { width: "60", distance: "70" };
+globalThis.document = { getElementById: (id) => (id in values ? { value: values[id] } : element) };
+globalThis.screen = { width: 1920 };
+globalThis.Image = class { naturalWidth = 24; naturalHeight = 16; async decode() {} };
+globalThis.jsPsychHtmlKeyboardResponse = "plugin";
+globalThis.initJsPsych = ({ on_finish }) => ({
+  data: { get: () => ({ filter: () => ({ filterColumns: (names) => ({
+    localSave: (form, file) => save(names, file),
+  }) }) }) },
+  async run(timeline) {
+    for (const trial of timeline) {
+      shown.push([trial.stimulus, trial.trial_duration]);
+      if (!trial.on_finish) continue;
+      const data = { ...trial.data, response: "arrowleft" };
+      trial.on_finish(data);
+      kept.push(data);
+    }
+    on_finish();
+  },
+});
+eval(page.split("<script>")[1].split("</script>")[0]);
+"""
+
+
+def test_the_page_holds_the_trials_and_no_text_of_the_caller_ends_it(tmp_path):
+    samples = Metamer(Named(), noise(1, 1, 16, 24), samples=2, limit=0.9)
+    trials = export_experiment(samples, tmp_path, VIEW, repeats=4)
+    page = (tmp_path / "experiment.html").read_text(encoding="utf-8")
+    assert "<script>alert" not in page and page.count("</script>") == 4
+    data = json.loads(page.split('id="experiment">')[1].split("</script>")[0])
+    assert data["trials"] == trials and data["settings"]["model"] == repr(samples.model)
+    assert data["settings"] == json.loads((tmp_path / "settings.json").read_text())
+    node = shutil.which("node")
+    if node is None:
+        return
+    ran = subprocess.run([node, "-e", STAND_IN, page], capture_output=True, text=True, check=True, timeout=60)
+    found = json.loads(ran.stdout)
+    pictures = [(text.split('src="')[1].split('"')[0], time) for text, time in found["shown"] if "src" in text]
+    assert [name for name, _ in pictures if name.startswith("sample")] == [t[part] for t in trials for part in "abx"]
+    assert {time for _, time in pictures} == {200} and len(pictures) == 2 * 3 * len(trials)
+    # 0.4/0.7 of 70 cm on a screen of 1920 pixels in 60 cm.
+    for part in ("width:1280", "height:853.33", "left:50%;top:50%"):
+        assert part in found["shown"][0][0]
+    assert found["file"] == "answers.csv"
+    wanted = [[*(t[n] for n in ("a", "b", "x", "answer")), "a", int(t["answer"] == "a")] for t in trials]
+    assert found["rows"] == wanted
+
+
+class Named(torch.nn.AvgPool2d):
+    """A model whose name is markup."""
+
+    def __init__(self):
+        super().__init__(4)
+
+    def __repr__(self):
+        return "</script><script>alert(1)</script>"
 
 
 def test_the_files_hold_the_pictures_in_colour(tmp_path):

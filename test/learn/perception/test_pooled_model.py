@@ -137,6 +137,51 @@ def test_coarse_structures_change_first():
     assert float(high) < 0.2 * float(low)
 
 
+def test_no_stage_ends_farther_than_it_begins():
+    """The second stage starts where the first ended: after few evaluations it is as near as the curve says."""
+    model, picture = PooledModel("energy", 0.5, VIEW, **SMALL), 0.3 * noise(1, 1, 32, 32)
+    made = Metamer(model, picture, limit=0.9)
+    start = made.pictures[0]
+    for count in (25, 3):
+        made.run(count)
+        errors = [
+            sum((a - b).square().mean() for a, b in zip(model(one), model(picture), strict=True) if a.numel())
+            for one in (made.pictures[0], start)
+        ]
+        assert float(errors[0] / errors[1]) ** 0.5 == pytest.approx(made.distances[0], rel=1e-6)
+    assert made.curves[0][27] < made.curves[0][24]
+
+
+@pytest.mark.parametrize("kind", [torch.float32, torch.float64])
+def test_windows_and_their_adjoint_are_the_sparse_matrix(kind):
+    pool = PooledModel("luminance", 0.5, VIEW).pool(torch.zeros(1, 1, 24, 32, dtype=kind))
+    values = noise(2, 9, 24, 32).to(kind).requires_grad_()
+    matrix, weights = pool.means.to_dense(), noise(2, 9, len(pool.means), 1, seed=2).to(kind).requires_grad_()
+    found = pool(values)
+    torch.testing.assert_close(found[..., 0], values.flatten(2) @ matrix.T)
+    (slope,) = torch.autograd.grad((found * weights).sum(), values, create_graph=True)
+    torch.testing.assert_close(slope.flatten(2), weights[..., 0] @ matrix)
+    # The gradient is linear in the weights, and its derivative is the product with the matrix again.
+    (again,) = torch.autograd.grad((slope * values).sum(), weights)
+    torch.testing.assert_close(again, found)
+
+
+def test_statistics_over_their_deviations_have_no_unit():
+    pictures = noise(6, 1, 32, 32)
+    model = PooledModel("texture", 0.8, VIEW, n_orientations=2, fovea=3.0, **SMALL)
+    scaled, half = model.over_deviations(pictures), model.over_deviations(pictures / 2)
+    units = []
+    for one, two in zip(model(pictures), scaled(pictures), strict=True):
+        # One unit for each statistic, whatever the window.
+        units.append(one.abs().sum((0, 2), keepdim=True) / two.abs().sum((0, 2), keepdim=True))
+        torch.testing.assert_close(one, units[-1] * two)
+    luminance = model.pool(pictures)(pictures)
+    assert float(units[1]) == pytest.approx(float(luminance.std()), rel=1e-9)
+    # Pictures of half the contrast are twice as far from one another.
+    for one, two in zip(scaled(pictures)[:3], half(pictures)[:3], strict=True):
+        torch.testing.assert_close(2 * one, two)
+
+
 def test_a_run_that_was_ended_goes_on_to_the_same_bits(tmp_path):
     picture, model = noise(1, 1, 32, 32).float(), PooledModel("luminance", 0.5, VIEW)
     whole = Metamer(model, picture, samples=2, limit=0.9).run(210)
@@ -175,6 +220,7 @@ def test_starts():
         (lambda p: PooledModel("colour"), "statistics must be"),
         (lambda p: PooledModel(scaling=0), "scaling must be"),
         (lambda p: PooledModel(viewing=Viewing(gaze=[(0.1, 0.2), (0.3, 0.4)])), "viewing must have one gaze"),
+        (lambda p: PooledModel().over_deviations(p), "pictures must be two or more, got 1"),
         (lambda p: PooledModel.of_paper("Nobody 1900"), "paper must be"),
     ],
 )
