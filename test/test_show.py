@@ -6,6 +6,7 @@ import html.parser
 import importlib.util
 import io
 import math
+import re
 import runpy
 import sys
 import types
@@ -16,6 +17,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import structure
 import torch
 from PIL import Image
 
@@ -270,3 +272,12 @@ def test_progress_bars_are_widgets_where_these_can_be_shown(monkeypatch, widgets
     monkeypatch.setattr(tqdm.auto, "tqdm", widget := type("widget", (tqdm.tqdm,), {}))
     found = runpy.run_path(str(Path(odak.__file__).parent / "_bars.py"))["tqdm"]
     assert found is (widget if widgets else tqdm.tqdm)
+
+
+def test_matplotlib_is_loaded_when_something_is_drawn():
+    """It takes as long to load as all else but torch: only modules that draw have it at their top."""
+    drawing = {"odak._drawn", "odak.learn.raytracing.system.drawing", "odak.learn.wave.displays.sections"}
+    for module, path in structure.modules().items():
+        if module not in drawing and not module.startswith("odak.cli."):
+            loaded = set(re.findall(r"^(?:from|import) ([\w.]+)", path.read_text(encoding="utf-8"), re.MULTILINE))
+            assert not loaded & drawing and not any(name.startswith("matplotlib") for name in loaded), module

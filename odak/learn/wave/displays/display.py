@@ -27,7 +27,6 @@ from odak.learn.wave.displays.paths.base import (
 )
 from odak.learn.wave.displays.paths.choice import path_to
 from odak.learn.wave.displays.paths.free import Free
-from odak.learn.wave.displays.sections import view_of
 from odak.learn.wave.displays.sources import Source
 from odak.learn.wave.eyes import Eyes
 from odak.learn.wave.fields import exposed, intensity, unit_phasor
@@ -234,7 +233,7 @@ class Display(Prepared, torch.nn.Module):
         return f"Display: {self.extra_repr()}"
 
     def _repr_html_(self) -> str:
-        return _show.page(self, view_of)
+        return _show.page(self, "odak.learn.wave.displays.sections:view_of")
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
