@@ -2,6 +2,6 @@
 
 import math
 
-pi = math.pi
+pi: float = math.pi
 __version__ = "0.3.0"
-version_info = tuple(int(part) for part in __version__.split("."))
+version_info: tuple[int, ...] = tuple(int(part) for part in __version__.split("."))

@@ -9,7 +9,7 @@ from odak.tools.paths import validate_path
 __all__ = ["create_logger", "filename_logger", "logger"]
 
 filename_logger = "odak.log"
-logger = logging.getLogger("odak")
+logger: logging.Logger = logging.getLogger("odak")
 logger.addHandler(logging.NullHandler())
 logger.setLevel(logging.DEBUG)
 

@@ -120,7 +120,7 @@ class plane_detector(_Sheet):
         field = np.zeros((*size, 1)) if field is None else np.asarray(_validate.array("field", field))
         if field.ndim not in (2, 3) or field.shape[:2] != size or 0 in field.shape:
             raise ValueError(f"field must be {[*size]} or {[*size, 'channels']}, got {field.shape}")
-        self.field = np.array(field if field.ndim == 3 else field[..., None], dtype=np.complex64)
+        self.field: np.ndarray = np.array(field if field.ndim == 3 else field[..., None], dtype=np.complex64)
 
     def raytrace(
         self, ray: Array, field: complex | Array | None = None, channel: int | Sequence[int] = 0
@@ -222,7 +222,7 @@ class plane_detector(_Sheet):
         """Show one channel of the field in a figure of its own, which is kept as `fig`."""
         from odak.visualize.plotly import detectorshow
 
-        self.fig = detectorshow()
+        self.fig: detectorshow = detectorshow()
         self.fig.add_field(self.field[..., self._channels(channel)[0]])
         self.fig.show()
 
@@ -286,7 +286,7 @@ class thin_diffuser(_Sheet):
         self.k: float = 2 * np.pi / 0.05
         self.phase = phase
         if phase is None:
-            self.surface_points = self._grid((100, 100)).reshape(-1, 3)
+            self.surface_points: np.ndarray = self._grid((100, 100)).reshape(-1, 3)
         radius = np.tan(np.radians(diffusion_angle) / 2)
         self.diffusion_points: np.ndarray = _ring_points(self.settings["number of diffusion rays"], radius)
 
@@ -390,6 +390,9 @@ class plano_convex_lens(_show.Shown):
     >>> normal[0, 0], distance
     (array([ 0.,  0., -1.]), array([4.]))
     """
+
+    medium: str | OpticalMaterial
+    meduium: str | OpticalMaterial
 
     def __init__(
         self,

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 BAD_INPUT, FAILURE, INTERRUPTED = 2, 1, 130
 
-app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None)
+app: typer.Typer = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -444,10 +444,13 @@ class Saving:
     stored: torch.Tensor
 
     def __init__(self, job: Job, target: Target, volume: Volume, paths: list[Path], count: int) -> None:
-        self.job, self.paths, self.count = job, paths, count if job.iterates else 0
-        self.target, self.volume = target, volume
+        self.job: Job = job
+        self.paths: list[Path] = paths
+        self.count: int = count if job.iterates else 0
+        self.target: Target = target
+        self.volume: Volume = volume
         self.solver = _solver(job, target, volume)
-        self.name = f"{job.planes} planes" if job.planes > 1 else f"{target.wavelengths[0] * 1e9:.6g} nm"
+        self.name: str = f"{job.planes} planes" if job.planes > 1 else f"{target.wavelengths[0] * 1e9:.6g} nm"
         if _shares_frames(job) and job.planes == 1:
             self.name = f"{len(paths)} frames"
 

@@ -439,9 +439,15 @@ class Clock:
         Whether Ctrl-C ended the iterations.
     """
 
+    settled: bool
+    interrupted: bool
+
     def __init__(self, bar: "tqdm[NoReturn]", settles: bool = False) -> None:
-        self.bar, self.settles = bar, settles
-        self.ticks, self.first, self.last = 0, time.perf_counter(), 0.0
+        self.bar: tqdm[NoReturn] = bar
+        self.settles: bool = settles
+        self.ticks: int = 0
+        self.first: float = time.perf_counter()
+        self.last: float = 0.0
         self.loss: float | None = None
         self.settled = self.interrupted = False
         self._value: torch.Tensor | None = None

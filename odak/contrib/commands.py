@@ -644,7 +644,9 @@ class whisper2blender(threading.Thread):
 
     def __init__(self, port: int = 8082, host: str = "127.0.0.1", path_max: int = LONGEST):
         super().__init__(daemon=True)
-        self.port, self.host, self.path_max = port, host, path_max
+        self.port: int = port
+        self.host: str = host
+        self.path_max: int = path_max
 
     def run(self) -> None:
         """Execute the queued calls."""

@@ -106,9 +106,9 @@ class markdown(LabelledText):
     """
 
     def __init__(self, filename: str | os.PathLike[str]):
-        self.markdown_dictionary = ["#"]
-        self.markdown_begin_dictionary = ["```bash", "```python", "```"]
-        self.markdown_end_dictionary = ["```"]
+        self.markdown_dictionary: list[str] = ["#"]
+        self.markdown_begin_dictionary: list[str] = ["```bash", "```python", "```"]
+        self.markdown_end_dictionary: list[str] = ["```"]
         self.content_type: list[str] = []
         super().__init__(filename)
 
@@ -203,9 +203,9 @@ class latex(LabelledText):
     """
 
     def __init__(self, filename: str | os.PathLike[str]):
-        self.latex_dictionary = _COMMANDS.split()
-        self.latex_begin_dictionary = [rf"\begin{{{name}}}" for name in _ENVIRONMENTS.split()]
-        self.latex_end_dictionary = [rf"\end{{{name}}}" for name in _ENVIRONMENTS.split()]
+        self.latex_dictionary: list[str] = _COMMANDS.split()
+        self.latex_begin_dictionary: list[str] = [rf"\begin{{{name}}}" for name in _ENVIRONMENTS.split()]
+        self.latex_end_dictionary: list[str] = [rf"\end{{{name}}}" for name in _ENVIRONMENTS.split()]
         self.content_type: list[str] = []
         super().__init__(filename)
 

@@ -77,7 +77,7 @@ class ScreenModulator(_show.Shown):
             else _validate.integer("display", display, below=count, unit="(the number of screens)")
         )
         columns, rows = pygame.display.get_desktop_sizes()[display]
-        self.shape = (rows, columns) if shape is None else _validate.size("shape", shape)
+        self.shape: tuple[int, int] = (rows, columns) if shape is None else _validate.size("shape", shape)
         if self.shape != (rows, columns):
             warn(
                 f"screen {display} has {rows} × {columns} pixels, the modulator {self.shape[0]} × {self.shape[1]}: set "
@@ -249,7 +249,8 @@ class VideoCamera(_show.Shown):
             raise TypeError(f"source must be an integer or a string, got {type(source).__name__}")
         self._unit = _validate.one_of("exposure_unit", exposure_unit, ("100 us", "log2"))
         self.pitch: float = float(_validate.number("pitch", pitch, positive=True))
-        self._skip, self.bits = _validate.integer("skip", skip), _validate.integer("bits", bits, minimum=1)
+        self._skip = _validate.integer("skip", skip)
+        self.bits: int = _validate.integer("bits", bits, minimum=1)
         self._stream = self._cv2.VideoCapture(source)
         if not self._stream.isOpened():
             raise OSError(f"OpenCV cannot open the camera {source!r}")
@@ -538,6 +539,8 @@ class MicroManagerModulator(_show.Shown):
     >>> from odak.instruments import MicroManagerModulator
     >>> modulator = MicroManagerModulator("table.cfg", pitch=8e-6, settling_time=0.05)  # doctest: +SKIP
     """
+
+    shape: tuple[int, int]
 
     bits = 8
 

@@ -58,22 +58,23 @@ class RaspberryPiCamera(_show.Shown):
         if found is None:
             self._camera.close()
             raise OSError(f"the camera gives no unpacked raw frames, but {given['raw']['format']}")
-        stored, self.bits = int(found["bits"]), int(mode["bit_depth"])
+        stored = int(found["bits"])
+        self.bits: int = int(mode["bit_depth"])
         # Frames of 16 bits from a sensor of fewer are shifted.
         self._shift, self._wide = stored - self.bits, stored > 8
         first = 0 if found["filters"] is None else found["filters"].index(channel[0].upper())
         self._step, self._first = (1 if found["filters"] is None else 2), divmod(first, 2)
         columns, rows = given["raw"]["size"]
         self._size = (rows, columns)
-        self.shape = (rows // self._step, columns // self._step)
+        self.shape: tuple[int, int] = (rows // self._step, columns // self._step)
         # The property is in nanometres and for pixels that are not binned.
         whole, _ = self._camera.camera_properties["PixelArraySize"]
         binned = max(round(whole / columns), 1)
         stated = self._step * binned * 1e-9 * float(self._camera.camera_properties["UnitCellSize"][0])
-        self.pitch = stated if pitch is None else pitch
+        self.pitch: float = stated if pitch is None else pitch
         self.region: tuple[int, int, int, int] | None = None
         shortest, longest, _ = self._camera.camera_controls["ExposureTime"]
-        self.exposure_limits = (1e-6 * shortest, 1e-6 * longest)
+        self.exposure_limits: tuple[float, float] = (1e-6 * shortest, 1e-6 * longest)
         self._start()
 
     @property
@@ -372,7 +373,7 @@ class ThorlabsCamera(_show.Shown):
             self.pitch: float = 1e-6 * float(camera.sensor_pixel_width_um) if pitch is None else pitch
             self.region: tuple[int, int, int, int] | None = None
             limits = camera.exposure_time_range_us
-            self.exposure_limits = (1e-6 * limits.min, 1e-6 * limits.max)
+            self.exposure_limits: tuple[float, float] = (1e-6 * limits.min, 1e-6 * limits.max)
             camera.arm(2)
         except Exception:
             self.close()

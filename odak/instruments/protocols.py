@@ -199,7 +199,8 @@ class CheckedCamera:
     """
 
     def __init__(self, camera: Any):
-        self.camera, self.pitch = camera, camera.pitch
+        self.camera: Camera = camera
+        self.pitch: float = camera.pitch
         rows, columns = _validate.size("camera.shape", camera.shape)
         self.shape: tuple[int, int] = (rows, columns)
         self.bits: int = _validate.integer("camera.bits", camera.bits, minimum=1)
@@ -207,7 +208,9 @@ class CheckedCamera:
         if limits is not None:
             limits = _validate.several("camera.exposure_limits", limits, 2, positive=True)
         self.limits: tuple[float, float] = (0.0, np.inf) if limits is None else (float(limits[0]), float(limits[1]))
-        self.examined, self.watched, self.taken = False, False, 0
+        self.examined: bool = False
+        self.watched: bool = False
+        self.taken: int = 0
         # The last capture, its exposure and its region.
         self.last: tuple[np.ndarray, float, tuple[int, int, int, int] | None] | None = None
         self.exposures: dict[str, float] = {}

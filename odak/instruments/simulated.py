@@ -290,7 +290,9 @@ class SimulatedTable(_show.Shown):
         self._before, self._shown = np.zeros((rows, columns)), -np.inf
         self.modulator: SimulatedModulator = SimulatedModulator(self, (rows, columns), pitch, 10 * float(time_constant))
         self.camera: SimulatedCamera = SimulatedCamera(self, (camera_rows, camera_columns), camera_pitch, draw)
-        self.laser, self.stage, self.polariser = SimulatedLaser(self.wavelength), SimulatedStage(), SimulatedRotator()
+        self.laser: SimulatedLaser = SimulatedLaser(self.wavelength)
+        self.stage: SimulatedStage = SimulatedStage()
+        self.polariser: SimulatedRotator = SimulatedRotator()
         # The brightest spot that the modulator can form stays below saturation at an exposure of 1 ms.
         area = amplitude.sum() * pitch**2 / (self.wavelength * abs(nominal))
         self._unit = 0.7 * FULL_WELL / area**2
@@ -480,7 +482,10 @@ class SimulatedModulator(_show.Shown):
     bits = 8
 
     def __init__(self, table: SimulatedTable, shape: tuple[int, int], pitch: float, settling_time: float = 0.0):
-        self._table, self.shape, self.pitch, self.settling_time = table, shape, pitch, settling_time
+        self._table = table
+        self.shape: tuple[int, int] = shape
+        self.pitch: float = pitch
+        self.settling_time: float = settling_time
 
     def show(self, levels: np.ndarray) -> None:
         """Show a pattern of levels 0 … 255, integers ``[rows, columns]``."""
@@ -497,7 +502,9 @@ class SimulatedCamera(_show.Shown):
     bits = 12
 
     def __init__(self, table: SimulatedTable, shape: tuple[int, int], pitch: float, draw: np.random.Generator):
-        self._table, self.shape, self.pitch = table, shape, pitch
+        self._table = table
+        self.shape: tuple[int, int] = shape
+        self.pitch: float = pitch
         self.exposure: float = 1e-3
         self.region: tuple[int, int, int, int] | None = None
         self._gain = 1 + 0.003 * draw.normal(size=shape)
@@ -552,14 +559,15 @@ class SimulatedLaser(_show.Shown):
     """Simulated laser; see :class:`SimulatedTable`."""
 
     def __init__(self, wavelength: float):
-        self.wavelength, self.power = wavelength, 1.0
+        self.wavelength: float = wavelength
+        self.power: float = 1.0
 
 
 class SimulatedRotator(_show.Shown):
     """Simulated rotation mount with a polariser; see :class:`SimulatedTable`."""
 
     def __init__(self):
-        self.angle = 0.0
+        self.angle: float = 0.0
 
     def turn(self, angle: float) -> None:
         """Rotate to an angle in degrees."""
@@ -570,7 +578,7 @@ class SimulatedStage(_show.Shown):
     """Simulated linear stage on which the camera is mounted; see :class:`SimulatedTable`."""
 
     def __init__(self):
-        self.position = 0.0
+        self.position: float = 0.0
 
     def move(self, position: float) -> None:
         """Move to a position in metres."""

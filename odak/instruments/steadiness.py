@@ -132,8 +132,11 @@ class Watched:
     """
 
     def __init__(self, modulator: SLMDriver, camera: CheckedCamera):
-        self.modulator, self.camera = modulator, camera
-        self.shape, self.pitch, self.bits = modulator.shape, modulator.pitch, modulator.bits
+        self.modulator: SLMDriver = modulator
+        self.camera: CheckedCamera = camera
+        self.shape: tuple[int, int] = modulator.shape
+        self.pitch: float = modulator.pitch
+        self.bits: int = modulator.bits
         self.levels: np.ndarray | None = None
         self.reference: tuple[np.ndarray, float, tuple[int, int, int, int] | None] | None = None
         self.frames: list[np.ndarray] = []

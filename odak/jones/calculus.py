@@ -7,7 +7,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from odak import _array, _validate
-from odak._array import Array, ArrayT, Device, DType
+from odak._array import Amount, Array, ArrayT, Device, DType
 
 DEGREE = _array.numpy_namespace.pi / 180
 
@@ -492,14 +492,14 @@ def reverse(matrix: ArrayT) -> ArrayT:
     return stack_matrix(xp, ((a, -c), (-b, d)), matrix.dtype)
 
 
-def matrix_on_axes(xp: Any, first: Any, second: Any, angle: Any, dtype: Any) -> Any:
+def matrix_on_axes(xp: ModuleType, first: Any, second: Any, angle: Amount, dtype: DType) -> Any:
     """Return R(angle)·diag(first, second)·R(−angle), where R rotates from x towards y by degrees."""
     c, s = xp.cos(DEGREE * angle), xp.sin(DEGREE * angle)
     cross = (first - second) * (c * s)
     return stack_matrix(xp, ((first * c**2 + second * s**2, cross), (cross, first * s**2 + second * c**2)), dtype)
 
 
-def stack_matrix(xp: Any, rows: Any, dtype: Any) -> Any:
+def stack_matrix(xp: ModuleType, rows: Any, dtype: DType) -> Any:
     """Return ``[..., n, n]`` from rows of arrays ``[...]`` that broadcast."""
     flat = xp.broadcast_arrays(*(xp.astype(entry, dtype) for row in rows for entry in row))
     size = len(rows)

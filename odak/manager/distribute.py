@@ -129,8 +129,10 @@ class agent(Prepared):
         verbose: bool = True,
     ) -> None:
         _validate.function_or_none("compute", compute)
-        self.compute, self.cluster = compute, cluster
-        self.server, self.verbose = _validate.flag("server", server), _validate.flag("verbose", verbose)
+        self.compute: Callable[..., Any] | None = compute
+        self.cluster: Any = cluster
+        self.server: bool = _validate.flag("server", server)
+        self.verbose: bool = _validate.flag("verbose", verbose)
         if direct is not None:
             direct = _validate.flag("direct", direct)
         if not (
@@ -138,7 +140,7 @@ class agent(Prepared):
         ):
             raise TypeError(f"security must be a distributed.Security, a folder or True, got {type(security).__name__}")
         _validate.text("host", host)
-        self.depends = _checked_depends(depends)
+        self.depends: list[ModuleType | Callable[..., Any] | str] = _checked_depends(depends)
         self._retries = _validate.integer("retries", retries)
         for name, count in (("workers", workers), ("threads", threads)):
             if count is not None:
@@ -558,7 +560,8 @@ class TaskError(RuntimeError):
     """
 
     def __init__(self, failures: list[Failure], results: list[Any]) -> None:
-        self.failures, self.results = failures, results
+        self.failures: list[Failure] = failures
+        self.results: list[Any] = results
         super().__init__(failures, results)
 
     def __str__(self) -> str:

@@ -167,8 +167,13 @@ class Server:
     True
     """
 
+    workers: int
+    threads: int
+    gpus: int
+
     def __init__(self, cluster: Any, workers: "_Workers") -> None:
-        self.cluster, self._workers = cluster, workers
+        self._workers = workers
+        self.cluster: Any = cluster
         self.address: str = workers.address
         try:
             self.workers, self.threads, self.gpus = workers.wait_until_joined()

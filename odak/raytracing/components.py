@@ -5,6 +5,7 @@ gradient becomes NaN. Elsewhere NaN propagates through the arithmetic and marks 
 """
 
 import math
+from types import ModuleType
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -21,7 +22,7 @@ PI = math.pi
 class Lines(NamedTuple):
     """Rays in components: namespace, start, direction, which rays are finite, and whether derivatives are taken."""
 
-    xp: Any
+    xp: ModuleType
     start: Vector
     direction: Vector
     kept: Any

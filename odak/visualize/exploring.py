@@ -73,7 +73,8 @@ class Exploration:
             raise TypeError(f"frames must be a list of bytes, got {type(frames).__name__}")
         if len(frames) != (count := math.prod(len(each) for each in values.values())):
             raise ValueError(f"frames must be {count} pictures, one for each place of the sliders, got {len(frames)}")
-        self.values, self.frames = values, frames
+        self.values: dict[str, tuple[Any, ...]] = values
+        self.frames: list[bytes] = frames
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{name} of {len(given)}" for name, given in self.values.items())

@@ -100,7 +100,9 @@ def propagate_partially_coherent(
     )
 
 
-def sum_intensities(run: Callable, field: Any, spectrum: Any, source: Any, memory: int, **geometry: Any) -> Any:
+def sum_intensities(
+    run: Callable, field: Array | Callable[..., Any], spectrum: Any, source: Any, memory: int, **geometry: Any
+) -> Any:
     """Return :func:`propagate_partially_coherent`, each share of the sum by ``run(step, field, wavelength, …)``."""
     wavelengths, weights = _spectrum(spectrum)
     _validate.integer("memory", memory, minimum=1)

@@ -1130,7 +1130,7 @@ def dammann_grating(
     return (1 - sign * ones) * (math.pi / 2)
 
 
-def single_numbers(xp: ModuleType | None, device: Any, **numbers: Any) -> Any:
+def single_numbers(xp: ModuleType | None, device: Device, **numbers: Any) -> Any:
     """Return the namespace, the device and single real numbers in double precision."""
     for name, value in numbers.items():
         _validate.number(name, value)
@@ -1141,7 +1141,7 @@ def single_numbers(xp: ModuleType | None, device: Any, **numbers: Any) -> Any:
     return xp, device, [xp.reshape(value, ()) for value in values]
 
 
-def grid_positions(shape: Any, dx: Any, offset: Any, xp: Any, device: Any) -> Any:
+def grid_positions(shape: Any, dx: Any, offset: Any, xp: ModuleType, device: Device) -> Any:
     """Return the pitches (rows, columns) and the positions of the samples, ``[rows, 1]`` and ``[1, columns]``."""
     shape = _validate.size("shape", shape)
     steps = [_validate.number("dx", step, positive=True) for step in pitches(dx)]

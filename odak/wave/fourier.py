@@ -14,7 +14,7 @@ import scipy.fft
 import scipy.sparse
 
 from odak import _array
-from odak._array import Array, phasor_of_cycles
+from odak._array import Array, DType, phasor_of_cycles
 
 
 def fourier_sum(field: Array, step: Array, count: int, sign: int, axis: int) -> Array:
@@ -188,7 +188,7 @@ _TAPS = {"complex64": 8, "complex128": 14}
 _TAPS_OF_STEPS = {"complex64": 7, "complex128": 12}
 
 
-def spectrum_at(field: Any, cycles_y: Any, cycles_x: Any) -> Any:
+def spectrum_at(field: Array, cycles_y: Any, cycles_x: Any) -> Any:
     """Return Σ u[n, m]·exp(−i2π(cycles_y·(n − N//2) + cycles_x·(m − M//2))) at frequencies of any place.
 
     Parameters
@@ -221,13 +221,13 @@ def spectrum_at(field: Any, cycles_y: Any, cycles_x: Any) -> Any:
     return _gather(fine, rows, columns)
 
 
-def compensated(field: Any) -> Any:
+def compensated(field: Array) -> Any:
     """Return a field divided along its last axis by the transform of the window that interpolates its spectrum."""
     taps = _taps_of_steps(field.dtype)
     return field * _window_compensation(field, -1, _fine_size(field.shape[-1], taps), taps)
 
 
-def spectrum_along(field: Any, cycles: Any) -> Any:
+def spectrum_along(field: Array, cycles: Any) -> Any:
     """Return Σ u[…, m]·exp(−i2π·cycles·(m − M//2)) along the last axis, at frequencies that differ from row to row.
 
     Parameters
@@ -301,7 +301,7 @@ def spread_along(spectrum: Any, cycles: Any, line: Line, width: int) -> Any:
     return xp.reshape(result, (*batch, line.count, width))
 
 
-def spreading_line(ends: tuple[float, float], extent: float, whole: bool, dtype: Any) -> Line:
+def spreading_line(ends: tuple[float, float], extent: float, whole: bool, dtype: DType) -> Line:
     """Return the line for sums over frequencies between two, in cycles per sample, at places over `extent` samples.
 
     If the places are `whole` samples, a period of frequencies is enough, in the order of a discrete transform.
@@ -358,7 +358,7 @@ class InterpolatedSpectrum:
         Boolean ``[N, Q]``; if given, the result holds the values that are needed, one after the other.
     """
 
-    def __init__(self, cycles: Any, count: int, dtype: Any, needed: np.ndarray | None = None) -> None:
+    def __init__(self, cycles: Any, count: int, dtype: DType, needed: np.ndarray | None = None) -> None:
         size, rows = _fine_size(count, _taps_of_steps(dtype)), len(cycles)
         self.shape: Any = cycles.shape if needed is None else (int(needed.sum()),)
         needed = np.ones(cycles.shape, dtype=bool) if needed is None else needed
@@ -370,7 +370,7 @@ class InterpolatedSpectrum:
         """Return the bytes of the matrix."""
         return self.map.held_bytes
 
-    def __call__(self, field: Any) -> Any:
+    def __call__(self, field: Array) -> Any:
         """Return the spectrum ``[..., N, Q]`` or ``[..., values]`` of compensated fields ``[..., N, samples]``."""
         fine = _fine_spectrum(field)
         flat = _array.namespace(field).reshape(fine, (-1, math.prod(fine.shape[-2:])))
@@ -394,7 +394,7 @@ class SpreadSpectrum:
         Boolean ``[P, Q]``: the frequencies of the values that will be given, one after the other.
     """
 
-    def __init__(self, cycles: Any, line: Line, width: int, dtype: Any, needed: np.ndarray) -> None:
+    def __init__(self, cycles: Any, line: Line, width: int, dtype: DType, needed: np.ndarray) -> None:
         self.shape: tuple[int, int] = (line.count, width)
         places, starts = cycles[needed] * line.period - line.first, np.nonzero(needed)[1] % width
         matrix = _matrix_of_taps(places, line.count, starts, width, line.count * width, dtype)

@@ -286,7 +286,7 @@ def _pixel_spectrum(cycles, pixel_fill: float):
     return xp.where(cycles == 0, xp.ones_like(cycles), xp.sin(angle) / angle)
 
 
-def pixel_aperture(field: Any, pixel_fill: float) -> Any:
+def pixel_aperture(field: Array, pixel_fill: float) -> Any:
     """Return the spectrum of a field's square pixels, centred, on the grid of twice the field's size.
 
     Parameters

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from odak import _array, _validate
-from odak._array import phasor_of_cycles
+from odak._array import Array, phasor_of_cycles
 from odak._warnings import AccuracyWarning, SamplingWarning, warn
 from odak.wave import transfer_functions as tf
 from odak.wave.fourier import chirp, convolve_with_chirp
@@ -101,7 +101,7 @@ def _filter(build: Callable[..., Any]) -> _Filter:
     return _Filter(lambda request: build)
 
 
-def spread(field: Any, scale: int) -> Any:
+def spread(field: Array, scale: int) -> Any:
     """Return the field on a grid `scale` times finer, zeros between its samples."""
     if scale == 1:
         return field
@@ -404,7 +404,7 @@ _BY_NAME = {spelling.casefold(): method for method in METHODS for spelling in (m
 PROPAGATION_TYPES = (*(method.name for method in METHODS), "auto")
 
 
-def kernel_of(method: Method, field: Any, request: Request) -> Any:
+def kernel_of(method: Method, field: Array, request: Request) -> Any:
     """Return the kernel by which a method filters a field, None where it does more than that."""
     return method.apply.kernel(field, request) if isinstance(method.apply, _Filter) and request.scale == 1 else None
 

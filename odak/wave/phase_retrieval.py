@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from odak import _array, _validate
-from odak._array import Array, Seed
+from odak._array import Amount, Array, Seed
 from odak.wave.fields import (
     calculate_amplitude,
     calculate_intensity,
@@ -107,11 +107,11 @@ def gerchberg_saxton(
 
 
 def retrieve(
-    field: Any,
+    field: Array,
     turns: Any,
-    distance: Any,
+    distance: Amount,
     dx: Any,
-    wavelength: Any,
+    wavelength: Amount,
     slm_range: Any,
     propagation_type: Any,
     initial_phase: Any,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from odak import _array, _show, _validate
-from odak._array import Array
+from odak._array import Amount, Array
 from odak._bars import tqdm
 from odak._warnings import SamplingWarning, warn
 from odak.wave import transfer_functions as tf
@@ -367,7 +367,7 @@ def warn_beyond_nyquist(
             warn(message, SamplingWarning)
 
 
-def warn_of_tilt(name: str, step: Callable[[], object], k: Any, angle: Any) -> None:
+def warn_of_tilt(name: str, step: Callable[[], object], k: Amount, angle: Amount) -> None:
     """Warn where a plane wave at an angle in degrees has more than half a cycle from one sample to the next."""
     numbers = plain_numbers(step, k, angle)
     if numbers is not None:

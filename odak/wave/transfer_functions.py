@@ -65,11 +65,11 @@ class Grid:
 
     shape: tuple[int, int]
     pitch: tuple[Any, Any]
-    wavelength: Any
-    distance: Any
+    wavelength: Array
+    distance: Array
     xp: ModuleType
-    device: Any
-    dtype: Any
+    device: Device
+    dtype: DType
     scale: int = 1
     samples: tuple[int, int, int, int] = (1, 1, 1, 1)
     evanescent: bool = True
@@ -372,12 +372,14 @@ class KernelCache:
         Bound on the bytes held. A kernel larger than this is built on each call and never held.
     """
 
+    bytes: int
+
     def __init__(self, maximum_bytes: int):
         self._once: OrderedDict[Hashable, object] = OrderedDict()
         self._again: OrderedDict[Hashable, object] = OrderedDict()
         self._dropped: OrderedDict[Hashable, None] = OrderedDict()
         self._lock = threading.RLock()
-        self.maximum_bytes = maximum_bytes
+        self.maximum_bytes: int = maximum_bytes
         self.bytes = self._once_bytes = 0
 
     def get(self, key: Hashable, build: Callable[..., Any]) -> Any:
@@ -580,8 +582,8 @@ class Request:
     """
 
     dx: Any
-    wavelength: Any
-    distance: Any
+    wavelength: Amount
+    distance: Amount
     aperture: Any = 1.0
     kernel: Any = None
     scale: int = 1
@@ -597,7 +599,7 @@ class Request:
     def _lengths(self) -> tuple[Any, ...]:
         return (*pitches(self.dx), self.wavelength, self.distance)
 
-    def grid(self, shape: tuple[int, int], xp: Any, device: Any, dtype: Any) -> Grid:
+    def grid(self, shape: tuple[int, int], xp: ModuleType, device: Device, dtype: DType) -> Grid:
         """Return the grid of `shape` for this geometry."""
         *pitch, wavelength, distance = (_column(value, xp, device) for value in self._lengths())
         evanescent = self._may_be_evanescent()
@@ -617,7 +619,9 @@ class Request:
         lengths = [_numbers(value) for value in self._lengths()]
         return repr([value.shape for value in lengths]).encode() + b"".join(value.tobytes() for value in lengths)
 
-    def transfer_function(self, build: Callable, shape: tuple[int, int], xp: Any, device: str, dtype: Any) -> Array:
+    def transfer_function(
+        self, build: Callable, shape: tuple[int, int], xp: ModuleType, device: str, dtype: DType
+    ) -> Array:
         """Return `build(grid)`, kept for the next call when the geometry is known as numbers."""
         if self.geometry is None:
             return build(self.grid(shape, xp, device, dtype))
@@ -659,7 +663,7 @@ def _column(value, xp, device):
     return xp.reshape(array, (*array.shape, 1, 1))
 
 
-def outside_inference(xp: Any) -> Any:
+def outside_inference(xp: ModuleType) -> Any:
     """Return a context in which a tensor made may later be used by autograd, whatever mode the caller is in."""
     if "torch" not in xp.__name__:
         return nullcontext()
@@ -693,7 +697,9 @@ def divided_pitch(dx: Any, samples: int) -> Any:
     return tuple(pitch / samples for pitch in dx) if isinstance(dx, (tuple, list)) else dx / samples
 
 
-def check_geometry(k: Any, distance: Any, dx: Any, wavelength: Any, batch: tuple[int, ...] | None = None) -> None:
+def check_geometry(
+    k: Amount | None, distance: Amount | None, dx: Any, wavelength: Amount, batch: tuple[int, ...] | None = None
+) -> None:
     """Raise ValueError or TypeError unless the geometry is physical, fits a batch of fields, and k the wavelength.
 
     `batch` holds the leading axes of the field, None where there is no field.
@@ -772,12 +778,12 @@ def make_grid(
     nu: Any,
     nv: Any,
     dx: Any,
-    wavelength: Any,
-    distance: Any,
+    wavelength: Amount,
+    distance: Amount,
     scale: Any = 1,
     samples: Any = (1, 1, 1, 1),
     *,
-    xp: Any = None,
+    xp: ModuleType | None = None,
     device: Device = None,
     dtype: DType = None,
 ) -> Grid:
@@ -807,7 +813,7 @@ def separable_impulse_response(grid: Grid) -> Any:
     return kernel, xp.fft.fftshift(response, axes=(-2, -1)), xp.fft.fftshift(h_x), xp.fft.fftshift(h_y)
 
 
-def convolve(field: Any, kernel: Any) -> Any:
+def convolve(field: Array, kernel: Any) -> Any:
     """Return the field filtered by `kernel`, on the field's own window.
 
     The field ``[..., m, n]`` is continued by zeros to the kernel's size ``[..., M, N]`` (M ≥ m, N ≥ n), transformed,
@@ -855,7 +861,7 @@ def _convolve_arrays(field, kernel):
 by_way_of: ContextVar[Callable[..., Any] | None] = ContextVar("by_way_of", default=None)
 
 
-def convolve_in_chunks(field: Any, kernel: Any) -> Any:
+def convolve_in_chunks(field: Array, kernel: Any) -> Any:
     """Return :func:`convolve` of Dask arrays in chunks of any shape, in chunks of whole rows; nothing is computed yet.
 
     The transform along an axis needs whole lines of that axis: the field is laid out in chunks of whole rows, then of
@@ -891,7 +897,7 @@ def lines_per_chunk(length: int, dtype: Any) -> int:
     return max(1, parse_bytes(config.get("array.chunk-size")) // (length * np.dtype(dtype).itemsize))
 
 
-def upsample(field: Any) -> Any:
+def upsample(field: Array) -> Any:
     """Return the band-limited interpolation of a field on twice as many samples (half the pitch), same centre."""
     xp = _array.namespace(field)
     axes = (-2, -1)
@@ -919,7 +925,9 @@ class ColumnGrid(Grid):
         return self.xp.take(quarter, self._mirror(self.shape[0]), axis=-2)
 
 
-def transfer_function_in_chunks(request: Request, build: Callable[..., Any], shape: tuple[int, int], dtype: Any) -> Any:
+def transfer_function_in_chunks(
+    request: Request, build: Callable[..., Any], shape: tuple[int, int], dtype: np.dtype
+) -> Any:
     """Return the transfer function of a method as a Dask array, each chunk of columns computed where it is used.
 
     Parameters

@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from types import ModuleType
 from typing import Any
 
 from odak import _array, _validate
-from odak._array import Array
+from odak._array import Amount, Array
 from odak._warnings import SamplingWarning, warn
 from odak.wave.elements import zernike_modes
 from odak.wave.fourier import with_last
@@ -106,8 +107,8 @@ def eye_image(
 def eye_transfer(
     like: Array,
     dx: Any,
-    wavelength: Any,
-    distance: Any,
+    wavelength: Amount,
+    distance: Amount,
     pupil_position: Any,
     pupil_diameter: Any,
     focus: Any,
@@ -220,7 +221,7 @@ def _chirp(xp, n: int, bend, like):
     return _array.phasor_of_cycles(bend * place**2, like.dtype)
 
 
-def covered(xp: Any, down: Any, across: Any, spacing: Any) -> Any:
+def covered(xp: ModuleType, down: Any, across: Any, spacing: Any) -> Any:
     """Return the share of each sample, `spacing` (rows, columns) wide, that lies within the unit disc."""
     radius = xp.sqrt(down**2 + across**2 + 1e-30)
     along = xp.sqrt((down * spacing[0]) ** 2 + (across * spacing[1]) ** 2 + 1e-60) / radius

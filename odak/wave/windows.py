@@ -13,7 +13,7 @@ import numpy as np
 import scipy.fft
 
 from odak import _array, _validate
-from odak._array import Array, Numbers, phasor_of_cycles
+from odak._array import Amount, Array, Numbers, phasor_of_cycles
 from odak._warnings import SamplingWarning, warn
 from odak.wave.fields import budgets, note_loss
 from odak.wave.fourier import Line, from_line, to_line
@@ -57,7 +57,7 @@ class Window:
         return grid.pitch if self.dx is None else tuple(column(value, grid) for value in pitches(self.dx))
 
 
-def make_window(field: Any, window_shape: Any, window_dx: Any, dx: Any, offset: Any, guard: float) -> Window:
+def make_window(field: Array, window_shape: Any, window_dx: Any, dx: Any, offset: Any, guard: float) -> Window:
     """Return the window after checking it; its shape and pitch are the field's unless given."""
     shape = tuple(field.shape[-2:]) if window_shape is None else _validate.size("window_shape", window_shape)
     if window_dx is not None:
@@ -127,8 +127,8 @@ class Rays:
     """
 
     pitch: tuple[Any, ...]
-    wavelength: Any
-    distance: Any
+    wavelength: Amount
+    distance: Amount
     source: tuple[Any, ...]
     width: tuple[Any, ...]
     offset: tuple[Any, ...]

@@ -50,6 +50,9 @@ class spec_track(nn.Module):
     torch.Size([2, 3])
     """
 
+    l2: torch.nn.MSELoss
+    l1: torch.nn.L1Loss
+
     def __init__(self, reduction: str = "sum", device: torch.device | str = "cpu"):
         super().__init__()
         self.device: torch.device = torch.device("cpu") if device is None else checked_device("device", device)

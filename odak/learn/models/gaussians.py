@@ -414,7 +414,7 @@ class gaussians_2d(nn.Module):
         self.total_params: int = sum(parameter.numel() for parameter in self.parameters())
         if not (logger is None or hasattr(logger, "debug")):
             raise TypeError(f"logger must be a logging.Logger, got {type(logger).__name__}")
-        self.logger = _log if logger is None else logger
+        self.logger: logging.Logger = _log if logger is None else logger
         self.logger.debug("%d Gaussians with %d parameters", self.number_of_elements, self.total_params)
 
     def forward(self, x: torch.Tensor, y: torch.Tensor, test: bool = False) -> torch.Tensor:
@@ -900,7 +900,8 @@ class gaussian_3d_volume(nn.Module):
         self.number_of_elements: int = _positive_integer("number_of_elements", number_of_elements)
         given = (initial_centers, initial_angles, initial_scales, initial_alphas)
         self._take(dict(zip(_COLUMNS, given, strict=True)), prefix="initial_")
-        self.l2_loss, self.l1_loss = nn.MSELoss(), nn.L1Loss()
+        self.l2_loss: nn.MSELoss = nn.MSELoss()
+        self.l1_loss: nn.L1Loss = nn.L1Loss()
 
     def initialize_parameters(
         self,

@@ -551,6 +551,9 @@ class global_feature_module(nn.Module):
     (1, 4, 8, 8)
     """
 
+    global_features_1: double_convolution
+    global_features_2: double_convolution
+
     def __init__(
         self,
         input_channels: int,
@@ -631,6 +634,10 @@ class residual_attention_layer(nn.Module):
     >>> tuple(residual_attention_layer(2, 1)(torch.rand(1, 2, 8, 8), torch.rand(1, 2, 8, 8)).shape)
     (1, 2, 8, 8)
     """
+
+    convolution0: nn.Sequential
+    convolution1: nn.Sequential
+    final_layer: nn.Sequential
 
     def __init__(
         self,
@@ -815,7 +822,7 @@ class spatial_gate(nn.Module):
 
     def __init__(self):
         super().__init__()
-        self.spatial = convolution_layer(2, 1, kernel_size=7, bias=False, activation=nn.Identity())
+        self.spatial: convolution_layer = convolution_layer(2, 1, kernel_size=7, bias=False, activation=nn.Identity())
 
     def channel_pool(self, x: torch.Tensor) -> torch.Tensor:
         """Return the maximum and the mean over the channels.
@@ -841,7 +848,7 @@ class spatial_gate(nn.Module):
         x : torch.Tensor
             Images ``[B, C, H, W]``.
         """
-        x = images("x", x, None, self.spatial.model[0].weight)
+        x = images("x", x, None, next(self.spatial.parameters()))
         return x * torch.sigmoid(self.spatial(self.channel_pool(x)))
 
 

@@ -150,7 +150,7 @@ class siren_activation(nn.Module):
 
     def __init__(self, multiplier: float = 1.0):
         super().__init__()
-        self.multiplier = _validate.real("multiplier", multiplier)
+        self.multiplier: float = _validate.real("multiplier", multiplier)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return sin(multiplier·x) for an input of any shape.
@@ -316,6 +316,8 @@ class hash_grid_encoder(nn.Module):
     sizes: torch.Tensor
     starts: torch.Tensor
     corners: torch.Tensor
+    low: float
+    high: float
 
     def __init__(
         self,
@@ -432,6 +434,9 @@ class multi_layer_perceptron(nn.Module):
     torch.Size([5, 3])
     """
 
+    bias: bool
+    uniform_flag: bool
+
     def __init__(
         self,
         dimensions: Sequence[int],
@@ -448,10 +453,10 @@ class multi_layer_perceptron(nn.Module):
             raise ValueError(f"dimensions must be a list of at least two positive integers, got {dimensions!r}")
         self.dimensions: list[int] = list(dimensions)
         self.model_type: str = _validate.one_of("model_type", model_type, _TYPES)
-        self.siren_multiplier = _validate.real("siren_multiplier", siren_multiplier, positive=True)
+        self.siren_multiplier: float = _validate.real("siren_multiplier", siren_multiplier, positive=True)
         self.bias = bias = _validate.flag("bias", bias)
         self.uniform_flag = uniform_flag = _validate.flag("uniform_flag", uniform_flag)
-        self.input_multiplier = None
+        self.input_multiplier: nn.Parameter | None = None
         if input_multiplier is not None:
             factor = _validate.constant("input_multiplier", input_multiplier)
             self.input_multiplier = nn.Parameter(torch.full((1, self.dimensions[0]), factor))

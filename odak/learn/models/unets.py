@@ -409,6 +409,8 @@ class unet(nn.Module):
     torch.Size([1, 1, 31, 45])
     """
 
+    inc: double_convolution
+
     def __init__(
         self,
         depth: int = 4,
@@ -535,7 +537,7 @@ class spatially_varying_kernel_generation_model(nn.Module):
         pooled = [width, *coded[:-1]]
         risen = [coded[-1]] + [min(n, 2 * width) for n in reversed(coded[:-1])]
         self.inc: convolution_layer = convolution_layer(input_channels, width, **options)
-        self.encoder = nn.ModuleList()
+        self.encoder: nn.ModuleList = nn.ModuleList()
         for before, after in zip(pooled, coded, strict=True):
             self.encoder += [nn.AvgPool2d(2), double_convolution(before, before, after, **options)]
         self.spatially_varying_feature: nn.ModuleList = nn.ModuleList()

@@ -134,6 +134,9 @@ class CVDLoss(nn.Module):
     True
     """
 
+    alpha: float
+    beta: float
+
     def __init__(
         self,
         deficiency: str = "deutan",

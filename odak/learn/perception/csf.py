@@ -231,7 +231,7 @@ class CSFLoss(Seen):
     ):
         super().__init__()
         view = real_image_width, real_viewing_distance, peak_luminance, black_luminance
-        self.viewing = viewing_of(viewing, *view)
+        self.viewing: Viewing = viewing_of(viewing, *view)
         self.encoding: str = _validate.one_of("encoding", encoding, ("sRGB", "linear"))
         self.register_buffer("frequencies", None, persistent=False)
         self._kept = None
@@ -635,6 +635,8 @@ class VisibilityLoss(Seen):
     True
     """
 
+    pyramid: FrequencySteerablePyramid
+
     def __init__(
         self,
         real_image_width: float = 0.2,
@@ -649,11 +651,9 @@ class VisibilityLoss(Seen):
     ) -> None:
         super().__init__()
         view = real_image_width, real_viewing_distance, peak_luminance, black_luminance
-        self.viewing = viewing_of(viewing, *view)
-        self.colour, self.masking = (
-            _validate.constant("colour", colour),
-            _validate.constant("masking", masking),
-        )
+        self.viewing: Viewing = viewing_of(viewing, *view)
+        self.colour: float = _validate.constant("colour", colour)
+        self.masking: float = _validate.constant("masking", masking)
         if self.colour < 0 or not 0 <= self.masking <= 1:
             raise ValueError(f"colour must not be negative and masking be 0 to 1, got {colour} and {masking}")
         self.pyramid = FrequencySteerablePyramid(_validate.integer("n_levels", n_levels, minimum=2), 1)

@@ -443,7 +443,7 @@ def make_equi_pooling_size_map_lod(
     return _level(pixels, nominal_width).to(dtype)
 
 
-def _growth(alpha, mode):
+def _growth(alpha: float, mode: str) -> tuple[float, str]:
     _validate.number("alpha", alpha, least=0)
     return alpha, _validate.one_of("mode", mode, MODES)
 
@@ -504,7 +504,8 @@ class Banded:
     """
 
     def __init__(self, matrix: scipy.sparse.csr_matrix, step: int, dtype: torch.dtype) -> None:
-        self.shape, self.blocks = matrix.shape, []
+        self.shape: tuple[int, int] = matrix.shape
+        self.blocks: list[Block] = []
         for start in range(0, matrix.shape[0], step):
             rows = slice(start, min(start + step, matrix.shape[0]))
             part = matrix[rows].tocoo()
@@ -574,7 +575,8 @@ class Sampler:
     strips: Sequence["Strip"] = ()
 
     def __init__(self, device: torch.device, dtype: torch.dtype) -> None:
-        self.device, self.dtype = device, dtype
+        self.device: torch.device = device
+        self.dtype: torch.dtype = dtype
         self.is_blocked: bool = device.type == "cpu" and dtype in (torch.float32, torch.float64)
 
     def __call__(self, image: torch.Tensor) -> torch.Tensor:
@@ -626,8 +628,8 @@ class MipSampler(Sampler):
         self.weights: torch.Tensor = weights.to(dtype)
         if self.is_blocked:
             size = tuple(lod.shape)
-            self.levels = _array.outside_graphs(_mip_levels, size, len(weights) - 1, dtype)
-            self.strips = _strips(self.weights, self.levels, _strip_rows(size[1]))
+            self.levels: tuple[Level, ...] = _array.outside_graphs(_mip_levels, size, len(weights) - 1, dtype)
+            self.strips: list[Strip] = _strips(self.weights, self.levels, _strip_rows(size[1]))
 
     def plainly(self, image: torch.Tensor) -> torch.Tensor:
         """Return the sampled pictures from whole levels, enlarged one by one."""
@@ -659,10 +661,10 @@ class UniformSampler(Sampler):
         super().__init__(device, dtype)
         self.squares = squares
         if self.is_blocked:
-            self.levels = _array.outside_graphs(_uniform_levels, size, squares, dtype)
+            self.levels: tuple[Level, ...] = _array.outside_graphs(_uniform_levels, size, squares, dtype)
             shares = torch.zeros(2, *size, dtype=dtype)
             shares[1] = 1
-            self.strips = _strips(shares, self.levels, _strip_rows(size[1]))
+            self.strips: list[Strip] = _strips(shares, self.levels, _strip_rows(size[1]))
 
     def plainly(self, image: torch.Tensor) -> torch.Tensor:
         """Return the means from torch's pooling and enlargement."""
@@ -1005,7 +1007,8 @@ class RadiallyVaryingBlur(nn.Module):
 
         key = (size, where, self.nominal_width, image.dtype, image.device)
         sampler, self.lod_map, self.lod_fraction = self._kept.get(key, made)
-        self.n_channels, self.size = image.shape[1], size
+        self.n_channels: int = image.shape[1]
+        self.size: tuple[int, ...] = size
         self.alpha, self.real_image_width, self.real_viewing_distance, self.centre, self.mode, self.equi = where
         return sampler
 
@@ -1113,6 +1116,8 @@ class BlurLoss(Seen):
     """
 
     _place: torch.Tensor
+    alpha: float
+    mode: str
 
     def __init__(
         self,
@@ -1131,8 +1136,9 @@ class BlurLoss(Seen):
         device = checked_device("device", device)
         self.register_buffer("_place", torch.empty(0, device=device), persistent=False)
         self.alpha, self.mode = _growth(alpha, mode)
-        self.viewing = viewing_of(viewing, real_image_width, real_viewing_distance)
-        self.blur_source, self.equi = _validate.flag("blur_source", blur_source), _validate.flag("equi", equi)
+        self.viewing: Viewing = viewing_of(viewing, real_image_width, real_viewing_distance)
+        self.blur_source: bool = _validate.flag("blur_source", blur_source)
+        self.equi: bool = _validate.flag("equi", equi)
         self.blur: RadiallyVaryingBlur = RadiallyVaryingBlur(nominal_width).to(device)
         self.target: torch.Tensor | None = None
         self.loss_func: torch.nn.MSELoss = nn.MSELoss()

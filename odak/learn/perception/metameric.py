@@ -312,6 +312,11 @@ class MetamericLoss(_StatisticsLoss, Seen):
     0.0
     """
 
+    alpha: float
+    mode: str
+    fovea_mask: torch.Tensor | None
+    periphery_mask: torch.Tensor | None
+
     def __init__(
         self,
         device: torch.device | str = "cpu",
@@ -338,8 +343,8 @@ class MetamericLoss(_StatisticsLoss, Seen):
         if use_l2_foveal_loss and use_fullres_l0:
             raise ValueError("use_l2_foveal_loss and use_fullres_l0 exclude one another, got both")
         self.alpha, self.mode = _growth(alpha, mode)
-        self.viewing = viewing_of(viewing, real_image_width, real_viewing_distance)
-        self.fovea_weight = _validate.number("fovea_weight", fovea_weight)
+        self.viewing: Viewing = viewing_of(viewing, real_image_width, real_viewing_distance)
+        self.fovea_weight: float = _validate.number("fovea_weight", fovea_weight)
         self.use_radial_weight: bool = _validate.flag("use_radial_weight", use_radial_weight)
         self.equi: bool = _validate.flag("equi", equi)
         self.blurs: nn.ModuleList | None = None
@@ -588,7 +593,7 @@ class MetamericLossUniform(_StatisticsLoss):
         joint: bool = False,
     ) -> None:
         super().__init__(device, n_pyramid_levels, n_orientations, trust_target, nominal_width, joint)
-        self.pooling_size = _validate.number("pooling_size", pooling_size, positive=True, least=FINEST)
+        self.pooling_size: float = _validate.number("pooling_size", pooling_size, positive=True, least=FINEST)
         self.target: torch.Tensor | None = None
 
     def forward(
@@ -857,14 +862,14 @@ class MetamerMSELoss(Seen):
     True
     """
 
-    alpha = _of_the_metameric_loss("alpha")
-    mode = _of_the_metameric_loss("mode")
-    equi = _of_the_metameric_loss("equi")
-    viewing = _of_the_metameric_loss("viewing")
-    n_pyramid_levels = _of_the_metameric_loss("n_pyramid_levels")
-    n_orientations = _of_the_metameric_loss("n_orientations")
-    nominal_width = _of_the_metameric_loss("nominal_width")
-    joint = _of_the_metameric_loss("joint")
+    alpha: float = _of_the_metameric_loss("alpha")
+    mode: str = _of_the_metameric_loss("mode")
+    equi: bool = _of_the_metameric_loss("equi")
+    viewing: Viewing = _of_the_metameric_loss("viewing")
+    n_pyramid_levels: int = _of_the_metameric_loss("n_pyramid_levels")
+    n_orientations: int = _of_the_metameric_loss("n_orientations")
+    nominal_width: bool = _of_the_metameric_loss("nominal_width")
+    joint: bool = _of_the_metameric_loss("joint")
 
     def __init__(
         self,

@@ -276,7 +276,8 @@ class LocalGamut:
     """
 
     def __init__(self, picture: torch.Tensor, levels: torch.Tensor, least: float, most: float) -> None:
-        self.least, self.most = least, most
+        self.least: float = least
+        self.most: float = most
         self._coloured = picture.shape[1] == 3
         self._low, self._high = local_range(self._along(picture), levels)
 

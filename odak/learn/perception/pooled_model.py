@@ -126,6 +126,10 @@ class PooledModel:
     [(1, 1, 0), (1, 1, 154, 1)]
     """
 
+    scaling: float
+    aspect: float
+    fovea: float
+
     def __init__(
         self,
         statistics: str = "texture",
@@ -324,7 +328,9 @@ class Windows:
     """
 
     def __init__(self, means: torch.Tensor, weights: torch.Tensor, inside: torch.Tensor) -> None:
-        self.means, self.weights, self.inside = means, weights, inside
+        self.means: torch.Tensor = means
+        self.weights: torch.Tensor = weights
+        self.inside: torch.Tensor = inside
         self._tables = [_table(one) for one in (means, means.t().coalesce())]
 
     def __call__(self, values: torch.Tensor) -> torch.Tensor:

@@ -291,7 +291,8 @@ class SpatialSteerablePyramid(nn.Module):
         self.use_bilinear_downup: bool = _validate.flag("use_bilinear_downup", use_bilinear_downup)
         self.n_channels: int = _validate.side("n_channels", n_channels)
         self.filter_size: int = _validate.integer("filter_size", filter_size, minimum=1)
-        self.n_orientations, self.filter_type = n_orientations, filter_type
+        self.n_orientations: int = n_orientations
+        self.filter_type: str = filter_type
         self._build(torch.float32, checked_device("device", device) or torch.device("cpu"))
 
     @property

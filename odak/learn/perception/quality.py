@@ -1331,7 +1331,7 @@ class LPIPS(_Wrapper):
 
     def __init__(self, *, required: bool = False):
         super().__init__(required)
-        self.lpips = None
+        self.lpips: nn.Module | None = None
 
     def forward(self, predictions: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
         """Return the mean distance of pictures.

@@ -352,10 +352,10 @@ class Seen(nn.Module):
     """
 
     viewing: Viewing
-    real_image_width = _of_the_viewing("real_image_width")
-    real_viewing_distance = _of_the_viewing("real_viewing_distance")
-    peak_luminance = _of_the_viewing("peak_luminance")
-    black_luminance = _of_the_viewing("black_luminance")
+    real_image_width: float = _of_the_viewing("real_image_width")
+    real_viewing_distance: float = _of_the_viewing("real_viewing_distance")
+    peak_luminance: float = _of_the_viewing("peak_luminance")
+    black_luminance: float = _of_the_viewing("black_luminance")
 
     def _gaze(self, gaze: Any, count: int | None = None) -> Any:
         """Return the gaze that a call gives, or else that of the viewing; see :func:`gaze_of`."""

@@ -383,6 +383,10 @@ class detector(_show.Shown, Prepared):
     (tensor([7]), tensor([7]))
     """
 
+    size: torch.Tensor
+    surface_center: torch.Tensor
+    surface_tilt: torch.Tensor
+
     _fixed = ("colors", "resolution", "size", "pixel_size", "plane", "device")
 
     def __init__(
@@ -415,7 +419,7 @@ class detector(_show.Shown, Prepared):
         x, y = torch.meshgrid(*self._axes(self.size), indexing="ij")
         flat = torch.stack((x, y, torch.zeros_like(x)), dim=-1).reshape(-1, 3)
         self.pixel_locations: Any = apply_matrix(rotation_matrix(self.surface_tilt), flat) + self.surface_center
-        self.image = torch.zeros(self.colors, *shape, dtype=self.size.dtype, device=self.device)
+        self.image: torch.Tensor = torch.zeros(self.colors, *shape, dtype=self.size.dtype, device=self.device)
 
     def intersect(
         self, rays: torch.Tensor, color: int = 0, distances: bool = True

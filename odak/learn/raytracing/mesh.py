@@ -841,6 +841,11 @@ class planar_mesh(_show.Shown, Prepared):
              [0.0000, 0.6000, 0.8000]]])
     """
 
+    size: torch.Tensor
+    angles: torch.Tensor
+    offset: torch.Tensor
+    number_of_meshes: torch.Tensor
+
     _fixed = ("size", "number_of_meshes", "device")
 
     def __init__(

@@ -6,11 +6,11 @@ was emitted is accounted for.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import torch
 
@@ -132,7 +132,7 @@ class GaussianScatter(Scatter):
     GaussianScatter(share=1.0, sigma=0.05)
     """
 
-    sigma: Any = 0.1
+    sigma: float | torch.Tensor = 0.1
 
     def _draw(self, along: Any, across: Any, first: Any, second: Any) -> tuple[Any, ...]:
         """Return points about the given ones, by the transform of Box and Muller."""
@@ -274,6 +274,9 @@ def _checked_share(name: str, value) -> None:
         raise ValueError(f"{name} must be at most 1, got {value:g}")
 
 
+Share: TypeAlias = float | torch.Tensor | Mapping[int, float | Callable[..., torch.Tensor]] | None
+
+
 @dataclass(frozen=True)
 class Interface:
     """Where the light goes at a surface; without any argument as at a bare, smooth interface of two media.
@@ -308,14 +311,14 @@ class Interface:
     0.5
     """
 
-    reflectance: Any = None
-    transmittance: Any = None
+    reflectance: Share = None
+    transmittance: Share = None
     coating: Coating | None = None
     phase: Phase | None = None
     scatter: Scatter | None = None
 
     def __post_init__(self) -> None:
-        given = self.reflectance, self.transmittance
+        given: tuple[Any, Any] = (self.reflectance, self.transmittance)
         for name, kind in (("coating", Coating), ("phase", Phase), ("scatter", Scatter)):
             value = getattr(self, name)
             _validate.instance(name, value, (kind, type(None)), f"a {kind.__name__} or None")
@@ -391,7 +394,8 @@ class Element:
         self.shape = shape
         self.media: Any = tuple(_checked_medium(value) for value in media)
         self.interface: Interface = BARE if interface is None else interface
-        self.center, self.rotation = None, None
+        self.center: torch.Tensor | None = None
+        self.rotation: torch.Tensor | None = None
         if center is not None:
             (found,) = _doubles(center=center)
             self.center = _validate.shaped("center", found, "[3]")
@@ -1220,7 +1224,8 @@ class _Walk:
 
         if interface.phase is not None:
             found, covered = [], interface.phase.covers(*place[:2])
-            for reflects, shares in ((True, interface.reflectance), (False, interface.transmittance)):
+            sides: Any = ((True, interface.reflectance), (False, interface.transmittance))
+            for reflects, shares in sides:
                 for order, share in shares.items():
                     if not callable(share) and not isinstance(share, torch.Tensor) and share == 0:
                         continue
@@ -1255,7 +1260,8 @@ class _Walk:
         if interface.reflectance is None:
             back = fresnel_shares(incidence, n1, n2)
             return back, 1 - back
-        back, behind = interface.reflectance, interface.transmittance
+        given: tuple[Any, Any] = (interface.reflectance, interface.transmittance)
+        back, behind = given
         if not isinstance(behind, torch.Tensor) and behind == 0:
             black = not isinstance(back, torch.Tensor) and back == 0
             return (None if black else back), None

@@ -102,7 +102,8 @@ class SeparableBasis:
         for name, factor in (("rows", rows), ("columns", columns)):
             if not isinstance(factor, torch.Tensor) or factor.ndim != 2:
                 raise TypeError(f"{name} must be a tensor [splines, samples], got {type(factor).__name__}")
-        self.rows, self.columns = rows, columns
+        self.rows: torch.Tensor = rows
+        self.columns: torch.Tensor = columns
         self._matrix: torch.Tensor | None = None
 
     @property

@@ -223,8 +223,16 @@ class Loop:
         generators: Sequence[torch.Generator],
         kind: str,
     ) -> None:
-        self.run, self.values, self.about, self.parts, self.generators = run, values, about, parts, generators
-        self.done, self.saved, self.torn, self.stopped, self.loss = 0, -1, False, False, None
+        self.run: Run = run
+        self.values: Callable[[], dict[str, torch.Tensor]] = values
+        self.about: dict[str, Any] = about
+        self.parts: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = parts
+        self.generators: Sequence[torch.Generator] = generators
+        self.done: int = 0
+        self.saved: int = -1
+        self.torn: bool = False
+        self.stopped: bool = False
+        self.loss = None
         self.best: dict[str, torch.Tensor] = {name: value.clone() for name, value in values().items()}
         self.device: torch.device = next(iter(self.best.values())).device
         self.best_loss: torch.Tensor = torch.full((), math.inf, dtype=torch.float64, device=self.device)
@@ -426,11 +434,15 @@ class Adam:
         Added to the root of the square.
     """
 
+    means: list[torch.Tensor]
+
     def __init__(self, parameters: Sequence[torch.Tensor], betas: Any = (0.9, 0.999), epsilon: float = 1e-8) -> None:
-        self.parameters, self.betas, self.epsilon = list(parameters), betas, epsilon
+        self.parameters: list[torch.Tensor] = list(parameters)
+        self.betas: tuple[float, float] = betas
+        self.epsilon: float = epsilon
         self.means = [torch.zeros_like(parameter, requires_grad=False) for parameter in self.parameters]
         self.squares: list[torch.Tensor] = [torch.zeros_like(mean) for mean in self.means]
-        self.count = 0
+        self.count: int = 0
 
     @torch.no_grad()
     def step(self, gradient: Callable[[], torch.Tensor], learning_rate: float) -> torch.Tensor:

@@ -167,7 +167,7 @@ class multi_layer_perceptron(torch.nn.Module):
         """
         (learning_rate,) = _validate.constants(learning_rate=learning_rate)
         rate = _validate.number("learning_rate", learning_rate, least=0)
-        self.optimizer = torch.optim.Adam(self.parameters(), lr=rate)
+        self.optimizer: torch.optim.Adam = torch.optim.Adam(self.parameters(), lr=rate)
         self.loss_function: torch.nn.MSELoss = torch.nn.MSELoss()
         loss = None
         _validate.one_device(x_values=x_values, y_values=y_values)

@@ -127,11 +127,13 @@ class simulated_camera(Prepared, torch.nn.Module):
     (torch.Size([16, 16]), True, True)
     """
 
+    full_well: float | None
+
     _fixed = ("wavelength", "slm")
     aberration: torch.Tensor
     illumination: torch.Tensor
 
-    extra_repr = _show.numbers_of
+    extra_repr: Callable[..., str] = _show.numbers_of
 
     @_validate.takes_units("wavelength", "distance", "pixel_pitch", "iris_radius", "iris_focal_length")
     def __init__(
@@ -154,11 +156,12 @@ class simulated_camera(Prepared, torch.nn.Module):
         pixel_fill: float | None = None,
     ):
         super().__init__()
-        self.wavelength = _validate.real("wavelength", wavelength, positive=True)
-        self.distance = _validate.real("distance", distance)
+        self.wavelength: float | torch.Tensor = _validate.real("wavelength", wavelength, positive=True)
+        self.distance: float | torch.Tensor = _validate.real("distance", distance)
         self.pixel_pitch: float = checked_pitch("pixel_pitch", pixel_pitch)
         check_has_kernel(propagation_type)
-        self.propagation_type, self.slm = propagation_type, _validate.function_or_none("slm", slm)
+        self.propagation_type: str = propagation_type
+        self.slm: Callable[..., Any] | None = _validate.function_or_none("slm", slm)
         self.register_buffer("aberration", panel_map("aberration", aberration))
         self.register_buffer("illumination", panel_map("illumination", illumination))
         self.exposure: float = _validate.constant("exposure", exposure, positive=True)
@@ -168,10 +171,11 @@ class simulated_camera(Prepared, torch.nn.Module):
             raise ValueError(f"read_noise must be at least 0, and 0 without full_well, got {read_noise!r}")
         self.bits: int | None = checked_bits(bits)
         self.cutoff: float | None = iris_cutoff(self.wavelength, iris_radius, iris_focal_length)
-        self.pixel_fill = None
+        self.pixel_fill: float | None = None
         if pixel_fill is not None or self.cutoff is not None:
             self.pixel_fill = checked_fill(pixel_fill, self.slm, self.cutoff is not None)
-        self.seed, self._generator = None if seed is None else _validate.integer("seed", seed), None
+        self._generator = None
+        self.seed: int | None = None if seed is None else _validate.integer("seed", seed)
 
     def light(self, phase: torch.Tensor) -> torch.Tensor:
         """Return the intensity on the sensor, without its noise and limits: the mean of captures.

@@ -160,8 +160,9 @@ class Ranks:
                 f"devices={DISTRIBUTED!r} needs a group of processes: start them with torchrun, and call "
                 "torch.distributed.init_process_group first"
             )
-        self.group = dist.group.WORLD
-        self.rank, self.size = dist.get_rank(), dist.get_world_size()
+        self.group: Any = dist.group.WORLD
+        self.rank: int = dist.get_rank()
+        self.size: int = dist.get_world_size()
 
     def sharing(self, value: torch.Tensor) -> torch.Tensor:
         """Return a tensor that all ranks use alike, whose gradient is the sum of theirs."""

@@ -142,6 +142,8 @@ class display_model(Prepared, torch.nn.Module):
     torch.Size([3, 20, 24])
     """
 
+    modes: list[tuple[int, int]]
+
     _fixed = (
         *("shape", "pitch", "camera_shape", "camera_pitch", "wavelength", "lens", "nominal_distance"),
         *("physical", "modes"),
@@ -175,7 +177,7 @@ class display_model(Prepared, torch.nn.Module):
     _pixels: torch.Tensor
     _homography: torch.Tensor
 
-    extra_repr = _show.numbers_of
+    extra_repr: Callable[..., str] = _show.numbers_of
 
     @_validate.takes_units("pitch", "wavelength", "distance", "camera_pitch")
     def __init__(
@@ -203,8 +205,10 @@ class display_model(Prepared, torch.nn.Module):
         super().__init__()
         if dtype not in (torch.float32, torch.float64):
             raise ValueError(f"dtype must be torch.float32 or torch.float64, got {dtype}")
-        self.shape, self.camera_shape = _validate.size("shape", shape), _validate.size("camera_shape", camera_shape)
-        self.pitch, self.camera_pitch = pitch, camera_pitch
+        self.shape: tuple[int, int] = _validate.size("shape", shape)
+        self.camera_shape: tuple[int, int] = _validate.size("camera_shape", camera_shape)
+        self.pitch: float | Sequence[float] = pitch
+        self.camera_pitch: float | Sequence[float] = camera_pitch
         self._pitches, self._camera_pitches = (
             tuple(map(float, _validate.pair(name, value, positive=True)))
             for name, value in (("pitch", pitch), ("camera_pitch", camera_pitch))

@@ -177,10 +177,12 @@ class FocalTargets(Prepared, nn.Module):
     ) -> None:
         super().__init__()
         self.number_of_planes: int = _validate.integer("number_of_planes", number_of_planes, minimum=1)
-        self.multiplier = _validate.real("multiplier", multiplier)
+        self.multiplier: float = _validate.real("multiplier", multiplier)
         self.scheme: str = _validate.one_of("scheme", scheme, SCHEMES)
         self.reduction: str = _validate.one_of("reduction", reduction, ("mean", "sum"))
-        self.blur_ratio, self.target_blur_size, self.generator = blur_ratio, blur_size, None
+        self.blur_ratio: float = blur_ratio
+        self.target_blur_size: int = blur_size
+        self.generator: torch.Generator | None = None
         self.generator = checked_generator("generator", generator)
         _validate.number("blur_ratio", blur_ratio, least=0)
         _validate.integer("target_blur_size", blur_size, minimum=1)
@@ -353,7 +355,7 @@ class phase_gradient(nn.Module):
 
     kernel: torch.Tensor
 
-    extra_repr = _show.numbers_of
+    extra_repr: Callable[..., str] = _show.numbers_of
 
     def __init__(
         self,
@@ -365,7 +367,7 @@ class phase_gradient(nn.Module):
         kernel = torch.tensor(_LAPLACIAN) / 8 if kernel is None else tensor("kernel", kernel)
         _validate.shaped("kernel", kernel, "[h, w] or [1, 1, h, w], not empty")
         self.register_buffer("kernel", kernel.reshape(1, 1, *kernel.shape[-2:]).to(get_device(device)), False)
-        self.loss = _checked_loss(loss)
+        self.loss: Callable[..., torch.Tensor] = _checked_loss(loss)
 
     def forward(self, phase: torch.Tensor) -> torch.Tensor:
         """Return the loss of a phase ``[m, n]`` or ``[..., 1, m, n]`` in radians."""
@@ -413,7 +415,9 @@ class speckle_contrast(nn.Module):
     0.25
     """
 
-    extra_repr = _show.numbers_of
+    step_size: tuple[int, int]
+
+    extra_repr: Callable[..., str] = _show.numbers_of
 
     def __init__(
         self,
@@ -426,7 +430,7 @@ class speckle_contrast(nn.Module):
         checked_device("device", device)
         self.kernel_size: int = _validate.integer("kernel_size", kernel_size, minimum=1)
         self.step_size = _validate.size("step_size", (step_size,) * 2 if isinstance(step_size, int) else step_size)
-        self.loss = _checked_loss(loss)
+        self.loss: Callable[..., torch.Tensor] = _checked_loss(loss)
 
     def forward(self, intensity: torch.Tensor) -> torch.Tensor:
         """Return the loss of an intensity ``[m, n]`` or ``[..., 1, m, n]``."""
@@ -535,7 +539,7 @@ class multiplane_loss(FocalTargets):
     0.0
     """
 
-    extra_repr = _show.numbers_of
+    extra_repr: Callable[..., str] = _show.numbers_of
 
     @_validate.takes_units("distances", "wavelengths", "pixel_pitch")
     def __init__(
@@ -696,6 +700,8 @@ class perceptual_multiplane_loss(FocalTargets):
     >>> total.item(), components["ssim"].item()
     (0.0, 0.0)
     """
+
+    base_loss_weights: dict[str, float]
 
     @_validate.takes_units("distances", "wavelengths", "pixel_pitch")
     def __init__(

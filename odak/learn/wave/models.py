@@ -65,6 +65,9 @@ class holobeam_multiholo(nn.Module):
     torch.Size([1, 1, 32, 48])
     """
 
+    l2: nn.MSELoss
+    l1: nn.L1Loss
+
     def __init__(
         self,
         n_input: int = 1,
@@ -280,8 +283,8 @@ class focal_surface_light_propagation(nn.Module):
         self.device: torch.device = checked_device("device", device)
         common: dict[str, Any] = {"depth": depth, "dimensions": dimensions, "kernel_size": kernel_size, "bias": bias}
         common |= {"normalization": False, "activation": activation}
-        self.sv_kernel_generation = spatially_varying_kernel_generation_model(
-            input_channels=input_channels + 1, **common
+        self.sv_kernel_generation: spatially_varying_kernel_generation_model = (
+            spatially_varying_kernel_generation_model(input_channels=input_channels + 1, **common)
         )
         self.light_propagation: spatially_adaptive_unet = spatially_adaptive_unet(
             input_channels=input_channels, out_channels=out_channels, **common

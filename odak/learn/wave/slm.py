@@ -2,7 +2,7 @@
 
 import cmath
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -204,11 +204,13 @@ class spatial_light_modulator(Prepared, torch.nn.Module):
     torch.complex64
     """
 
+    phase_range: float | None
+
     _fixed = ("bits", "phase_range", "samples_per_pixel", "crosstalk")
     amplitude: torch.Tensor | None
     bits: int | None
 
-    extra_repr = _show.numbers_of
+    extra_repr: Callable[..., str] = _show.numbers_of
 
     def __init__(
         self,
@@ -473,7 +475,7 @@ class temporal_modulator(torch.nn.Module):
     torch.Size([6, 4, 4])
     """
 
-    extra_repr = _show.numbers_of
+    extra_repr: Callable[..., str] = _show.numbers_of
 
     @property
     def samples_per_pixel(self) -> int:

@@ -733,10 +733,10 @@ class scene(Lines, Shapes, Lenses, Views):
         device: str = "auto",
     ):
         self.unit: str = _validate.one_of("unit", unit, ("mm", "m", "um", "nm"))
-        self.metres = MICROMETRES[self.unit] * 1e-6
+        self.metres: float = MICROMETRES[self.unit] * 1e-6
         wavelength = D_LINE / self.metres if wavelength is None else wavelength
         self.wavelength: float = float(_validate.real("wavelength", wavelength, positive=True))
-        self.resolution = _validate.size("resolution", resolution)
+        self.resolution: tuple[int, int] = _validate.size("resolution", resolution)
         self.samples: int = _validate.integer("samples", samples, minimum=1)
         self.device: str = _validate.one_of("device", device, DEVICES)
         self.objects: list[Item] = []

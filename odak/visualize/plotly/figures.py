@@ -315,7 +315,7 @@ def margins(value: Any) -> dict[Any, Any] | None:
     return dict(zip(("l", "r", "b", "t"), sides, strict=True))
 
 
-def apply(figure: Any, settings: dict[Any, Any]) -> None:
+def apply(figure: graph.Figure, settings: dict[Any, Any]) -> None:
     """Apply the template and the size, margins, title and font of the settings; all else stays as it is."""
     values: dict[str, Any] = {
         "width": settings.get("width"),
@@ -345,14 +345,14 @@ def axis_names(trace: Any) -> tuple[str, str]:
     return x, y
 
 
-def name_axes(figure: Any, trace: Any, labels: tuple[str, str]) -> None:
+def name_axes(figure: graph.Figure, trace: Any, labels: tuple[str, str]) -> None:
     """Set the titles of the axes of a trace and show their numbers."""
     for name, label in zip(axis_names(trace), labels, strict=True):
         if label:
             figure.layout[name].update(title={"text": label}, showticklabels=True)
 
 
-def square_pixels(figure: Any, trace: Any, origin: str) -> None:
+def square_pixels(figure: graph.Figure, trace: Any, origin: str) -> None:
     """Set equal scales of the axes of an image, a frame that fits it, and the position of row 0."""
     x, y = axis_names(trace)
     figure.layout[x].update(constrain="domain")
@@ -364,7 +364,7 @@ def square_pixels(figure: Any, trace: Any, origin: str) -> None:
     )
 
 
-def place_titles(figure: Any, titles: list[str], row_titles: list[str], cols: int) -> None:
+def place_titles(figure: graph.Figure, titles: list[str], row_titles: list[str], cols: int) -> None:
     """Write titles above the subplots, row by row, and beside the rows; they follow the frames of the images."""
     style = {"font": {"size": FONT_SIZE + 1}, "showarrow": False}
     for i, title in enumerate(row_titles):
@@ -395,7 +395,7 @@ def spacing(rows: int, cols: int, shape: Any, margin: Any) -> dict[Any, Any]:
     return {name: min(gap, 0.4 / (count - 1)) for name, (count, gap) in gaps.items() if count > 1}
 
 
-def domains(figure: Any) -> dict[str, tuple[float, float]]:
+def domains(figure: graph.Figure) -> dict[str, tuple[float, float]]:
     """Return the domains of all x axes, by their names in the layout."""
     found = {axis.plotly_name: axis.domain for axis in figure.select_xaxes()}
     return {name: (0.0, 1.0) if domain is None else tuple(domain) for name, domain in found.items()}
@@ -498,7 +498,7 @@ def _narrow_columns(figure, at_first: dict[Any, Any], with_bars: set[Any], width
         figure.layout[name].domain = (start, max(domain[1] - right, start + least))
 
 
-def place_scene_bars(figure: Any) -> None:
+def place_scene_bars(figure: graph.Figure) -> None:
     """Place the colour bars of three-dimensional scenes beside their scenes, several of one scene side by side."""
     width, _ = _plot_size(figure)
     seen: dict[str, int] = {}
@@ -518,7 +518,7 @@ def place_scene_bars(figure: Any) -> None:
             )
 
 
-def note(figure: Any, text: str) -> None:
+def note(figure: graph.Figure, text: str) -> None:
     """Write a line at the foot of a figure, replacing an earlier one."""
     kept = [a for a in figure.layout.annotations if a.name != "note"]
     figure.layout.annotations = kept
@@ -732,7 +732,7 @@ class Figure:
             self._say(note)
 
 
-def division(figure: Any, plotlyjs: Any = False) -> str:
+def division(figure: graph.Figure, plotlyjs: Any = False) -> str:
     """Return a figure as a ``<div>`` without the blank lines at which Markdown would end it."""
     text = page.to_html(figure, include_plotlyjs=plotlyjs, include_mathjax=False, full_html=False)
     return re.sub(r"\n\s*\n", "\n", text.strip())

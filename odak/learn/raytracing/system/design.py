@@ -205,6 +205,11 @@ class lens_design(_show.Shown):
     (True, 60)
     """
 
+    values: torch.Tensor
+    lower: torch.Tensor
+    upper: torch.Tensor
+    micrometres: torch.Tensor
+
     def __init__(
         self,
         system: optical_system,
@@ -218,13 +223,14 @@ class lens_design(_show.Shown):
         aim: str = "paraxial",
     ):
         self.system: optical_system = checked_system(system)
-        self.operands = checked_operands(operands)
-        self.pupil, self.count = pupil, _validate.integer("count", count, minimum=1)
+        self.operands: list[Operand] = checked_operands(operands)
+        self.pupil: Pupil = pupil
+        self.count: int = _validate.integer("count", count, minimum=1)
         self.aim: str = _validate.one_of("aim", aim, AIMS)
         pupil_of(pupil, self.count, system)
         with torch.no_grad():
             held = (v.detach() if isinstance(v, torch.Tensor) else v for v in system.prescription())
-            self.base = Prescription._make(held)
+            self.base: Prescription = Prescription._make(held)
         # That of one of several configurations; variables, pickups and solves are of the numbers at the nominal one.
         self.environment: Environment | None = None
         # Of several designs, which glasses are real ones already, [N, glasses].
@@ -843,14 +849,16 @@ class zoom_design(lens_design):
             raise ValueError("variables must not be glasses where the settings have temperatures: dn/dT is unknown")
         first = self.each[0]
         self.__dict__.update({name: value for name, value in first.__dict__.items() if name not in self.__dict__})
-        self.system, self.heights = zoom.system, None
+        self.system: optical_system = zoom.system
+        self.heights: torch.Tensor | None = None
         own = {(name, place) for name, place, _ in zoom.settings}
         # Where the environment alone differs, solves are of the same numbers everywhere, those at 20 °C.
         alone = all(name in SETTINGS["environment"] for name, _ in own)
         for name, place in () if alone else sorted(self.solved - own):
             raise ValueError(f"solves must be for what the settings have, got one for the {name} of surface {place}")
         values: list[tuple[Any, ...]] = []
-        self.columns, self.rows = {}, [[0] * len(first.values) for _ in self.each]
+        self.columns: dict[str, list[int]] = {}
+        self.rows: list[list[int]] = [[0] * len(first.values) for _ in self.each]
         for name, places in self.places.items():
             for (place, _), column in zip(places, first.columns[name], strict=True):
                 for design, row in zip(self.each, self.rows, strict=True):

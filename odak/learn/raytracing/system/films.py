@@ -3,12 +3,13 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from types import ModuleType
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from odak import _validate
-from odak._array import Array, is_array, is_readable, namespace, phasor_of_cycles, to_complex
+from odak._array import Amount, Array, is_array, is_readable, namespace, phasor_of_cycles, to_complex
 from odak.catalog.materials import MICROMETRES, OpticalMaterial, refractive_index
 from odak.catalog.materials import material as find_material
 from odak.jones.calculus import DEGREE, stack_matrix
@@ -470,7 +471,7 @@ def _checked_grids(film: Any) -> tuple[int, int]:
     return len(film.wavelengths), len(film.angles)
 
 
-def _interpolated(film: Any, tables: list[Any], x: Any, y: Any, wavelength: Any) -> list[Any]:
+def _interpolated(film: Any, tables: list[Any], x: Any, y: Any, wavelength: Amount) -> list[Any]:
     """Return the entries ``[..., …]`` of tables ``[W, A, …]`` for rays."""
     xp = namespace(x)
     squared = x * x + y * y
@@ -492,7 +493,7 @@ def _is_known(value: Any) -> bool:
     return is_readable(value) and not getattr(value, "requires_grad", False)
 
 
-def _between(xp: Any, name: str, grid: Sequence[float], value: Any) -> list[tuple[Any, Any]]:
+def _between(xp: ModuleType, name: str, grid: Sequence[float], value: Any) -> list[tuple[Any, Any]]:
     """Return the numbers of the neighbours of values in a rising grid, and their weights."""
     if not grid:
         return [(0, 1 + 0 * value)]
@@ -511,13 +512,13 @@ def _between(xp: Any, name: str, grid: Sequence[float], value: Any) -> list[tupl
     return [(place, 1 - share), (place + 1, share)]
 
 
-def _axis(xp: Any, angle: Any, like: Any) -> tuple[Any, Any]:
+def _axis(xp: ModuleType, angle: Amount, like: Any) -> tuple[Any, Any]:
     """Return cosine and sine of an angle in degrees."""
     angle = DEGREE * (angle + 0 * like)
     return xp.cos(angle), xp.sin(angle)
 
 
-def _projected(angle: Any, x: Any, y: Any, index: Any) -> tuple[Any, Any]:
+def _projected(angle: Amount, x: Any, y: Any, index: Any) -> tuple[Any, Any]:
     """Return the components of an axis of a film, projected across the ray within it, along the axes of the ray.
 
     Those axes are x and y, carried along to the direction d within the film. Along them the projection of a vector c in

@@ -127,7 +127,10 @@ class View:
         heights: torch.Tensor | None = None,
         glass: torch.Tensor | None = None,
     ):
-        self.system, self.prescription, self.given_heights, self.glass = system, prescription, heights, glass
+        self.system: optical_system = system
+        self.prescription: Prescription = prescription
+        self.given_heights: torch.Tensor | None = heights
+        self.glass: torch.Tensor | None = glass
         self.options: dict[str, Any] = {"prescription": prescription, "aim": aim}
         self.points: torch.Tensor = pupil_of(pupil, count, system)
         weights = weights_of(pupil, count, self.points)

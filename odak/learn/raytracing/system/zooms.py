@@ -94,7 +94,7 @@ class configurations(torch.nn.Module):
     def _repr_html_(self) -> str:
         return _show.page(self, "odak.learn.raytracing.system.drawing:configurations_view")
 
-    extra_repr = _show.numbers_of
+    extra_repr: Callable[..., str] = _show.numbers_of
 
     @property
     def settings(self) -> tuple[tuple[Any, ...], ...]:

@@ -43,7 +43,7 @@ class Shares:
 
     def __init__(self, display: Any, devices: Sequence[torch.device] | Ranks):
         self.ranks: Ranks | None = devices if isinstance(devices, Ranks) else None
-        self.shape = display.shape
+        self.shape: tuple[int, int, int, int] = display.shape
         where = [display.powers.device] if isinstance(devices, Ranks) else devices
         units = [
             (colour, plane, frame)
@@ -53,7 +53,7 @@ class Shares:
         ]
         shares = shares_of(units, len(where) if self.ranks is None else self.ranks.size)
         shares = shares if self.ranks is None else [shares[self.ranks.rank]]
-        self.parts = [
+        self.parts: list[tuple[Any, list[Part]]] = [
             (copied_to(display, device), _grouped(share))
             for device, share in zip(where, shares, strict=True)
             if share or self.ranks
@@ -90,11 +90,13 @@ class Streamed:
     """
 
     def __init__(self, display: Any, budget: int):
-        self.display, self.budget, (planes, colours, rows, columns) = display, budget, display.shape
+        self.display: Any = display
+        self.budget: int = budget
+        planes, colours, rows, columns = display.shape
         points = rows * columns * display.samples**2 * display.powers.dtype.itemsize * 2
         at_once = max(1, budget // (_FIELDS * points))
-        self.keeps = 4 * points * planes * colours <= budget
-        self.parts = []
+        self.keeps: bool = 4 * points * planes * colours <= budget
+        self.parts: list[Part] = []
         for colour, lit in enumerate(display.lit_frames):
             frames = [lit[i : i + at_once] for i in range(0, len(lit), at_once)]
             many = max(1, at_once // len(lit))
@@ -131,7 +133,9 @@ class SomeFrames:
     """
 
     def __init__(self, display: Any, others: torch.Tensor, shares: torch.Tensor):
-        self.display, self.others, self.shares = display, others, shares[:, None, None]
+        self.display: Any = display
+        self.others: torch.Tensor = others
+        self.shares: torch.Tensor = shares[:, None, None]
 
     def images(self, observer: Any, lights: tuple[torch.Tensor, ...], powers: torch.Tensor) -> torch.Tensor:
         """Return what an observer sees of all frames, of what panels do to light in these."""

@@ -66,11 +66,12 @@ class Scene:
     def __init__(self, gaussians: complex_3d_gaussians, args_prop: object, *, rotate_as_points: bool = True):
         _validate.instance("gaussians", gaussians, complex_3d_gaussians, "complex_3d_gaussians")
         wavelengths, pitch, distances, pad_size, aperture = shared.settings(args_prop, _SETTINGS)
-        self.gaussians, self.args_prop = gaussians, args_prop
+        self.gaussians: complex_3d_gaussians = gaussians
+        self.args_prop: object = args_prop
         self.rotate_as_points: bool = _validate.flag("rotate_as_points", rotate_as_points)
-        self.wavelengths = _validate.real("wavelengths", shared.lengths(wavelengths), positive=True)
-        self.pixel_pitch = _validate.real("pixel_pitch", pitch, positive=True)
-        self.distances = _validate.real("distances", shared.lengths(distances))
+        self.wavelengths: torch.Tensor = _validate.real("wavelengths", shared.lengths(wavelengths), positive=True)
+        self.pixel_pitch: float = _validate.real("pixel_pitch", pitch, positive=True)
+        self.distances: torch.Tensor = _validate.real("distances", shared.lengths(distances))
         self.pad_size: tuple[int, int] = _validate.size("pad_size", pad_size)
         if aperture != -1 and not aperture > 0:
             raise ValueError(f"aperture_size must be positive, or -1 for none; got {aperture!r}")

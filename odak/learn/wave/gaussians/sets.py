@@ -604,7 +604,8 @@ class complex_2d_gaussians(nn.Module):
         channels = _validate.integer("channels", channels, minimum=1)
         number = _validate.integer("num_points", num_points, minimum=1)
         self.img_size: tuple[int, int] = picture_size("img_size", img_size)
-        self.device, self.merge_opacity = get_device(device), _validate.flag("merge_opacity", merge_opacity)
+        self.device: torch.device = get_device(device)
+        self.merge_opacity: bool = _validate.flag("merge_opacity", merge_opacity)
         draw = torch.Generator()
         if seed is not None:
             draw.manual_seed(_validate.integer("seed", seed))
@@ -785,8 +786,9 @@ class Scene2D:
     def __init__(self, gaussians: complex_2d_gaussians, args_prop: object):
         _validate.instance("gaussians", gaussians, complex_2d_gaussians, "complex_2d_gaussians")
         wavelengths, pad_size = settings(args_prop, ("wavelengths", "pad_size"))
-        self.gaussians, self.args_prop = gaussians, args_prop
-        self.wavelengths = _validate.real("wavelengths", lengths(wavelengths), positive=True)
+        self.gaussians: complex_2d_gaussians = gaussians
+        self.args_prop: object = args_prop
+        self.wavelengths: torch.Tensor = _validate.real("wavelengths", lengths(wavelengths), positive=True)
         self.pad_size: tuple[int, int] = _validate.size("pad_size", pad_size)
         colours, count = gaussians.colours.shape[1], len(self.wavelengths)
         if count > colours:
@@ -976,7 +978,8 @@ class complex_3d_gaussians(nn.Module):
         copies = _validate.integer("generate_dense_point", generate_dense_point)
         scatter = _validate.real("densepoint_scatter", densepoint_scatter)
         _validate.instance("pointcloud_data", pointcloud_data, (Mapping, type(None)), "a dictionary of tensors")
-        self.device, self.img_size = get_device(device), img_size
+        self.device: torch.device = get_device(device)
+        self.img_size: tuple[int, int] | None = img_size
         if antialiased is None:
             antialiased = str(load_path).endswith(".ply") and is_antialiased(str(load_path))
         self.antialiased: bool = _validate.flag("antialiased", antialiased)
@@ -1560,7 +1563,7 @@ class StraightThroughEstimator(nn.Module):
 
     def __init__(self, temperature: float = 0.001):
         super().__init__()
-        self.temperature = _validate.real("temperature", temperature, positive=True)
+        self.temperature: float = _validate.real("temperature", temperature, positive=True)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the choices of the rows of ``x [n, c]``, of its dtype."""

@@ -79,8 +79,8 @@ class DepthScene:
 
     def __init__(self, picture: torch.Tensor, depth: torch.Tensor, layers: int = 12):
         picture = checked_intensities("picture", floating("picture", picture)).detach()
-        self.picture = picture[None] if picture.ndim == 2 else picture
-        self.depth = tensor("depth", depth, torch.float64).detach().cpu()
+        self.picture: torch.Tensor = picture[None] if picture.ndim == 2 else picture
+        self.depth: torch.Tensor = tensor("depth", depth, torch.float64).detach().cpu()
         if self.picture.ndim != 3 or self.picture.shape[1:] != self.depth.shape:
             raise ValueError(
                 "depth must be [rows, columns] of a picture [rows, columns] or [C, rows, columns], got "
@@ -88,7 +88,7 @@ class DepthScene:
             )
         if bool(self.depth.isnan().any()):
             raise ValueError("depth must be distances in metres, got NaN")
-        self.layers = _validate.integer("layers", layers, minimum=1)
+        self.layers: int = _validate.integer("layers", layers, minimum=1)
 
     def __repr__(self) -> str:
         near, far = float(self.depth.min()), float(self.depth.max())
@@ -181,10 +181,12 @@ class LightField:
     torch.Size([1, 1, 32, 48])
     """
 
+    plane: torch.Tensor | None
+
     def __init__(self, views: torch.Tensor, rays: torch.Tensor | Sequence[Sequence[float]], plane: float | None = None):
         views = checked_intensities("views", floating("views", views)).detach()
-        self.views = views[:, None] if views.ndim == 3 else views
-        self.rays = tensor("rays", rays, torch.float64).detach().cpu()
+        self.views: torch.Tensor = views[:, None] if views.ndim == 3 else views
+        self.rays: torch.Tensor = tensor("rays", rays, torch.float64).detach().cpu()
         if self.views.ndim != 4 or tuple(self.rays.shape) != (len(self.views), 2):
             raise ValueError(
                 "rays must be [V, 2] for views [V, rows, columns] or [V, C, rows, columns], got "
@@ -273,14 +275,15 @@ class Moved:
     """
 
     def __init__(self, pictures: torch.Tensor, shifts: torch.Tensor):
-        self.size = pictures.shape[-2:]
+        self.size: torch.Size = pictures.shape[-2:]
         # Further away there is nothing but the rim.
         most = torch.tensor(self.size, dtype=torch.float64)
         shifts = shifts.clamp(-most, most)
         reach = math.ceil(float(shifts.abs().max())) + 1
-        self.wide = torch.nn.functional.pad(pictures, [reach] * 4, mode="replicate")
+        self.wide: torch.Tensor = torch.nn.functional.pad(pictures, [reach] * 4, mode="replicate")
         first = (reach - shifts).floor()
-        self.first, self.share = first.long().tolist(), (reach - shifts - first).tolist()
+        self.first: list[list[list[int]]] = first.long().tolist()
+        self.share: list[list[list[float]]] = (reach - shifts - first).tolist()
 
     def __call__(self, ray: int, layer: int) -> torch.Tensor:
         """Return a picture as one of the rays shifts it, ``[C, rows, columns]``."""

@@ -163,6 +163,11 @@ class multi_color_hologram_optimizer(Prepared):
     (torch.Size([3, 32, 32]), torch.Size([3, 1, 3, 32, 32]), torch.Size([3, 3]))
     """
 
+    parameters: dict[str, torch.Tensor]
+    learning_rates: Callable[[int], float]
+    phase: torch.Tensor
+    phase_offset: torch.Tensor
+
     _title = "multi-colour hologram"
     # An offset for each frame, of phases that keep their mean; scales of the roughness.
     _offset_of_frames, _levels = True, 6
@@ -221,11 +226,13 @@ class multi_color_hologram_optimizer(Prepared):
             warn("scheduler_power has no effect: the learning rate falls along a cosine", ArgumentWarning)
         _validate.instance("propagator", propagator, propagator_type, "an odak.learn.wave.propagator")
         device = checked_device("device", device)
-        self.propagator = propagator if device is None else propagator.to(device)
+        self.propagator: propagator_type = propagator if device is None else propagator.to(device)
         self.device: torch.device = propagator.device
-        self.number_of_frames, self.number_of_depth_layers = number_of_frames, number_of_depth_layers
-        self.wavelengths = list(_validate.several("wavelengths", wavelengths, positive=True))
-        self.resolution, self.scale_factor = list(_validate.size("resolution", resolution)), scale_factor
+        self.number_of_frames: int = number_of_frames
+        self.number_of_depth_layers: int = number_of_depth_layers
+        self.wavelengths: list[Any] = list(_validate.several("wavelengths", wavelengths, positive=True))
+        self.resolution: list[int] = list(_validate.size("resolution", resolution))
+        self.scale_factor: int = scale_factor
         self.method: str = power_method(method).replace(" ", "_")
         self._check_display()
         shape = (self.number_of_depth_layers, len(self.wavelengths), *propagator.field_shape)
@@ -233,14 +240,15 @@ class multi_color_hologram_optimizer(Prepared):
             targets = targets.expand(-1, shape[1], -1, -1)
         self.targets: torch.Tensor = checked_targets(targets, shape).to(self.device)
         self.double_phase: bool = _validate.flag("double_phase", double_phase)
-        self.learning_rate = _validate.real("learning_rate", learning_rate, positive=True)
+        self.learning_rate: float = _validate.real("learning_rate", learning_rate, positive=True)
         if min_learning_rate is None:
             min_learning_rate = learning_rate / 100 if self._lowest_rate is None else self._lowest_rate
-        self.min_learning_rate = _validate.real("min_learning_rate", min_learning_rate)
+        self.min_learning_rate: float = _validate.real("min_learning_rate", min_learning_rate)
         self.channel_power_filename = channel_power_filename
         self._peak = peak_amplitude
         self.optimize_peak_amplitude: bool = _validate.flag("optimize_peak_amplitude", optimize_peak_amplitude)
-        self.img_loss_thres, self.camera = img_loss_thres, _validate.function_or_none("camera", camera)
+        self.img_loss_thres: float = img_loss_thres
+        self.camera: Callable[..., Any] | None = _validate.function_or_none("camera", camera)
         self.options: Run = Run(
             progress=progress, callback=callback, checkpoint=checkpoint, checkpoint_every=checkpoint_every
         )
@@ -298,7 +306,7 @@ class multi_color_hologram_optimizer(Prepared):
         # On the CPU, so that a seed gives the same start on every device.
         return draw(shape, generator=self._generator, dtype=self.targets.dtype)
 
-    def _leaf(self, values):
+    def _leaf(self, values: torch.Tensor) -> torch.Tensor:
         return values.to(self.device).requires_grad_()
 
     def init_channel_power(self) -> None:
@@ -460,7 +468,7 @@ class multi_color_hologram_optimizer(Prepared):
         reduction : {"sum", "mean"}
             Reduction over planes and pixels, default "sum".
         """
-        self.loss_function = _validate.function_or_none("loss_function", loss_function)
+        self.loss_function: Callable[..., Any] | None = _validate.function_or_none("loss_function", loss_function)
         self.reduction: str = _validate.one_of("reduction", reduction, ("sum", "mean"))
         if loss_function is not None:
             self._loss_keywords = keywords_of(loss_function)
@@ -735,7 +743,7 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
     _offset_of_frames, _levels = False, 1
     _lowest_rate, _falling = _LOWEST_MIXED, staticmethod(linear)
 
-    __signature__ = _older_signature()
+    __signature__: inspect.Signature = _older_signature()
 
     @property
     def learning_rate_floor(self) -> float:

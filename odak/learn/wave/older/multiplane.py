@@ -147,7 +147,7 @@ class multiplane_hologram_optimizer(Prepared):
     ):
         self.number_of_planes: int = _validate.integer("number_of_planes", number_of_planes, minimum=1)
         self.number_of_iterations: int = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
-        self.learning_rate = _validate.real("learning_rate", learning_rate, positive=True)
+        self.learning_rate: float = _validate.real("learning_rate", learning_rate, positive=True)
         _validate.real("wavelength", wavelength, positive=True)
         checked_pitch("slm_pixel_pitch", slm_pixel_pitch)
         for name, length in (
@@ -174,7 +174,8 @@ class multiplane_hologram_optimizer(Prepared):
             aperture=aperture,
             aperture_size=aperture_size,
         )
-        self.device, self.slm_resolution = self.propagator.device, self.propagator.resolution
+        self.device: torch.device = self.propagator.device
+        self.slm_resolution: list[int] = self.propagator.resolution
         shape = tuple(self.slm_resolution)
         self._pattern_shape = shape if self.number_of_frames == 1 else (self.number_of_frames, *shape)
         if isinstance(targets, torch.Tensor):
@@ -217,7 +218,7 @@ class multiplane_hologram_optimizer(Prepared):
             1 rad.
         """
         self.phase = self._values("phase_initial", phase_initial, self._pattern_shape, self._drawn).requires_grad_()
-        self.offset = self._values("offset", None, self._pattern_shape, self._drawn).requires_grad_()
+        self.offset: torch.Tensor = self._values("offset", None, self._pattern_shape, self._drawn).requires_grad_()
 
     def _drawn(self, shape, dtype):
         # On the CPU, so that a seed gives the same start on every device.
@@ -228,7 +229,7 @@ class multiplane_hologram_optimizer(Prepared):
 
     def init_optimizer(self) -> None:
         """Collect the parameters."""
-        self.parameters = {"phase": self.phase, "offset": self.offset}
+        self.parameters: dict[str, torch.Tensor] = {"phase": self.phase, "offset": self.offset}
 
     def init_loss_function(self, loss_function: Callable[..., Any] | None = None, reduction: str = "mean") -> None:
         """Set the loss function of a plane.
@@ -240,7 +241,7 @@ class multiplane_hologram_optimizer(Prepared):
         reduction : {"mean", "sum", "none"}
             Reduction of the squared error, default "mean".
         """
-        self.loss_function = _validate.function_or_none("loss_function", loss_function)
+        self.loss_function: Callable[..., Any] | None = _validate.function_or_none("loss_function", loss_function)
         self._seeded, self._drawn_from = seeded_loss(loss_function, self._generator.initial_seed(), self.device)
         reduction = _validate.one_of("reduction", reduction, ("mean", "sum", "none"))
         self.l2_loss: torch.nn.MSELoss = torch.nn.MSELoss(reduction=reduction)

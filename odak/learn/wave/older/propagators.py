@@ -296,10 +296,12 @@ class propagator(display_volume):
         self.vaccination = _validate.flag("vaccination", vaccination)
         self.vaccination_scale = _validate.real("vaccination_scale", vaccination_scale)
         self._generator = None if seed is None else generator_from(seed)
-        self.propagator_type, self.zero_mode_distance = kind, back_and_forth_distance
+        self.propagator_type: str = kind
+        self.zero_mode_distance: float = back_and_forth_distance
         self.volume_depth = volume_depth
         self.number_of_frames: int = _validate.integer("number_of_frames", number_of_frames, minimum=1)
-        self.method, self.slm = power_method(method), slm
+        self.method: str = power_method(method)
+        self.slm: torch.nn.Module | None = slm
         if not has_stop and self._has_kernels:
             warn(_RELEASED_STOP, ArgumentWarning, once=True)
         self.set_aperture(aperture, aperture_size, iris_radius=iris_radius, iris_focal_length=iris_focal_length)

@@ -204,7 +204,8 @@ class display_volume(Prepared, torch.nn.Module):
         *("aperture_samples", "field_shape", "padded_shape"),
     )
     _follow = dict.fromkeys(("volume_depth", "number_of_depth_layers", "image_location_offset"), "init_distances")
-    vaccination, vaccination_scale = False, 0.0
+    vaccination: bool = False
+    vaccination_scale: float = 0.0
     memory_budget: int | None = None
     volume_depth: float
     aperture: torch.Tensor
@@ -232,7 +233,7 @@ class display_volume(Prepared, torch.nn.Module):
     ):
         super().__init__()
         self.resolution: list[int] = list(_validate.size("resolution", resolution))
-        self.wavelengths = _checked_wavelengths(wavelengths)
+        self.wavelengths: list[float | torch.Tensor] = _checked_wavelengths(wavelengths)
         self.number_of_channels: int = len(self.wavelengths)
         self.pixel_pitch: float = checked_pitch("pixel_pitch", pixel_pitch)
         self.number_of_depth_layers: int = len(distances)
@@ -712,7 +713,9 @@ class holographic_display(display_volume):
             linear=pad[1],
         )
         self._need_kernels()
-        self.volume_depth, self.pinhole_size, self.pad = volume_depth, pinhole_size, pad
+        self.volume_depth: float = volume_depth
+        self.pinhole_size: float = pinhole_size
+        self.pad: list[bool] = pad
         self.init_aperture()
         self.init_amplitude(illumination)
         if device is not None:
