@@ -239,23 +239,17 @@ class display_model(Prepared, torch.nn.Module):
             self._grid(registration, iris)
         else:
             self._focal_grid(registration, reach)
-        sizes = {
-            "brightness": 1,
+        sizes = dict.fromkeys(PRIORS, 1) | {
             "lut": nodes - 1,
             "response": len(self._smooth),
             "source": len(self._powers),
             "aberration": len(self.modes),
-            "distance": 1,
-            "fringing": 1,
+            "gap": 2,
             "reflection": 2,
             "alignment": 9,
-            "aperture": 1,
-            "offset": 1,
         }
-        sizes |= {"fill": 1} if self._parts > 1 else {}
-        sizes |= {"gap": 2} if samples_per_pixel is None else {}
-        sizes |= {"iris": 1} if iris is not None else {}
-        self.physical: list[str] = [name for name in PRIORS if name in sizes]
+        there = {"fill": self._parts > 1, "gap": samples_per_pixel is None, "iris": iris is not None}
+        self.physical: list[str] = [name for name in PRIORS if there.get(name, True)]
         self._priors = dict(PRIORS)
         # Gaps reflect with phase 0. Fringing fields act within square pixels too: a model that nothing is known of has
         # next to none.

@@ -417,8 +417,7 @@ def get_seperable_impulse_response_fresnel_kernel(
     for name, value in (("dx", down), ("dx", across), ("wavelength", wavelength), ("distance", distance)):
         if getattr(value, "ndim", 0) or isinstance(value, (list, tuple)):
             raise ValueError(f"{name} must be one number, got {value!r:.80}")
-    if 0 in _validate.numbers(_validate.real("distance", distance)):
-        raise ValueError("distance must not be zero for 'Seperable Impulse Response Fresnel'")
+    _validate.real("distance", distance, nonzero=True)
     samples, device = sample_counts(aperture_samples, "aperture_samples"), checked_device("device", device)
     grid = transfer_functions.make_grid(
         nu, nv, dx, wavelength, distance, scale, samples, xp=torch_namespace, device=device, dtype=dtype

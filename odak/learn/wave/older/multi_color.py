@@ -2,6 +2,7 @@
 
 import functools
 import inspect
+import itertools
 import math
 import os
 from collections.abc import Callable, Sequence
@@ -592,35 +593,33 @@ class multi_color_hologram_optimizer(Prepared):
         phases, phase_loss = self._pattern()
         amplitude = torch.relu(self.amplitude) if self.amplitude.requires_grad else None
         powers = self.propagator.get_laser_powers()
-        roots = [self.propagator.holograms(phases, amplitude)] + ([powers] if powers.requires_grad else [])
-        # The graphs of planes end here, so that each chunk is released once its gradients have been added.
-        leaves = [root.detach().requires_grad_() for root in roots]
-        total = self._image_gradient(phases, leaves[0], leaves[1] if powers.requires_grad else powers, iteration == 0)
-        rest = self._other_losses(phases, phase_loss, powers)
-        reached = [(root, leaf.grad) for root, leaf in zip(roots, leaves, strict=True) if leaf.grad is not None]
-        if rest is not None and rest.requires_grad:
-            reached.append((rest, None))
-        if not reached:
+        hologram = self.propagator.holograms(phases, amplitude)
+        images = self._image_losses(phases, hologram, powers, iteration == 0)
+        total, learned = torch.zeros_like(self.peak_amplitude), False
+        for loss in itertools.chain(images, self._other_losses(phases, phase_loss, powers)):
+            if loss.requires_grad:
+                # Of each chunk of planes only its own graph is let go, once its gradients have been added.
+                loss.backward(retain_graph=True)
+                learned = True
+            total += loss.detach()
+        if not learned:
             raise ValueError(f"weights leave nothing to learn from, got {self.weights}")
-        torch.autograd.backward(*zip(*reached, strict=True))
-        return total if rest is None else total + rest.detach()
+        return total
 
-    def _image_gradient(self, phases, hologram, powers, first):
+    def _image_losses(self, phases, hologram, powers, first):
+        """Yield the loss of the images of each chunk of planes."""
         captured = None if self.camera is None else captured_by(self.camera, phases, tuple(self.targets.shape))
         if self.optimize_peak_amplitude and first:
             with torch.no_grad():
                 shown = self._images(hologram, powers, captured)
                 self._set_peak([_overlap(images, self.targets[planes]) for planes, images in shown])
-        total, light = torch.zeros_like(self.peak_amplitude), []
+        light = []
         for planes, images in self._images(hologram, powers, captured):
-            loss = self.weights["image"] * self._image_loss(images, planes)
-            loss.backward()
-            total += loss.detach()
+            yield self.weights["image"] * self._image_loss(images, planes)
             if self.optimize_peak_amplitude:
                 light.append(_overlap(images.detach(), self.targets[planes]))
         if light:
             self._set_peak(light)
-        return total
 
     def _images(self, hologram, powers, captured):
         """Yield some planes and their intensities, until all were there."""
@@ -648,15 +647,13 @@ class multi_color_hologram_optimizer(Prepared):
         return share * sum(losses) / (len(losses) if self.reduction == "mean" else 1)
 
     def _other_losses(self, phases, phase_loss, powers):
-        losses = []
+        """Yield the losses of powers and patterns."""
         if self.weights["light"] and powers.requires_grad:
-            loss = light_loss(powers, self.targets, self._peak, self.reduction)
-            losses.append(self.weights["light"] * loss)
+            yield self.weights["light"] * light_loss(powers, self.targets, self._peak, self.reduction)
         if self.weights["eyebox"]:
-            losses.append(self.weights["eyebox"] * self.eyebox_constrain(phases, **self._eyebox))
+            yield self.weights["eyebox"] * self.eyebox_constrain(phases, **self._eyebox)
         if phase_loss is not None:
-            losses.append(self.weights["phase"] * phase_loss)
-        return sum(losses) if losses else None
+            yield self.weights["phase"] * phase_loss
 
 
 def _overlap(images, targets):

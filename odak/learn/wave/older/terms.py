@@ -110,8 +110,7 @@ def checked_eyebox(eyebox: dict[str, Any] | None) -> dict[str, Any]:
     """Return offset and diameter of an eyebox in samples, the usual ones where they are not given."""
     usual = {"offset": 0.0, "diameter": 100}
     _validate.instance("eyebox", eyebox, (dict, type(None)), "a dictionary of offset and diameter")
-    if unknown := set(map(str, eyebox or {})) - set(usual):
-        raise ValueError(f"eyebox must contain offset and diameter, got {', '.join(sorted(unknown))}")
+    _validate.known("eyebox", eyebox or {}, usual)
     return usual | (eyebox or {})
 
 
