@@ -110,6 +110,9 @@ class multiplane_hologram_optimizer(Prepared):
         *("number_of_planes", "number_of_iterations", "propagator", "slm_resolution", "number_of_frames", "device"),
     )
     _follow = {"mask_limits": "init_mask"}  # noqa: RUF012
+    targets: torch.Tensor
+    amplitude: torch.Tensor
+    phase: torch.Tensor
 
     def __repr__(self) -> str:
         return _show.one_line(self, stop=self.propagator.stop)

@@ -293,8 +293,8 @@ class propagator(display_volume):
             aperture_samples=aperture_samples,
         )
         self.memory_budget = None if memory_budget is None else _validate.integer("memory_budget", memory_budget)
-        self.vaccination = _validate.flag("vaccination", vaccination)
-        self.vaccination_scale = _validate.real("vaccination_scale", vaccination_scale)
+        self.vaccination: bool = _validate.flag("vaccination", vaccination)
+        self.vaccination_scale: float = _validate.real("vaccination_scale", vaccination_scale)
         self._generator = None if seed is None else generator_from(seed)
         self.propagator_type: str = kind
         self.zero_mode_distance: float = back_and_forth_distance
