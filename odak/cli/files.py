@@ -447,51 +447,24 @@ def read_lut(path: str, bits: int) -> "numpy.ndarray":
     Parameters
     ----------
     path : str
-        Text: in each line the phase of a level in radians, in the order of the levels; or level and phase, separated
-        by a comma, a semicolon or white space. Lines that begin with # are left out.
+        Text: in each line the phase of a level in radians, in the order of the levels; or level and phase, as
+        :func:`odak.instruments.load_look_up_table` reads them. Lines that begin with # are left out.
     bits : int
         Bits per pixel: there must be 2^bits levels.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or does not hold a finite phase for each level; the message names the line.
+        If the file cannot be read, or does not hold a finite phase for each level.
     """
-    import numpy as np
+    from odak.instruments.maker_files import values_of_levels
 
-    file = Path(os.path.expanduser(path))
     try:
-        if file.stat().st_size > _LONGEST_LUT:
-            raise InputError(f"--lut {str(file)!r} is larger than {_LONGEST_LUT} bytes")
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
+        phases = values_of_levels(os.path.expanduser(path))
     except (OSError, ValueError) as error:
-        raise InputError(f"--lut {str(file)!r} cannot be read: {error}") from None
-    count = 1 << bits
-    phases = np.full(count, np.nan)
-    texts = [(number, line.strip()) for number, line in enumerate(lines, 1)]
-    for level, (number, line) in enumerate((number, line) for number, line in texts if line and line[0] != "#"):
-        words = line.replace(",", " ").replace(";", " ").split()
-        try:
-            place = int(words[0]) if len(words) == 2 else level
-            phase = float(words[-1])
-        except ValueError:
-            words = []
-        if (
-            len(words) not in (1, 2)
-            or not math.isfinite(phase)
-            or not 0 <= place < count
-            or phases[place] == phases[place]
-        ):
-            raise InputError(
-                f"--lut {str(file)!r}, line {number} must be the phase in radians of one level of 0 to {count - 1}, or "
-                f"level and phase, each level once; got {line[:60]!r}"
-            )
-        phases[place] = phase
-    if np.isnan(phases).any():
-        missing = int(np.isnan(phases).argmax())
-        raise InputError(
-            f"--lut {str(file)!r} must have {count} levels for --bits {bits}, but level {missing} is missing"
-        )
+        raise InputError(f"--lut: {error}") from None
+    if len(phases) != 1 << bits:
+        raise InputError(f"--lut {path!r} must have {1 << bits} levels for --bits {bits}, got {len(phases)}")
     return phases
 
 
@@ -568,9 +541,6 @@ def _close(one: Any, other: Any) -> bool:
     """Return whether two lengths, or tuples of lengths, are the same to a millionth."""
     pairs = [value if isinstance(value, tuple) else (value,) for value in (one, other)]
     return len(pairs[0]) == len(pairs[1]) and all(math.isclose(a, b, rel_tol=1e-6) for a, b in zip(*pairs, strict=True))
-
-
-_LONGEST_LUT = 1 << 24
 
 
 def stored_bits(path: Path | str) -> int:

@@ -94,8 +94,8 @@ def load_look_up_table(path: str | os.PathLike[str]) -> np.ndarray:
     Parameters
     ----------
     path : str or os.PathLike
-        Text (``.lut``, ``.csv``, ``.txt``) with a level and its value in each line, or the value alone, parted by
-        commas, semicolons, tabs or spaces. A first line that does not begin with a number is a title.
+        Text (``.lut``, ``.csv``, ``.txt``) with a level and its value in each line, levels in any order, or the value
+        alone, parted by commas, semicolons, tabs or spaces. A first line that does not begin with a number is a title.
 
     Returns
     -------
@@ -107,7 +107,7 @@ def load_look_up_table(path: str | os.PathLike[str]) -> np.ndarray:
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it cannot be read, or its levels are not 0, 1, 2 …; the message names it.
+        If it cannot be read, or its levels are not 0, 1, 2 … up to some, each once; the message names it.
 
     Examples
     --------
@@ -120,12 +120,16 @@ def load_look_up_table(path: str | os.PathLike[str]) -> np.ndarray:
     ...     load_look_up_table(name).tolist()
     [2047.0, 1983.0, 1920.0]
     """
-    found = validate_path(path, TEXTS)
-    table = _table(found, titled=False)
-    *first, values = table.T
-    if len(first) > 1 or not np.isfinite(values).all() or (first and (first[0] != np.arange(len(values))).any()):
-        raise ValueError(f"{found!r} must hold lines of a level, 0, 1, 2 …, and a finite value, or of a value alone")
-    return values
+    return values_of_levels(validate_path(path, TEXTS))
+
+
+def values_of_levels(path: str) -> np.ndarray:
+    """Return the values in a text, whatever its name; errors are those of :func:`load_look_up_table`."""
+    *first, values = _table(path, titled=False).T
+    levels = first[0] if first else np.arange(len(values))
+    if len(first) > 1 or not np.isfinite(values).all() or (np.sort(levels) != np.arange(len(values))).any():
+        raise ValueError(f"{path!r} must hold lines of a level, 0, 1, 2 …, and a finite value, or of a value alone")
+    return values[np.argsort(levels)]
 
 
 def _table(path: str, titled: bool) -> np.ndarray:

@@ -45,7 +45,8 @@ def test_look_up_tables(tmp_path):
     values = np.random.default_rng(0).uniform(0, 5, 256).round(3)
     (tmp_path / "a.lut").write_text("\n".join(f"{level}\t{value}" for level, value in enumerate(values)))
     (tmp_path / "b.csv").write_text("voltage\n" + "\n".join(map(str, values)))
-    for name in ("a.lut", "b.csv"):
+    (tmp_path / "c.txt").write_text("\n".join(f"{level}, {value}" for level, value in list(enumerate(values))[::-1]))
+    for name in ("a.lut", "b.csv", "c.txt"):
         assert np.array_equal(instruments.load_look_up_table(tmp_path / name), values)
 
 
@@ -68,7 +69,7 @@ def test_texts_that_are_no_corrections_are_refused_by_name(text, message, tmp_pa
         instruments.load_correction(tmp_path / "a.csv")
 
 
-@pytest.mark.parametrize("text", ["1 5\n2 6\n", "0 5 1\n1 6 1\n", "0 nan\n"])
+@pytest.mark.parametrize("text", ["1 5\n2 6\n", "0 5\n0 6\n", "0 5 1\n1 6 1\n", "0 nan\n"])
 def test_texts_that_are_no_look_up_tables_are_refused_by_name(text, tmp_path):
     (tmp_path / "a.lut").write_text(text)
     with pytest.raises(ValueError, match=r"a\.lut' must hold lines of a level, 0, 1, 2 …, and a finite value"):
