@@ -118,9 +118,10 @@ def _fresh_state():
 def small_judge(monkeypatch):
     """Judge holograms of small panels on smaller grids, where the accuracy of the judge is not what is tested.
 
-    As wide a grid as the judge has is compared with sums in learn/wave/test_observers.py.
+    As wide grids as the judge has are compared with sums in learn/wave/test_observers.py.
     """
     monkeypatch.setattr("odak.learn.wave.displays.judge._LEAST", 128)
+    monkeypatch.setattr("odak.learn.wave.displays.judge._AIRY", 16)
 
 
 @pytest.fixture

@@ -53,7 +53,7 @@ def test_operations_of_torch(dtype):
 def test_gradients_are_of_the_disturbed_numbers():
     x = torch.tensor(0.7, dtype=torch.float64, requires_grad=True)
     with disturbed.Disturbed(1):
-        assert torch.autograd.gradcheck(lambda x: (x.exp() * x.sin()).log(), x)
+        assert torch.autograd.gradcheck(lambda x: (x.exp() * x.sin()).log(), x, fast_mode=True)
 
 
 def test_calls_of_numpy():

@@ -212,9 +212,7 @@ def imported_anew():
         "import odak; print(odak.wave.wavenumber(1.0), odak.pi)\n"
         "from odak.learn.wave import training; from odak import _validate; print(training.__name__)\n"
         "print(odak.learn.wave.propagate_beam.__name__)\n"
-        "import odak.learn.raytracing.detector; print(type(odak.learn.raytracing.detector).__name__)\n"
-        "from odak.learn.wave import *\nkept = optimise\nfrom odak.learn.raytracing.system import *\n"
-        "print(optimise is kept, optical_system.__name__)"
+        "import odak.learn.raytracing.detector; print(type(odak.learn.raytracing.detector).__name__)"
     ).splitlines()
 
 
@@ -230,7 +228,7 @@ def test_numpy_under_its_older_name():
 
 
 def test_subpackages_load_on_use_and_homonymous_classes_stay():
-    numbers, _, function, kind, _ = imported_anew()
+    numbers, _, function, kind = imported_anew()
     assert (numbers, function, kind) == ("6.283185307179586 3.141592653589793", "propagate_beam", "type")
 
 
@@ -304,7 +302,9 @@ def test_no_new_public_name_is_also_a_submodule_of_its_package():
 
 
 def test_star_imports_leave_names_as_they_are():
-    assert imported_anew()[-1] == "True optical_system"
+    names = {}
+    exec("from odak.learn.wave import *\nkept = optimise\nfrom odak.learn.raytracing.system import *", names)
+    assert names["optimise"] is names["kept"] and names["optical_system"].__name__ == "optical_system"
 
 
 def test_a_stub_of_names_holds_imports_alone(tmp_path):

@@ -113,7 +113,7 @@ def test_torch_gives_the_same_and_a_gradient():
     # The place of the edge is held, so a numerical gradient over single pixels would differ. Scaling does not move it.
     scale = torch.tensor([0.7, 0.1], dtype=torch.float64, requires_grad=True)
     through = lambda p: slanted_edge_mtf(p[0] * tensor.detach() ** 2 + p[1]).edge_spread  # noqa: E731
-    assert torch.autograd.gradcheck(through, (scale,))
+    assert torch.autograd.gradcheck(through, (scale,), fast_mode=True)
     (slope,) = torch.autograd.grad(theirs.mtf[5], tensor)
     assert torch.isfinite(slope).all() and slope.abs().max() > 0
 

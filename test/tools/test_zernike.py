@@ -101,7 +101,7 @@ def test_outside_the_disc_it_is_zero_and_so_is_its_gradient():
 def test_gradients_in_radius_and_angle(mode):
     rho = torch.tensor([0.1, 0.4, 0.9], dtype=torch.float64, requires_grad=True)
     theta = torch.tensor([0.3, -2.0, 1.0], dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda r, t: zernike_polynomial(*mode, r, t), (rho, theta))
+    assert torch.autograd.gradcheck(lambda r, t: zernike_polynomial(*mode, r, t), (rho, theta), fast_mode=True)
 
 
 def test_libraries_agree(as_array, random):

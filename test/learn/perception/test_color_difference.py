@@ -73,8 +73,8 @@ def test_gradients():
     first = colours(slice(0, 3))[17:30].requires_grad_()
     second = colours(slice(3, 6))[17:30]
     second = (second + 0.25 * torch.arange(3, dtype=torch.float64)[:, None, None]).requires_grad_()
-    assert torch.autograd.gradcheck(ciede2000, (first, second))
-    assert torch.autograd.gradcheck(delta_e, (first, second))
+    assert torch.autograd.gradcheck(ciede2000, (first, second), fast_mode=True)
+    assert torch.autograd.gradcheck(delta_e, (first, second), fast_mode=True)
 
 
 def test_delta_e_is_the_distance():

@@ -38,7 +38,7 @@ def test_values_between_the_knots():
     frequency = torch.tensor([0.3, 3.0, 30.0], dtype=torch.float64, requires_grad=True)
     luminance = torch.tensor([[0.5], [700.0]], dtype=torch.float64, requires_grad=True)
     assert castle_contrast_sensitivity(frequency, luminance).shape == (2, 3)
-    assert torch.autograd.gradcheck(castle_contrast_sensitivity, (frequency, luminance))
+    assert torch.autograd.gradcheck(castle_contrast_sensitivity, (frequency, luminance), fast_mode=True)
     assert castle_contrast_sensitivity(1e-3).item() == castle_contrast_sensitivity(0.1).item()
     assert (
         castle_contrast_sensitivity(torch.tensor(200.0)).item()

@@ -113,7 +113,7 @@ def test_gradients_are_finite_and_right(function):
             assert torch.isfinite(result).all()
             assert torch.isfinite(value.grad).all()
     inside = values(0.11, 0.3, 0.72, 0.9).requires_grad_()
-    assert torch.autograd.gradcheck(function, inside)
+    assert torch.autograd.gradcheck(function, inside, fast_mode=True)
     assert torch.autograd.gradgradcheck(function, inside)
 
 
@@ -134,7 +134,7 @@ def test_gradients_of_hlg_displays():
         function(black, 300).sum().backward()
         assert torch.isfinite(black.grad).all()
         signal = values(0.2, 0.5, 0.9).reshape(1, 3, 1, 1).requires_grad_()
-        assert torch.autograd.gradcheck(function, signal)
+        assert torch.autograd.gradcheck(function, signal, fast_mode=True)
 
 
 def test_refused():

@@ -77,7 +77,7 @@ def test_gradients_of_gradients(kind):
     def distance(values):
         return squared_distance(values, pool, mask, target)
 
-    assert torch.autograd.gradcheck(distance, bands)
+    assert torch.autograd.gradcheck(distance, bands, fast_mode=True)
     assert torch.autograd.gradgradcheck(distance, bands, fast_mode=True)
 
 

@@ -44,7 +44,7 @@ def test_memory_is_laid_out_by_rows():
 @pytest.mark.parametrize("stride", [1, 2])
 def test_derivatives_of_every_order(stride):
     image, taps = noise(1, 2, 9, 11).requires_grad_(), noise(2, 3, 3, seed=1) - 0.5
-    assert torch.autograd.gradcheck(lambda picture: correlate(picture, taps, stride), image)
+    assert torch.autograd.gradcheck(lambda picture: correlate(picture, taps, stride), image, fast_mode=True)
     assert torch.autograd.gradgradcheck(lambda picture: correlate(picture, taps, stride) ** 2, image, fast_mode=True)
 
 

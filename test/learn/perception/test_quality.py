@@ -105,8 +105,8 @@ def test_flat_pictures():
 
 def test_gradients():
     one, two = pictures(1, 13, 12)
-    assert torch.autograd.gradcheck(SSIM(), (one.requires_grad_(), two.requires_grad_()))
-    assert torch.autograd.gradcheck(PSNR(), (one, two))
+    assert torch.autograd.gradcheck(SSIM(), (one.requires_grad_(), two.requires_grad_()), fast_mode=True)
+    assert torch.autograd.gradcheck(PSNR(), (one, two), fast_mode=True)
     one, two = (picture.requires_grad_() for picture in pictures(176, 176))
     (gradient,) = torch.autograd.grad(MSSSIM()(one, two), one)
     direction = torch.randn(176, 176, dtype=torch.float64, generator=torch.Generator().manual_seed(1))

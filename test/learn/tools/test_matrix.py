@@ -31,8 +31,8 @@ def test_layouts(shape, padded):
 @pytest.mark.parametrize("dtype", [torch.float64, torch.complex128])
 def test_gradients(dtype):
     field = torch.rand(3, 5, dtype=dtype, generator=torch.Generator().manual_seed(0), requires_grad=True)
-    assert torch.autograd.gradcheck(lambda f: zero_pad(f, [6, 7]), field)
-    assert torch.autograd.gradcheck(lambda f: crop_center(f, [2, 3]), field)
+    assert torch.autograd.gradcheck(lambda f: zero_pad(f, [6, 7]), field, fast_mode=True)
+    assert torch.autograd.gradcheck(lambda f: crop_center(f, [2, 3]), field, fast_mode=True)
     batched = torch.func.vmap(zero_pad)(field.detach().expand(2, 3, 5))
     assert torch.equal(batched[1], zero_pad(field.detach()))
 
@@ -92,7 +92,7 @@ def test_gaussian_blur_layouts_and_gradient():
     assert blur_gaussian(field, [3, 3]).shape == (6, 7)
     assert blur_gaussian(field[0], [3, 3]).shape == (1, 6, 7)
     assert blur_gaussian(field.float(), [3, 3]).dtype == torch.float32
-    assert torch.autograd.gradcheck(lambda f: blur_gaussian(f, [3, 5], [1, 2]), field)
+    assert torch.autograd.gradcheck(lambda f: blur_gaussian(f, [3, 5], [1, 2]), field, fast_mode=True)
     # A kernel wider than the picture still fits, as there are zeros around.
     assert blur_gaussian(torch.ones(2, 2), [21, 21], keep_sum=True).shape == (2, 2)
 

@@ -147,6 +147,7 @@ def test_gradients_batches_and_precision():
     torch.testing.assert_close(single(many.float()), display(many).float(), rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.usefixtures("small_judge")
 def test_hologram_for_several_eyes_in_two_colours():
     picture = torch.zeros(48, 54)
     picture[10:38, 12:40], picture[20:30, 20:30] = 1.0, 0.2

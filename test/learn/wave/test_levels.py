@@ -160,7 +160,7 @@ def test_tables_colours_planes_and_phase_scales():
     )
     for display in (tabled, scaled):
         target = torch.stack([torch.stack([picture(12, 16, seed=2 * d + c) for c in range(2)]) for d in range(2)])
-        searched = optimise(display, target, run=quick(30))
+        searched = optimise(display, target, run=quick(12))
         start = optimise(display, target, run=quick(2))
         assert float(searched.psnr.mean()) > float(start.psnr.mean()) + 0.5
         problem = Problem(display, target, torch.nn.functional.mse_loss, searched.phases, quick(9))

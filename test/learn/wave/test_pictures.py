@@ -214,9 +214,9 @@ def test_files_of_linear_light_are_not_decoded(monkeypatch):
 def test_gradients_and_batches():
     sources = (600e-9, 560e-9, 480e-9)
     picture = (inner_picture()[:, :2, :2] - 0.35).requires_grad_()
-    assert torch.autograd.gradcheck(lambda p: light_of(p, sources).targets, picture)
+    assert torch.autograd.gradcheck(lambda p: light_of(p, sources).targets, picture, fast_mode=True)
     images = torch.rand(2, 3, 2, 2, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda i: picture_of(0.9 * i, sources), images)
+    assert torch.autograd.gradcheck(lambda i: picture_of(0.9 * i, sources), images, fast_mode=True)
     assert picture_of(images, sources).shape == (2, 3, 2, 2)
     assert picture_of(torch.rand(2, 1, 4, 5), 532e-9).shape == (2, 3, 4, 5)
     assert light_of(torch.rand(3, 4, 5), SOURCES).targets.dtype == torch.float32

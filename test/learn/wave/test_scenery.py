@@ -25,6 +25,8 @@ from odak.learn.wave import (
 )
 from odak.learn.wave.displays import judge
 
+pytestmark = pytest.mark.usefixtures("small_judge")
+
 WAVELENGTH, PITCH, DISTANCE = 532e-9, 8e-6, 0.1
 OFF = [(0.0, 0.0), (0.4e-3, -0.9e-3), (-0.7e-3, 0.5e-3)]
 
@@ -208,9 +210,9 @@ def found():
     scene, run = DepthScene(0.1 + 0.9 * picture, depth), Run(25, progress=False, seed=0)
     panel = Modulator(size, PITCH, None)
     eyes = Eyes.within(DISTANCE, 2e-3, 9, 2e-3)
-    field = optimise(Display(panel, WAVELENGTH, eyes, frames=4, iris=None), scene, run=run)
-    # What the judge states of the plane of the panel is not looked at.
-    with mock.patch.object(judge, "_LEAST", 128):
+    # What the judge states of them is not looked at.
+    with mock.patch.object(judge, "_LEAST", 128), mock.patch.object(judge, "_AIRY", 16):
+        field = optimise(Display(panel, WAVELENGTH, eyes, frames=4, iris=None), scene, run=run)
         flat = optimise(Display(panel, WAVELENGTH, 1e-3, frames=4, iris=None), 0.1 + 0.9 * picture, run=run)
     return scene, field, flat
 

@@ -14,6 +14,7 @@ from odak.wave.methods import PROPAGATION_TYPES
 
 PITCH, SIZE = 8e-6, (64, 80)
 COLOURS = [639e-9, 515e-9, 473e-9]
+pytestmark = pytest.mark.usefixtures("small_judge")
 # N·dx²/λ of the shorter side: where kernels sampled on the padded grid wrap around most.
 CRITICAL = SIZE[0] * PITCH**2 / COLOURS[1]
 IRIS = {"iris_radius": 2.5e-3, "iris_focal_length": 0.1}

@@ -86,7 +86,7 @@ RESULTS = {
     "simulate_image": picture,
     "distortion": lambda lens: distortion(lens).sum(),
     "illumination": lambda lens: relative_illumination(lens, 6).sum(),
-    "illumination, aimed": lambda lens: relative_illumination(lens, 6, aim="real").sum(),
+    "illumination, aimed": lambda lens: relative_illumination(lens, 4, aim="real").sum(),
     "seidel": lambda lens: seidel_sums(lens).seidel.sum(),
     "paraxial": lambda lens: paraxial_rays(lens).chief_height.sum() + first_order(lens).image_distance,
 }
