@@ -243,7 +243,9 @@ class PooledModel:
         with torch.no_grad():
             values = [value.transpose(0, 1).flatten(1) for _, value in self._pooled(pictures)]
         floor = math.sqrt(POWER_FLOOR)
-        scaled._units = [one.std(1).clamp_min(floor)[:, None, None] for one in values]
+        # No pixel may lie around the gaze.
+        deviations = [one.std(1) if one.numel() else one.new_ones(len(one)) for one in values]
+        scaled._units = [one.clamp_min(floor)[:, None, None] for one in deviations]
         scaled._units[0] = scaled._units[0][..., 0]
         return scaled
 
@@ -311,7 +313,7 @@ class PooledModel:
             means, areas = _overlapping(along, around.flatten() / (2 * math.pi), counts, self.window)
             weights = (areas / areas.mean()).sqrt()[:, None]
             inside = (distance < math.radians(self.fovea)).flatten()
-            return Windows(means.to(like.dtype).to(like.device), weights.to(like), inside.to(like.device))
+            return Windows(means.to(like.dtype), weights.to(like), inside.to(like.device))
 
 
 class Windows:
@@ -320,7 +322,7 @@ class Windows:
     Parameters
     ----------
     means : torch.Tensor
-        Sparse ``[K, H·W]``, the weights of the pixels of each window adding up to one.
+        Sparse ``[K, H·W]`` on the CPU, the weights of the pixels of each window adding up to one.
     weights : torch.Tensor
         By which the statistics of each window count ``[K, 1]``, the root of its area, 1 in the quadratic mean.
     inside : torch.Tensor
@@ -331,15 +333,12 @@ class Windows:
         self.means: torch.Tensor = means
         self.weights: torch.Tensor = weights
         self.inside: torch.Tensor = inside
-        self._tables = [_table(one) for one in (means, means.t().coalesce())]
+        matrices = means, means.t().coalesce()
+        self._tables = [[part.to(weights.device) for part in _table(one)] for one in matrices]
 
     def __call__(self, values: torch.Tensor) -> torch.Tensor:
         """Return the means ``[B, N, K, 1]`` of values ``[B, N, H, W]``."""
-        planes = values.flatten(2).flatten(0, 1)
-        if _torch_private.is_plain_on_cpu(values):
-            found = _pooled(planes, self._tables, False)
-        else:
-            found = torch.sparse.mm(self.means, planes.T).T
+        found = _pooled(values.flatten(2).flatten(0, 1), self._tables, False)
         return found.reshape(*values.shape[:2], -1, 1)
 
 
@@ -362,6 +361,15 @@ class _Pooled(torch.autograd.Function):
     @staticmethod
     def backward(context, gradient):
         return _pooled(gradient, context.tables, not context.adjoint), None, None
+
+    @staticmethod
+    def jvp(context, tangent, *_):
+        return _pooled(tangent, context.tables, context.adjoint)
+
+    @staticmethod
+    def vmap(info, in_dims, planes, tables, adjoint):
+        planes = planes.movedim(in_dims[0], 0)
+        return _pooled(planes.flatten(0, 1), tables, adjoint).unflatten(0, planes.shape[:2]), 0
 
 
 _pooled = _torch_private.operator(_Pooled)

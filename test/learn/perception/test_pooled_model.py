@@ -6,6 +6,7 @@ import math
 import pytest
 import torch
 
+from odak._torch_private import forward_derivative
 from odak._warnings import ConvergenceWarning
 from odak.learn.perception import (
     METAMER_PAPERS,
@@ -164,6 +165,9 @@ def test_windows_and_their_adjoint_are_the_sparse_matrix(kind):
     # The gradient is linear in the weights, and its derivative is the product with the matrix again.
     (again,) = torch.autograd.grad((slope * values).sum(), weights)
     torch.testing.assert_close(again, found)
+    # Forward mode, and a batch of torch.func.
+    torch.testing.assert_close(forward_derivative(pool, values.detach(), values.detach())[1], found)
+    torch.testing.assert_close(torch.func.vmap(pool)(values.detach()[:, None])[:, 0], found)
 
 
 def test_statistics_over_their_deviations_have_no_unit():
@@ -177,6 +181,9 @@ def test_statistics_over_their_deviations_have_no_unit():
         torch.testing.assert_close(one, units[-1] * two)
     luminance = model.pool(pictures)(pictures)
     assert float(units[1]) == pytest.approx(float(luminance.std()), rel=1e-9)
+    # A gaze outside of the picture has no pixels around it.
+    beside = PooledModel("luminance", 0.5, Viewing(0.4, 0.7, gaze=(-0.5, 0.5))).over_deviations(pictures)
+    assert beside(pictures)[0].shape == (6, 1, 0) and bool(beside(pictures)[1].isfinite().all())
     # Pictures of half the contrast are twice as far from one another.
     for one, two in zip(scaled(pictures)[:3], half(pictures)[:3], strict=True):
         torch.testing.assert_close(2 * one, two)
