@@ -60,6 +60,7 @@ def test_retinal_image_equals_sums_over_the_areas_of_cells(cells, place):
     assert relative(seen, summed(np.exp(1j * phase.numpy()), 0.8, mask, place, 2e-3)) < 0.02
 
 
+@pytest.mark.usefixtures("small_judge")
 @pytest.mark.parametrize("ends", [DISTANCE, Lens(0.04, 0.035, 0.025)])
 def test_judge_agrees(ends):
     eyes = Eyes(ends, [(0.0, 0.4e-3), (3e-3, -4e-3)], 1.5e-3, 0.075)

@@ -124,6 +124,7 @@ def test_eyepiece_shows_the_panel_at_its_image():
     ],
 )
 @pytest.mark.parametrize(("iris", "n", "bound"), [(None, N, 2e-3), ("order", 120, 4e-3)])
+@pytest.mark.usefixtures("small_judge")
 def test_judge_agrees(eyes, iris, n, bound):
     display = eyed(eyes, 0.7, iris, n, wavelengths=[WAVELENGTH, 639e-9])
     phases = random_phase(2, n, n + 6)

@@ -71,9 +71,9 @@ def test_runs_come_near_the_best_of_all_patterns():
 def test_levels_are_better_than_rounded_phases(bits, frames, gain):
     display = Display(Modulator((24, 24), 8e-6, bits=bits), 532e-9, 2e-3, frames=frames)
     target = picture(24, 24)
-    searched = optimise(display, target, run=quick(80), observer=REGISTERED)
+    searched = optimise(display, target, run=quick(50), observer=REGISTERED)
     with pytest.warns(AccuracyWarning, match=rf"rounding to the {2**bits} levels of the panel costs \d+\.\d dB"):
-        rounded = optimise(display, target, solver="lbfgs", run=quick(60), observer=REGISTERED)
+        rounded = optimise(display, target, solver="lbfgs", run=quick(40), observer=REGISTERED)
     assert float(searched.psnr) > float(rounded.psnr) + gain
     assert set(searched.levels().unique().tolist()) <= set(range(2**bits))
 
@@ -124,8 +124,8 @@ def test_not_worse_than_rounding_at_the_same_iterations(bits):
     display, target = Display(Modulator((24, 32), 8e-6, bits=bits), 532e-9, 3e-3), picture(24, 32)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AccuracyWarning)
-        rounded = optimise(display, target, solver="lbfgs", run=quick(60))
-    searched = optimise(display, target, run=quick(60))
+        rounded = optimise(display, target, solver="lbfgs", run=quick(30))
+    searched = optimise(display, target, run=quick(30))
     assert float(searched.psnr) > float(rounded.psnr)
     assert rounded.gain_over_rounding is None and float(searched.gain_over_rounding) > 0
     assert f"{float(searched.gain_over_rounding):.1f} dB above rounding" in repr(searched)

@@ -272,8 +272,8 @@ def test_the_judge_is_right_behind_a_round_iris(random, shape, share, distance):
 @pytest.mark.parametrize("orders", [1, 3])
 def test_the_judge_is_right_behind_a_square_stop_and_of_nine_orders(random, orders, distance, monkeypatch):
     if orders == 3:
-        # On a grid half as wide it is right too.
-        monkeypatch.setattr(judge, "_LEAST", judge._LEAST // 2)
+        # On a grid a quarter as wide it is right too.
+        monkeypatch.setattr(judge, "_LEAST", judge._LEAST // 4)
     phases = random.uniform(0, 6, (32, 28))
     iris = "order" if orders == 1 else None
     display = Display(Modulator((32, 28), PITCH, bits=None), WAVELENGTH, distance, iris=iris)
@@ -283,8 +283,8 @@ def test_the_judge_is_right_behind_a_square_stop_and_of_nine_orders(random, orde
 
 
 def test_the_judge_holds_the_orders_asked_for_and_says_what_they_leave_out(random, monkeypatch):
-    # On a grid half as wide the judge is right too.
-    monkeypatch.setattr(judge, "_LEAST", judge._LEAST // 2)
+    # On a grid an eighth as wide the judge is right too.
+    monkeypatch.setattr(judge, "_LEAST", judge._LEAST // 8)
     phases = random.uniform(0, 6, (2, 12, 10)) * [[[0.1]], [[1.0]]]
     powers = torch.tensor([[0.3, 0.9], [0.7, 0.1]])
     display = Display(Modulator((12, 10), PITCH, bits=None), [WAVELENGTH, 639e-9], 2e-3, 2, powers, iris=None)
@@ -387,6 +387,7 @@ def test_images_and_their_judge_are_right_to_the_rim(random, sight, monkeypatch)
     if sight == "without a stop" or "panels" in sight:
         # They have many samples in a pixel: on a grid half as wide the judge is right too.
         monkeypatch.setattr(judge, "_LEAST", judge._LEAST // 2)
+    monkeypatch.setattr(judge, "_AIRY", 16)
     way, shape, *numbers = SIGHTS[sight]
     phases, amplitudes = random.uniform(0, 6, shape), random.uniform(0, 1, shape)
     display, seen = way(np.exp(1j * phases), amplitudes, *numbers)

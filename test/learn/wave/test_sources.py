@@ -110,6 +110,7 @@ ENDS = {
 }
 
 
+@pytest.mark.usefixtures("small_judge")
 @pytest.mark.parametrize("kind", ENDS)
 def test_judge_agrees(kind):
     # Of several wavelengths where that takes little time.
