@@ -613,6 +613,7 @@ def test_comparison_has_four_panels_with_scales(grey_file, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("sheets")
 @given(st.lists(st.text("abc MW_.", min_size=1, max_size=90), min_size=4, max_size=4), st.integers(4, 700))
 @settings(max_examples=30)
 def test_captions_stay_within_their_panels(captions, width):
