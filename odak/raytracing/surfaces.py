@@ -1135,16 +1135,22 @@ def _solved_by_numpy(start, direction, shape: Shape, aperture, select: str):
 
     from odak import _torch_private
 
-    dtype = tensors[0].dtype
-    plain = dtype in (torch.float32, torch.float64) and all(
-        value.dtype == dtype and value.device.type == "cpu" and is_readable(value) and value.numel() <= CHUNK
-        for value in tensors
-    )
-    if not plain or _torch_private.is_transformed(*tensors):
+    # The steps that follow carry the derivatives: forward ones of the iteration would be taken along for nothing.
+    given = _mapped(_torch_private.as_constant, given)
+    tensors = [value for value in _leaves(given) if is_torch(value)]
+    if _torch_private.is_wrapped(*tensors):
         return None
-    start, direction, aperture, parameters = _mapped(lambda value: value.detach().resolve_neg().numpy(), given)
-    found = _solved_arrays(start, direction, aperture, parameters, type(shape), select)
-    return tuple(torch.from_numpy(np.asarray(value)) for value in found)
+    with _torch_private.without_derivatives():
+        dtype = tensors[0].dtype
+        plain = dtype in (torch.float32, torch.float64) and all(
+            value.dtype == dtype and value.device.type == "cpu" and is_readable(value) and value.numel() <= CHUNK
+            for value in tensors
+        )
+        if not plain or _torch_private.is_transformed(*tensors):
+            return None
+        start, direction, aperture, parameters = _mapped(lambda value: value.detach().resolve_neg().numpy(), given)
+        found = _solved_arrays(start, direction, aperture, parameters, type(shape), select)
+        return tuple(torch.from_numpy(np.asarray(value)) for value in found)
 
 
 def _solved_arrays(start, direction, aperture, parameters, kind: type[Shape], select: str):

@@ -40,8 +40,9 @@ KEPT, ENDS = 8, 4096
 # its polynomials.
 CHARTED, CHART_RINGS, DEGREE = 200, 6, 8
 POWERS = [(i, n - i) for n in range(DEGREE + 1) for i in range(n + 1)]
-# Points this close to a spoke lie on it; beyond its end by as much as the smallest step of a continuation.
-ALONG, BEYOND = 2e-9, 1e-3
+# Smallest step of a continuation, as a part of its way, and along a spoke. Points this close to a spoke lie on it, and
+# beyond its end.
+LEAST, SHARP, ALONG, BEYOND = 2e-4, 4e-7, 2e-9, 1e-6
 # Spokes of the Gaussian quadrature for each of its rings. Steps along a spoke in which its clear parts are looked for,
 # and halvings by which their ends are found.
 SPOKES, STEPS, HALVINGS = 4, 48, 13
@@ -660,7 +661,8 @@ def _constant(value):
 def _is_plain(system, numbers: Prescription, pupil, points, fields) -> bool:
     """Return whether a search has nothing but tensors on the processor that no transform wraps."""
     image = [] if system.image is None else [*system.image.parameters(), *system.image.buffers()]
-    values = [points, fields, *image, *_values(numbers)]
+    # A transform wraps also what is made of plain numbers while it runs.
+    values = [points, fields, *image, *map(_constant, _values(numbers))]
     if isinstance(system.object_distance, torch.Tensor):
         values.append(system.object_distance)
     if not all(value.device.type == "cpu" for value in values):
@@ -714,20 +716,32 @@ def _search(system, given: tuple[Any, ...], wide: bool, known: tuple[Any, ...] |
     lost = held.reached & ~found
     single = known is not None and math.prod(shape[:-2]) == 1
     if single and bool(lost.any()):
-        flat = goals.reshape(*shape[-2:], 2)
         if held.ends is not None:
-            lost = lost & ~_past_ends(held.ends, flat, lost.reshape(shape[-2:])).reshape(shape)
-        # Of one system the innermost ray of each spoke comes first: where it is not found, neither are those behind.
-        first, behind = _innermost(flat, lost.reshape(shape[-2:]))
+            lost = lost & ~_past_ends(held.ends, goals.reshape(*shape[-2:], 2), lost.reshape(shape[-2:])).reshape(shape)
+        spokes = _Spokes(goals.reshape(*shape[-2:], 2))
     for part in ("first", "rest") if single else ("all",):
         if not bool(lost.any()):
             break
         # Those lost in any system of a batch, as fields of one ray each.
-        some = first if part == "first" else lost.flatten(0, -3).any(0)
-        fx, fy = (value.expand(shape)[..., some, None] for value in held[:2])
+        some = lost.flatten(0, -3).any(0)
+        share, least = torch.zeros((), dtype=x.dtype, device=x.device), LEAST
+        fx, fy = (value.expand(shape) for value in held[:2])
+        if single:
+            # Of one system the innermost ray of each spoke comes first: where it is not found, neither are those
+            # behind. It starts from the one before it.
+            inner, share, source = spokes.starts(found.reshape(shape[-2:]), some)
+            some = inner if part == "first" else some
+            near = source >= 0
+            fx, fy = (torch.where(near, a.flatten()[source], b) for a, b in ((x, fx), (y, fy)))
+            share, least = share[some][:, None], SHARP / (spokes.size * (1 - share))[some][:, None]
+        fx, fy = (value[..., some, None] for value in (fx, fy))
         ends, which = goals[..., some, :][..., None, :], fields.expand(*shape[-2:], 2)[some][:, None]
-        px, py, met, way = _continuation(errors, fx, fy, step, radius, lambda s, e=ends, w=which: (s[..., None] * e, w))
-        px, py, met, way = (value[..., 0] for value in (px, py, met, way))
+
+        def towards(s, e=ends, w=which, b=share):
+            return (b + s * (1 - b))[..., None] * e, w
+
+        px, py, met, way = _continuation(errors, fx, fy, step, radius, towards, least)
+        px, py, met, way = (value[..., 0] for value in (px, py, met, share + way * (1 - share)))
         better = met & lost[..., some]
         x[..., some], y[..., some] = (
             torch.where(better, px, x[..., some]),
@@ -737,7 +751,7 @@ def _search(system, given: tuple[Any, ...], wide: bool, known: tuple[Any, ...] |
         if single:
             held = held._replace(ends=_ends(held.ends, some.nonzero()[:, 0], ends.reshape(-1, 2), way, ~met))
         if part == "first":
-            lost = lost & ~found & behind(met.flatten()).reshape(shape)
+            lost = lost & ~found & spokes.of(some, met.flatten()).reshape(shape)
     if known is not None:
         _CHIEF_RAYS[known] = held
         if len(_CHIEF_RAYS) > KEPT:
@@ -759,32 +773,40 @@ def _ends(before: torch.Tensor | None, field, goals, way, stopped) -> torch.Tens
     size = goals.square().sum(-1, keepdim=True).sqrt()
     found = torch.cat([field[:, None].to(goals), goals / size, way.reshape(-1, 1) * size], -1)[stopped.flatten()]
     # Several rays of one spoke stop at the same place.
-    found = torch.cat([found[:, :3].round(decimals=9), found[:, 3:].round(decimals=3)], -1)
+    found = torch.cat([found[:, :3].round(decimals=9), found[:, 3:].round(decimals=7)], -1)
     return torch.unique(found if before is None else torch.cat([before, found]), dim=0)[-ENDS:]
 
 
-def _innermost(goals: torch.Tensor, lost: torch.Tensor) -> tuple[torch.Tensor, Callable[..., Any]]:
-    """Return which of the lost points ``[F, P, 2]`` of the stop are the innermost of their spokes.
+class _Spokes:
+    """Points ``[F, P, 2]`` of the stop as points of spokes of their fields."""
 
-    Also a function that takes which of these were found and returns all lost points on the spokes of those.
-    """
-    field, place = lost.nonzero().unbind(-1)
-    size = goals[field, place].square().sum(-1).sqrt()
-    spokes = torch.cat([field[:, None].to(goals), (goals[field, place] / size[:, None]).round(decimals=8)], -1)
-    kinds, spoke = torch.unique(spokes, dim=0, return_inverse=True)
-    number = len(kinds)
-    inner = size <= size.new_full((number,), torch.inf).scatter_reduce(0, spoke, size, "amin")[spoke]
-    first = torch.zeros_like(lost)
-    first[field, place] = inner
+    def __init__(self, goals: torch.Tensor):
+        self.size = goals.square().sum(-1).sqrt()
+        angle = torch.atan2(goals[..., 1], goals[..., 0]) + 7 * torch.arange(len(goals), device=goals.device)[:, None]
+        kinds, self.spoke = torch.unique(angle.round(decimals=8), return_inverse=True)
+        self.number = len(kinds)
 
-    def on_spokes(met: torch.Tensor) -> torch.Tensor:
-        held = torch.zeros(number, dtype=torch.bool, device=met.device)
-        held[spoke[inner][met]] = True
-        found = torch.zeros_like(lost)
-        found[field, place] = held[spoke]
-        return found
+    def starts(self, found: torch.Tensor, lost: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return the innermost lost points, and for all points where a continuation starts.
 
-    return first, on_spokes
+        That is the last point found before the first lost one: at which share of the way from the centre of the stop
+        it lies, and its place among all points; 0 and -1 where there is none.
+        """
+        size, spoke = self.size, self.spoke
+        first = size.new_full((self.number,), torch.inf).scatter_reduce(0, spoke[lost], size[lost], "amin")[spoke]
+        before = found & (size < first)
+        last = size.new_zeros(self.number).scatter_reduce(0, spoke[before], size[before], "amax")[spoke]
+        source = torch.full((self.number,), -1, device=size.device)
+        chosen = before & (size == last)
+        source[spoke[chosen]] = chosen.flatten().nonzero()[:, 0]
+        source = source[spoke]
+        return lost & (size == first), torch.where(source >= 0, last / size, 0.0).nan_to_num(), source
+
+    def of(self, some: torch.Tensor, met: torch.Tensor) -> torch.Tensor:
+        """Return all points of the spokes of some points that were met."""
+        held = torch.zeros(self.number, dtype=torch.bool, device=met.device)
+        held[self.spoke[some][met]] = True
+        return held[self.spoke]
 
 
 def _past_ends(ends: torch.Tensor, goals: torch.Tensor, lost: torch.Tensor) -> torch.Tensor:
@@ -913,7 +935,7 @@ def _side_by_side(errors, places: list[Any], goals, *where) -> list[tuple[Any, .
     return list(zip(*(part.chunk(count, -1) for part in parts), strict=True))
 
 
-def _continuation(errors, x, y, step, radius, way):
+def _continuation(errors, x, y, step, radius, way, least=LEAST):
     """Return coordinates ``[..., N, 1]`` followed from s = 0 to s = 1, which rays were found, and how far they came.
 
     Each march tries several steps along the tangent at once and takes those up to the first that fails.
@@ -941,7 +963,7 @@ def _continuation(errors, x, y, step, radius, way):
         x, y, s = (torch.where(taken, a.gather(-1, last), b) for a, b in zip((tx, ty, target), (x, y, s), strict=True))
         rate = torch.where(count == SHARES, 4.0, torch.where(count > 0, 2 / SHARES, 1 / SHARES))
         length = torch.where(active, rate * length, length)
-        idle = idle | (length < 2e-4)
+        idle = idle | (length < least)
     done = s >= 1
     if bool(done.any()):
         x, y, met = _solve(errors, x, y, step, radius, *way(s))

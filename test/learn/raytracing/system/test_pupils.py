@@ -3,6 +3,7 @@
 import json
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -25,6 +26,7 @@ from odak.learn.raytracing.system import (
     pupil_samples,
     pupils,
     read_zmx,
+    relative_illumination,
     rms_spot,
     spot_diagram,
     surface,
@@ -35,7 +37,7 @@ from odak.learn.raytracing.system import (
     wavefront,
     write_zmx,
 )
-from odak.raytracing import OddAsphere, RayStatus
+from odak.raytracing import OddAsphere, RayStatus, surfaces
 
 F64 = torch.float64
 RADIUS, INDEX, FOCAL = 20.0, 1.5, 30.0
@@ -677,6 +679,40 @@ def test_rays_that_cannot_be_aimed_are_not_looked_for_again(monkeypatch):
     alone = launch(lens, points * 0.93, aim="real")
     for one, two in ((first, again), (other, alone)):
         torch.testing.assert_close(torch.stack(one), torch.stack(two), rtol=1e-9, atol=1e-12)
+
+
+def test_the_ends_of_spokes_are_where_rays_cease(monkeypatch):
+    """Rays inside of an end are found by themselves, those outside are not; few traces tell where it is."""
+    traced = []
+    monkeypatch.setattr(pupils, "trace", lambda *a, **b: (traced.append(1), trace(*a, **b))[1])
+    lens, points = wide("160"), pupil_samples("y", 5) * 40
+    lens.fields = ((0.0, 0.0),)
+    pupils._CHIEF_RAYS.clear()
+    launch(lens, points, aim="real")
+    ends = next(iter(pupils._CHIEF_RAYS.values())).ends
+    assert len(ends) == 2 and bool((ends[:, 3] < 40).all()) and len(traced) < 250
+    for share, reached in ((1 - 1e-4, True), (1 + 3e-6, False)):
+        pupils._CHIEF_RAYS.clear()
+        rays = launch(lens, ends[:, 1:3] * (share * ends[:, 3:]), aim="real")
+        assert bool((torch.isfinite(rays.v) == reached).all())
+
+
+@pytest.mark.slow
+def test_illumination_aims_at_shapes_without_derivatives(monkeypatch):
+    """The searches of rays and of intersections are done once, in NumPy, although derivatives are taken of both."""
+    kinds, newton = [], surfaces.newton
+    monkeypatch.setattr(surfaces, "newton", lambda *a: (kinds.append(type(a[3])), newton(*a))[1])
+    lens = shaped()
+    pupils._CHIEF_RAYS.clear()
+    found = relative_illumination(lens, 3, aim="real")[0]
+    assert set(kinds) == {np.ndarray} and len(pupils._CHIEF_RAYS) == 2
+    # As much as the cone of rays in the image is larger, from directions by differences.
+    points, weights = pupil_quadrature(lens, 3, vignetting=False)
+    moved = [points + 1e-4 * torch.tensor(unit, dtype=F64) for unit in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+    ends = [trace_fields(lens, place, aim="real") for place in moved]
+    (ux, vx), (uy, vy) = ((a.u - b.u, a.v - b.v) for a, b in (ends[:2], ends[2:]))
+    area = ((ux * vy - uy * vx) * weights).sum(-1)[lens.reference]
+    torch.testing.assert_close(found, area / area[0], rtol=1e-5, atol=0)
 
 
 def test_many_rays_start_from_a_chart_and_end_where_few_do(monkeypatch):
