@@ -282,7 +282,8 @@ class TestImages:
         assert guard.breach(lambda: field_figures._inset(path), str(tmp_path), ("case.png",)) == (None, False)
         deep = np.arange(12.0).reshape(3, 4) * 5000
         tools.save_image(path, deep, 0, 65535, color_depth=16)
-        assert field_figures._inset(path).startswith("data:image/png;base64,")
+        found = field_figures._inset(path)
+        assert found.mode == "RGBA" and found.getpixel((3, 2)) == (214, 214, 214, 255)
 
 
 class TestTorchFiles:

@@ -116,7 +116,7 @@ def test_kernels_of_one_method_are_those_of_the_general_function():
         *geometry, propagation_type="Impulse Response Fresnel", scale=2, samples=(3, 2, 2, 1)
     )
     assert torch.equal(found, expected) and found.shape == (20, 26)
-    with pytest.raises(ValueError, match="distance must not be zero"):
+    with pytest.raises(ValueError, match="distance must be finite and not zero"):
         odak.learn.wave.get_seperable_impulse_response_fresnel_kernel(8, 8, distance=0)
 
 
