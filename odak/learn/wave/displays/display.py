@@ -378,8 +378,8 @@ class Display(Prepared, torch.nn.Module):
         spectra. It shares neither transfer functions nor weights with :meth:`forward`, and its difference from that is
         the `error` that it states. Images of both are within 2e-3 of direct sums over stops and pupils, edges and
         corners among them: of panels of 24 to 1920 pixels along each axis in free space, in a medium, behind a round
-        iris, behind a lens and in eyes, of up to 480 behind two panels. Without a stop both hold nine orders, and
-        :meth:`light_beyond` states what these leave out.
+        iris, behind a lens, in eyes and of two panels in series. Of 1080 × 1920 pixels two panels take 11 GB. Without
+        a stop both hold nine orders, and :meth:`light_beyond` states what these leave out.
 
         Parameters
         ----------

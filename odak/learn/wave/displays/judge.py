@@ -6,7 +6,7 @@ and for the image that it states its difference from.
 
 import collections
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +28,9 @@ _LEAST = 512
 _RIM = 0.75
 # Widths of the image of a point by a pupil, λ/diameter, over which it is followed at least.
 _AIRY = 64
+# Rows of a spectrum that are multiplied at a time.
+_ROWS = 64
+_Factor = Callable[[slice], torch.Tensor]
 
 
 class Judgement(tuple[torch.Tensor, torch.Tensor]):
@@ -237,10 +240,10 @@ def _field_at(at, lights, colour: int, image: int, orders: int, least: int = 1) 
     else:
         finer, wide = orders, _wide(at)
         # Without a round stop the grid has no frequencies but those that pass.
-        passed = _passed(at, finer, colour, at.iris, lights[0].device, wide) if isinstance(at.iris, Iris) else 1.0
+        stops = [_stop(at, finer, colour, at.iris, lights[0].device, wide)] if isinstance(at.iris, Iris) else []
         if at.mask is not None:
-            passed = passed * torch.fft.ifftshift(at.mask).to(lights[0].device)
-        field = _sampled(at, lights[0], finer, at.fill, passed, wide)
+            stops.append(torch.fft.ifftshift(at.mask).to(lights[0].device).__getitem__)
+        field = _sampled(at, lights[0], finer, at.fill, stops, wide)
     return _spread_freely(at, field, *way, finer, wide), finer
 
 
@@ -337,10 +340,10 @@ def _wide(at) -> list[int]:
     return [math.ceil(max(_LEAST, 4 * n) / (2 * n)) for n in at.sizes]
 
 
-def _sampled(at, light, samples, fill, passed: torch.Tensor | float = 1.0, wide: Sequence[int] = (1, 1)):
+def _sampled(at, light, samples, fill, stops: Sequence[_Factor] = (), wide: Sequence[int] = (1, 1)):
     """Return the field of square pixels on a grid of so many times twice its extent, with several samples in a pixel.
 
-    `passed` is what a stop passes of the frequencies of the grid.
+    `stops` return what each passes of the frequencies of some rows of the grid.
     """
     sizes = at.sizes
     comb = light.new_zeros([2 * n * k * samples for n, k in zip(sizes, wide, strict=True)])
@@ -351,7 +354,19 @@ def _sampled(at, light, samples, fill, passed: torch.Tensor | float = 1.0, wide:
         torch.sinc(math.sqrt(fill) * p * f) * samples
         for p, f in zip(at.pitches, _frequencies(at, samples, light.device, wide), strict=True)
     )
-    return torch.fft.ifft2(torch.fft.fft2(comb) * (down[:, None] * across * passed).to(light.dtype))
+
+    def passed(rows: slice) -> torch.Tensor:
+        return math.prod((stop(rows) for stop in stops), start=down[rows, None] * across)
+
+    return torch.fft.ifft2(_times(torch.fft.fft2(comb), passed))
+
+
+def _times(spectrum: torch.Tensor, factor: _Factor) -> torch.Tensor:
+    """Return a spectrum after it was multiplied in place, some rows at a time, which takes less memory."""
+    for first in range(0, len(spectrum), _ROWS):
+        rows = slice(first, first + _ROWS)
+        spectrum[rows] *= factor(rows).to(spectrum.dtype)
+    return spectrum
 
 
 def _frequencies(at, samples, device, wide: Sequence[int] = (1, 1)) -> list[torch.Tensor]:
@@ -362,19 +377,20 @@ def _frequencies(at, samples, device, wide: Sequence[int] = (1, 1)) -> list[torc
     ]
 
 
-def _passed(at, samples, colour, iris, device, wide: Sequence[int] = (1, 1)) -> torch.Tensor:
-    """Return what a stop passes of the frequencies of a grid."""
+def _stop(at, samples, colour, iris, device, wide: Sequence[int] = (1, 1)) -> _Factor:
+    """Return a function of rows that gives what a stop passes of their frequencies on a grid."""
     down, across = _frequencies(at, samples, device, wide)
     if isinstance(iris, Iris):
         cutoff = iris.cutoff(at.wavelengths[colour])
-        return _in_circle(down[:, None] / cutoff, across / cutoff, (down[1] / cutoff, across[1] / cutoff))
+        steps = down[1] / cutoff, across[1] / cutoff
+        return lambda rows: _in_circle(down[rows, None] / cutoff, across / cutoff, steps)
     # Half of the last frequency itself, which is rounded, on either side.
     half = [0.5 * orders_through(iris, at.wavelengths, at.pitches) / p for p in at.pitches]
-    down, across = (
+    inside, along = (
         0.5 * (f.abs() < (1 - 1e-6) * h) + 0.5 * (f.abs() < (1 + 1e-6) * h)
         for f, h in zip((down, across), half, strict=True)
     )
-    return down[:, None] * across
+    return lambda rows: inside[rows, None] * along
 
 
 def _in_circle(down, across, steps):
@@ -392,12 +408,12 @@ def _in_circle(down, across, steps):
 def _both(at, amplitudes, light, colour, samples, wide):
     """Return the field behind the second of two panels, as far as the iris of the display passes it."""
     first, wavelength = at.first, at.wavelengths[colour]
-    passed = _passed(at, samples, colour, first.iris, light.device, wide)
-    there = _sampled(at, amplitudes, samples, first.fill, passed, wide)
+    stops = [_stop(at, samples, colour, iris, light.device, wide) for iris in (first.iris, at.iris)]
+    there = _sampled(at, amplitudes, samples, first.fill, stops[:1], wide)
     there = _spread_freely(at, there, wavelength, first.distance, samples, wide, cut=False)
-    product = torch.fft.fft2(there * _sampled(at, light, samples, at.fill, wide=wide))
-    passed = _passed(at, samples, colour, at.iris, light.device, wide)
-    return torch.fft.ifft2(product * passed.to(product.dtype))
+    there *= _sampled(at, light, samples, at.fill, wide=wide)
+    there = torch.fft.fft2(there)
+    return torch.fft.ifft2(_times(there, stops[1]))
 
 
 def _spread_freely(at, field, wavelength, distance, samples, wide, cut=True):
@@ -436,17 +452,17 @@ def _reach(at, wavelength, distance, samples) -> list[float]:
 
 def _turned(field, wavelength, distance, pitch):
     """Return a periodic field after each of its plane waves has travelled a distance, or has faded."""
-    spectrum = torch.fft.fft2(field)
     down, across = (
         torch.fft.fftfreq(n, p, dtype=torch.float64, device=field.device)
         for n, p in zip(field.shape, pitch, strict=True)
     )
-    # Some rows at a time, which takes less memory.
-    for rows, fy in zip(spectrum.split(64), down.split(64), strict=True):
-        axial = (wavelength**-2 - fy[:, None] ** 2 - across**2).to(torch.complex128).sqrt()
-        turned = torch.exp(2j * math.pi * abs(distance) * (axial - 1 / wavelength))
-        rows *= (turned.conj() if distance < 0 else turned).to(spectrum.dtype)
-    return torch.fft.ifft2(spectrum)
+
+    def turned(rows: slice) -> torch.Tensor:
+        axial = (wavelength**-2 - down[rows, None] ** 2 - across**2).to(torch.complex128).sqrt()
+        ahead = torch.exp(2j * math.pi * abs(distance) * (axial - 1 / wavelength))
+        return ahead.conj() if distance < 0 else ahead
+
+    return torch.fft.ifft2(_times(torch.fft.fft2(field), turned))
 
 
 def _middle(values: torch.Tensor, shape: Sequence[int]) -> torch.Tensor:
