@@ -10,6 +10,7 @@ import html
 import importlib
 import inspect
 import io
+import struct
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, TypeVar
@@ -24,8 +25,8 @@ Kind = TypeVar("Kind", bound=type)
 COLOURS = ("#2166ac", "#1b7837", "#b2182b", "#762a83", "#b35806", "#016665")
 # Longest description, and longest text within one.
 LONGEST, WORDS = 600, 48
-# Largest side of a picture in pixels.
-SIDE = 640
+# Largest side of a picture in pixels, and the length of the longer side to which smaller ones are enlarged.
+SIDE, SHORTEST = 640, 240
 _BOX = "border-left:4px solid #b35806;background:#fff4e5;color:#202020;padding:.4em .8em;margin:.5em 0;max-width:60em"
 _CELL = "padding:.15em .9em .15em 0;text-align:left;vertical-align:top;overflow-wrap:normal"
 
@@ -83,7 +84,7 @@ def to_html(view: View) -> str:
     parts = [f"<p><b>{html.escape(view.title)}</b></p>"]
     parts += [f'<p role="note" style="{_BOX}">Warning: {html.escape(text)}</p>' for text in view.warnings]
     parts += [
-        f'<figure style="display:inline-block;margin:4px;vertical-align:top"><img style="max-width:100%" '
+        f'<figure style="display:inline-block;margin:4px;vertical-align:top"><img style="{enlarged(picture)}" '
         f'alt="{html.escape(caption)}" src="{source(picture)}"><figcaption>{html.escape(caption)}</figcaption></figure>'
         for caption, picture in view.pictures
     ]
@@ -120,6 +121,23 @@ def source(picture: bytes | str) -> str:
     kind = "image/svg+xml" if isinstance(picture, str) else "image/png"
     content = picture.encode() if isinstance(picture, str) else picture
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def enlarged(picture: bytes | str, shortest: int = SHORTEST) -> str:
+    """Return the style of a picture in a page: samples of small ones are enlarged and stay sharp.
+
+    Parameters
+    ----------
+    picture : bytes or str
+        Bytes of a PNG file or the text of an SVG file.
+    shortest : int
+        Pixels of the page that the longer side of the picture takes at least.
+    """
+    if isinstance(picture, bytes):
+        columns, rows = struct.unpack(">II", picture[16:24])  # of the header of a PNG file
+        if (longer := max(columns, rows)) < shortest:
+            return f"width:{round(shortest * columns / longer)}px;image-rendering:pixelated;max-width:100%"
+    return "max-width:100%"
 
 
 def fields_html(shown: Any, title: str, warnings: Sequence[str] = ()) -> str:

@@ -281,3 +281,9 @@ def test_matplotlib_is_loaded_when_something_is_drawn():
         if module not in drawing and not module.startswith("odak.cli."):
             loaded = set(re.findall(r"^(?:from|import) ([\w.]+)", path.read_text(encoding="utf-8"), re.MULTILINE))
             assert not loaded & drawing and not any(name.startswith("matplotlib") for name in loaded), module
+
+
+def test_small_pictures_are_enlarged_and_keep_their_shape():
+    pictures = [("tall", _show.png(np.zeros((60, 20)))), ("wide", _show.png(np.zeros((30, 240))))]
+    page = _show.to_html(_show.View("two", pictures))
+    assert page.count("pixelated") == 1 and "width:80px;image-rendering:pixelated" in page

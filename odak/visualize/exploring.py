@@ -91,11 +91,9 @@ class Exploration:
                 f"<output></output></label>"
             )
         pictures = json.dumps([_show.source(frame).partition(",")[2] for frame in self.frames])
-        # The samples of small pictures stay sharp where they are enlarged.
-        small = int.from_bytes(self.frames[0][16:20], "big") < NARROWEST  # columns, by the header of a PNG file
-        size = f"width:{NARROWEST}px;image-rendering:pixelated;" if small else ""
+        style = _show.enlarged(self.frames[0], NARROWEST)
         return (
-            f'<div>{"".join(rows)}<img style="{size}max-width:100%" alt="drawing of the values above">'
+            f'<div>{"".join(rows)}<img style="{style}" alt="drawing of the values above">'
             f'<script type="application/json">{pictures}</script><script>{_SCRIPT}</script></div>'
         )
 
