@@ -188,6 +188,7 @@ from .propagation import impulse_response_fresnel as impulse_response_fresnel
 from .propagation import propagate_beam as propagate_beam
 from .propagation import propagate_partially_coherent as propagate_partially_coherent
 from .propagation import seperable_impulse_response_fresnel as seperable_impulse_response_fresnel
+from .slm import AmplitudeResponse as AmplitudeResponse
 from .slm import spatial_light_modulator as spatial_light_modulator
 from .slm import temporal_average as temporal_average
 from .slm import temporal_modulator as temporal_modulator

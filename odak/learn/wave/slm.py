@@ -1,4 +1,4 @@
-"""Model of a phase-only spatial light modulator: levels, crosstalk, gaps between pixels, unmodulated light."""
+"""Models of spatial light modulators, of phase or of amplitude: levels, crosstalk, gaps, unmodulated light."""
 
 import cmath
 import math
@@ -427,6 +427,80 @@ class VaryingModulator(spatial_light_modulator):
 
     def _nearest(self, phase: torch.Tensor, lut: torch.Tensor) -> torch.Tensor:
         return nearest_levels_by_factors(phase.detach(), lut.to(phase.dtype), self.factors.to(phase), turns_of(lut))
+
+
+class AmplitudeResponse(torch.nn.Module):
+    """Field of a panel that attenuates light and does not shift its phase, such as an array of tilting mirrors.
+
+    Use it as `response` of a :class:`Modulator`, or take :meth:`Modulator.amplitude_only`. What solvers find for a
+    panel are phases φ; a pixel shows them by the amplitude (1 + cos φ)/2, which is the phase hologram's light with that
+    of its conjugate, and a uniform background (Brown and Lohmann, Applied Optics 5, 967, 1966).
+
+    Parameters
+    ----------
+    bits : int, optional
+        Bits of a pixel, whose 2^bits levels are spread evenly over the amplitudes; None for amplitudes without levels.
+    contrast : float, optional
+        Intensity of a bright pixel over that of a dark one, whose light is in phase; None for dark pixels without
+        light.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import AmplitudeResponse
+    >>> mirrors = AmplitudeResponse(bits=1, contrast=400)
+    >>> mirrors.levels(torch.tensor([[0.0, 1.5, 1.7, 3.1]])).tolist()
+    [[1, 1, 0, 0]]
+    >>> mirrors(torch.tensor([[0.0, torch.pi]])).real
+    tensor([[1.0000, 0.0500]])
+    """
+
+    extra_repr: Callable[..., str] = _show.numbers_of
+
+    def __init__(self, bits: int | None = 1, contrast: float | None = None):
+        super().__init__()
+        self.bits: int | None = checked_bits(bits)
+        self.contrast: float | None = None if contrast is None else _validate.number("contrast", contrast, least=1)
+        amplitudes = None if bits is None else torch.linspace(0, 1, 2**bits, dtype=torch.float64)
+        self.register_buffer("lut", None if amplitudes is None else 2 * amplitudes.sqrt().acos(), persistent=False)
+
+    def forward(self, phase: torch.Tensor) -> torch.Tensor:
+        """Return the field behind the panel, whose imaginary part is zero.
+
+        Parameters
+        ----------
+        phase : torch.Tensor
+            Phase in radians, ``[..., m, n]``, float32 or float64.
+
+        Returns
+        -------
+        torch.Tensor
+            complex64 or complex128, of the phase's shape.
+        """
+        dark = 0.0 if self.contrast is None else self.contrast**-0.5
+        bright = dark + (1 - dark) * _passed(checked_phase(phase))
+        return torch.complex(bright, torch.zeros_like(bright))
+
+    def levels(self, phase: torch.Tensor) -> torch.Tensor:
+        """Return the levels whose amplitudes are nearest those of a phase in radians: int32, 0 for dark pixels."""
+        # Integers cannot represent NaN.
+        amplitudes = _passed(_validate.real("phase", checked_phase(phase).detach()))
+        return torch.round(amplitudes * (2 ** _validate.integer("bits", self.bits) - 1)).to(torch.int32)
+
+    def _phases_of(self, levels: torch.Tensor, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+        """Return the phases in radians, of a `dtype`, of levels: integers ``[..., m, n]`` below 2^bits."""
+        lut: Any = self.lut
+        return lut.to(levels.device, dtype)[levels.long()]
+
+
+def _passed(phase):
+    """Return the amplitude (1 + cos φ)/2 that stands for a phase."""
+    return torch.cos(phase / 2) ** 2
 
 
 class temporal_modulator(torch.nn.Module):

@@ -235,6 +235,7 @@ BY_NAME = {
         "levels": torch.zeros(16, 16, dtype=torch.int64),
         "pixels": torch.arange(5),
     },
+    "odak.learn.wave.AmplitudeResponse": {"contrast": 1000.0},
     "odak.learn.wave.spatial_light_modulator": {"phase_range": 2 * math.pi},
     "odak.learn.wave.temporal_modulator": {
         "frame_time": 1e-3,

@@ -10,7 +10,7 @@ import torch
 from odak import _show, _validate
 from odak.learn._tensors import floating
 from odak.learn.wave.fields import unit_phasor
-from odak.learn.wave.slm import TURN, checked_bits, even_levels
+from odak.learn.wave.slm import TURN, AmplitudeResponse, checked_bits, even_levels
 from odak.wave.linear_kernels import checked_pixel_fill
 from odak.wave.transfer_functions import checked_pitch, pitches
 
@@ -220,7 +220,7 @@ class Expander:
 @_validate.takes_units("pitch")
 @dataclass(frozen=True)
 class Modulator:
-    """A phase-only spatial light modulator: its pixels, levels and response.
+    """A spatial light modulator, of phase unless its response says otherwise: its pixels, levels and response.
 
     Use it to tell a :class:`Display` which panel you have. Of real panels only the inner part of each pixel, a square
     of the share `fill`, modulates light, and this is the default; ``fill=1`` is a panel without gaps.
@@ -289,6 +289,50 @@ class Modulator:
                 raise ValueError(
                     "response must have a fill factor of 1 and one sample per pixel; give fill here instead"
                 )
+
+    @classmethod
+    def amplitude_only(
+        cls,
+        resolution: Sequence[int],
+        pitch: float | Sequence[float],
+        bits: int | None = 1,
+        fill: float = 0.9,
+        contrast: float | None = None,
+    ) -> "Modulator":
+        """Return a panel that attenuates light and does not shift its phase, such as an array of tilting mirrors.
+
+        Its image is that of a phase hologram with the light of its conjugate and of a uniform background, which
+        `optimise` makes the best of. A flat pattern, whose pixels all pass the light, is no start for solvers that
+        descend along a gradient: there it is zero.
+
+        Parameters
+        ----------
+        resolution : sequence of int
+            Rows and columns.
+        pitch : float or sequence of float
+            Distance of neighbouring pixels in metres, one number or a pair (rows, columns).
+        bits : int, optional
+            Bits of a pixel, whose 2^bits levels are spread evenly over the amplitudes 0 … 1; None for no levels.
+        fill : float
+            Share of the area of a pixel that passes light.
+        contrast : float, optional
+            Intensity of a bright pixel over that of a dark one; None for dark pixels without light.
+
+        Returns
+        -------
+        Modulator
+            The panel, whose `response` is an :class:`AmplitudeResponse`.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.wave import Modulator
+        >>> mirrors = Modulator.amplitude_only((2, 2), 8e-6)
+        >>> mirrors.light(mirrors.phases_of(torch.tensor([[0, 1], [1, 0]]))).real.round(decimals=6).abs()
+        tensor([[0., 1.],
+                [1., 0.]])
+        """
+        return cls(resolution, pitch, bits, fill, AmplitudeResponse(bits, contrast))
 
     def _repr_html_(self) -> str:
         rows, columns = self.resolution
