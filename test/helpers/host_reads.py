@@ -43,6 +43,7 @@ REASONS = {
         models/hologram_networks: _planes
         perception/color_vision_deficiency: _checked_severity
         perception/csf: _check_range not_negative unified_pupil_diameter
+        perception/dithering: _shown
         perception/eyesight: ocular_modulation_transfer
         perception/flicker: sequence_loss
         perception/gaze: __post_init__ fixations simulate_gaze

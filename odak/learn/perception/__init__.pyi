@@ -77,6 +77,7 @@ from .display_color import read_spectra as read_spectra
 from .display_color import sample_observers as sample_observers
 from .display_color import spectra_to_xyz_matrix as spectra_to_xyz_matrix
 from .display_color import spectrum_to_xyz as spectrum_to_xyz
+from .dithering import dither as dither
 from .eyesight import Viewer as Viewer
 from .eyesight import ocular_modulation_transfer as ocular_modulation_transfer
 from .flicker import FlickerLoss as FlickerLoss

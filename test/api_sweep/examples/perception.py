@@ -195,6 +195,7 @@ BY_CALL = {
     f"{HERE}.metamer": {"model": torch.square, "picture": tensor(1, 1, 16, 16)},
     f"{HERE}.Metamer": _METAMER,
     f"{HERE}.FlickerLoss.forward": {"frames": tensor(1, 2, 1, 8, 8)},
+    f"{HERE}.dither": {"image": SMALL, "bits": 2, "frames": 2, "encoding": "sRGB"},
     f"{HERE}.read_gaze": {"path": Build(_gaze_table)},
     f"{HERE}.retinal_image": {"frames": tensor(2, 3, 8, 8), "gaze": [[0.5, 0.5], [0.6, 0.5]]},
     f"{HERE}.sequence_loss": {
