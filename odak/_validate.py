@@ -1,10 +1,12 @@
 """Checks of arguments; their errors name the argument, what was given and what is accepted."""
 
 import difflib
+import importlib
 import itertools
 import math
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from numbers import Integral, Number, Real
 from typing import Any, TypeVar
 
@@ -38,6 +40,34 @@ _LEAST_PICTURE = 16
 _NUMBERS = (float, int)
 # What a check returns as it was given.
 T = TypeVar("T")
+
+
+@contextmanager
+def refusing(
+    told: str | Callable[[str], str], *kinds: type[Exception], raised: type[Exception] = ValueError
+) -> Iterator[None]:
+    """Raise errors of these kinds as one of what was given.
+
+    Parameters
+    ----------
+    told : str or callable
+        What stands before the error's text, or a function that makes the message of it.
+    kinds : type
+        Errors that a file or a value causes; others pass.
+    raised : type
+        The error that is raised for them.
+    """
+    try:
+        yield
+    except kinds as error:
+        text = f"{error} is missing" if isinstance(error, KeyError) else str(error) or type(error).__name__
+        raise raised(told(text) if callable(told) else told + text) from error
+
+
+def optional(module: str, told: str, raised: type[Exception] = ImportError) -> Any:
+    """Import a module that need not be installed; where it is missing, `told` says who needs it and what to install."""
+    with refusing(lambda _: told, ImportError, raised=raised):
+        return importlib.import_module(module)
 
 
 def one_of(name: str, value: str, options: Iterable[str]) -> str:

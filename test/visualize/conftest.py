@@ -1,4 +1,3 @@
-import sys
 from importlib.util import find_spec
 
 import pytest
@@ -18,14 +17,6 @@ class _Module(pytest.Module):
 
 def pytest_pycollect_makemodule(module_path, parent):
     return _Module.from_parent(parent, path=module_path)
-
-
-@pytest.fixture(autouse=True, scope="session")
-def _close_the_browser():
-    yield
-    module = sys.modules.get("odak.visualize.plotly.figures")
-    if module is not None:
-        module.close_browser()
 
 
 @pytest.fixture

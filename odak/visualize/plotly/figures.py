@@ -1,21 +1,17 @@
 """Base class of figures: style, layout, display, and files as pages, Markdown and images; checks of their arguments.
 
-Images are rendered by a browser that is started once and shared by all figures.
+Images are rendered by Kaleido, with a browser of its own for each.
 """
 
-import asyncio
-import atexit
-import logging
 import math
 import os
 import re
 import shutil
 import sys
 import tempfile
-import threading
+import warnings
 import webbrowser
 from collections.abc import Mapping, Sequence
-from contextlib import contextmanager
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -34,9 +30,7 @@ try:
 except ImportError as error:
     raise ImportError("odak.visualize.plotly needs the package plotly: pip install plotly kaleido") from error
 
-START_TIMEOUT = 60.0
 RENDER_TIMEOUT = 120.0
-CLOSE_TIMEOUT = 20.0
 
 _HOW_TO_INSTALL = (
     "Images are drawn by Chrome or Chromium. Install one:\n"
@@ -103,18 +97,20 @@ def find_browser() -> str | None:
 
 
 def close_browser() -> None:
-    """Stop the browser that images are drawn with, if it runs; the next image starts it again.
+    """Stop the browser that Kaleido's server shares among images, if the server runs.
 
     It also stops when Python ends.
 
     Examples
     --------
-    Free the memory of the browser in a program that has drawn its last image:
+    Share one browser among many images, and free its memory:
 
-    >>> from odak.visualize.plotly import close_browser
+    >>> import kaleido
+    >>> from odak.visualize.plotly import close_browser, find_browser
+    >>> kaleido.start_sync_server(path=find_browser())  # doctest: +SKIP
     >>> close_browser()
     """
-    _shared.close()
+    _kaleido().stop_sync_server(silence_warnings=True)
 
 
 def draw(figure: graph.Figure, kind: str, width: float, height: float, scale: float = 1.0) -> bytes:
@@ -136,119 +132,26 @@ def draw(figure: graph.Figure, kind: str, width: float, height: float, scale: fl
     BrowserNotFoundError
         If there is no browser, or it does not start.
     """
-    return _shared.draw(figure.to_dict(), {"format": kind, "width": width, "height": height, "scale": scale})
+    kaleido, path = _kaleido(), find_browser()
+    if path is None:
+        raise BrowserNotFoundError(f"No browser was found.\n{_HOW_TO_INSTALL}")
+    from choreographer.errors import BrowserClosedError, BrowserFailedError
+
+    # MathJax would be fetched from the network at every start.
+    template = kaleido.PageGenerator(mathjax=False, others=[Path(__file__).with_name("clear_depth.js").as_uri()])
+    browser = {"path": path, "page_generator": template, "timeout": RENDER_TIMEOUT}
+    options = {"format": kind, "width": width, "height": height, "scale": scale}
+    try:
+        with warnings.catch_warnings():
+            # A server of Kaleido that the caller has started has a browser.
+            warnings.filterwarnings("ignore", "The kopts argument", UserWarning)
+            return kaleido.calc_fig_sync(figure.to_dict(), options, kopts=browser)
+    except (BrowserClosedError, BrowserFailedError) as error:
+        raise BrowserNotFoundError(f"{path} does not start: {error.args[0]}\n{_HOW_TO_INSTALL}") from error
 
 
 def _kaleido():
-    try:
-        import kaleido
-    except ImportError as error:
-        raise ImportError("Images need the package kaleido, 1.0 or newer: pip install kaleido") from error
-    return kaleido
-
-
-class _SharedBrowser:
-    """One browser for all figures, driven from an event loop in a thread of its own.
-
-    Kaleido's own server waits indefinitely if its browser does not start; here every wait has a limit, and errors are
-    raised in the caller's thread.
-    """
-
-    def __init__(self):
-        self._lock = threading.RLock()
-        self._loop = self._thread = self._tool = self._owner = None
-
-    def draw(self, figure: dict[Any, Any], options: dict[Any, Any]) -> bytes:
-        """Return an image of a figure; the browser is started again once if it fails."""
-        with self._lock:
-            fresh = not self._runs()
-            self._start()
-            try:
-                return self._wait(self._tool.calc_fig(figure, opts=options), RENDER_TIMEOUT)
-            except Exception as error:
-                if fresh or isinstance(error, ValueError):
-                    raise
-                logger.info("The browser was lost (%s); starting another", error)
-                self.close()
-            self._start()
-            return self._wait(self._tool.calc_fig(figure, opts=options), RENDER_TIMEOUT)
-
-    def close(self) -> None:
-        """Stop the browser and its event loop."""
-        with self._lock:
-            if not self._runs():
-                return
-            tool, loop, thread = self._tool, self._loop, self._thread
-            self._loop = self._thread = self._tool = None
-            with _exit_errors_suppressed():
-                try:
-                    asyncio.run_coroutine_threadsafe(tool.close(), loop).result(CLOSE_TIMEOUT)
-                except Exception as error:
-                    logger.info("The browser did not close: %s", error)
-                _stop(loop, thread)
-
-    def _runs(self) -> bool:
-        # A forked child has the object, but neither the thread nor the browser.
-        return self._tool is not None and self._owner == os.getpid()
-
-    def _start(self) -> None:
-        if self._runs():
-            return
-        path = find_browser()
-        if path is None:
-            raise BrowserNotFoundError(f"No browser was found.\n{_HOW_TO_INSTALL}")
-        loop = asyncio.new_event_loop()
-        thread = threading.Thread(target=loop.run_forever, name="odak browser", daemon=True)
-        thread.start()
-        self._loop, self._thread, self._owner = loop, thread, os.getpid()
-        try:
-            self._tool = self._wait(_open(_kaleido(), path), START_TIMEOUT)
-        except Exception as error:
-            self._loop = self._thread = None
-            _stop(loop, thread)
-            reason = (error.args and str(error.args[0])) or type(error).__name__
-            raise BrowserNotFoundError(f"{path} does not start: {reason}\n{_HOW_TO_INSTALL}") from error
-        # Registered after the exit functions of tempfile, it runs before them: the browser's folders are still there.
-        atexit.unregister(self.close)
-        atexit.register(self.close)
-
-    def _wait(self, task, limit: float):
-        return asyncio.run_coroutine_threadsafe(task, self._loop).result(limit)
-
-
-async def _open(kaleido, path: str):
-    # MathJax would be fetched from the network at every start.
-    page = kaleido.PageGenerator(mathjax=False, others=[Path(__file__).with_name("clear_depth.js").as_uri()])
-    tool = kaleido.Kaleido(path=path, page_generator=page, timeout=RENDER_TIMEOUT)
-    await tool.open()
-    return tool
-
-
-@contextmanager
-def _exit_errors_suppressed():
-    """Suppress the error that choreographer reports when its browser ends."""
-    reader = logging.getLogger("choreographer.channels.pipe")
-    before, reader.disabled = reader.disabled, True
-    try:
-        yield
-    finally:
-        reader.disabled = before
-
-
-def _stop(loop, thread) -> None:
-    def cancel_and_stop():
-        for task in asyncio.all_tasks(loop):
-            task.cancel()
-        # One more iteration of the event loop, in which the tasks end.
-        loop.call_soon(loop.stop)
-
-    loop.call_soon_threadsafe(cancel_and_stop)
-    thread.join(CLOSE_TIMEOUT)
-    if not thread.is_alive():
-        loop.close()
-
-
-_shared = _SharedBrowser()
+    return _validate.optional("kaleido", "Images need the package kaleido, 1.0 or newer: pip install kaleido")
 
 
 # Perceptually uniform scale of amplitudes and intensities, and cyclic scale of phases, whose two ends are one colour.
