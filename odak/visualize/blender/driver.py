@@ -4,20 +4,18 @@
     blender --background --python driver.py -- SCENE.json OUTPUT             with the program
 
 OUTPUT ends in .png, .exr, .blend or .raw (float32 red, green, blue, opacity, from the lower left corner). This file
-stands alone: it needs Blender 3.4 or later, and nothing besides, not even NumPy.
+stands alone: it needs Blender 3.4 or later, with the NumPy that comes with it, and nothing besides.
 """
 
-import array
-import ast
 import json
 import math
 import os
-import struct
 import sys
 import traceback
 import warnings
-import zipfile
 from typing import Any
+
+import numpy as np
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 # Files of this folder must not be imported in place of modules of Blender that have the same names.
@@ -28,7 +26,15 @@ if __name__ == "__main__":
     import mathutils
 
 COLOR = "odak_color"
-CODES = {"<f4": "f", "<i4": "i", "|u1": "B"}
+# Nodes of the kinds of material, and which entries their inputs take.
+SHADERS: Any = {
+    "diffuse": ("ShaderNodeBsdfDiffuse", {}),
+    "emission": ("ShaderNodeEmission", {"Strength": "strength"}),
+    "glass": ("ShaderNodeBsdfGlass", {"IOR": "index", "Roughness": "roughness"}),
+    "metal": ("ShaderNodeBsdfPrincipled", {"Roughness": "roughness"}),
+}
+# The matt edge of a lens.
+GROUND = {"material": {"name": "ground edge", "kind": "diffuse", "color": (0.55, 0.58, 0.6)}, "colors": None}
 UNITS = {"m": "METERS", "mm": "MILLIMETERS", "um": "MICROMETERS", "nm": "MICROMETERS"}
 # Since then curves can be made from Python.
 CURVES = (4, 2, 0)
@@ -46,8 +52,9 @@ def main(arguments: Any) -> None:
     path, output = (os.path.abspath(argument) for argument in arguments)
     with open(path, encoding="utf-8") as stream:
         document = json.load(stream)
-    with zipfile.ZipFile(os.path.join(os.path.dirname(path), os.path.basename(document["arrays"]))) as store:
-        scene = build(document, Arrays(store))
+    store = os.path.join(os.path.dirname(path), os.path.basename(document["arrays"]))
+    with np.load(store, allow_pickle=False) as arrays:
+        scene = build(document, arrays)
     produce(scene, document["render"], output)
 
 
@@ -55,30 +62,6 @@ def say(words: Any) -> None:
     """Print a line for the process that started this one."""
     sys.stdout.write(f"{words}\n")
     sys.stdout.flush()
-
-
-class Arrays:
-    """Arrays of an NPZ file, flat."""
-
-    def __init__(self, store: Any) -> None:
-        self.store = store
-
-    def read(self, name: Any) -> Any:
-        """Return the numbers of an array and its shape."""
-        content = self.store.read(name + ".npy")
-        if content[:6] != b"\x93NUMPY":
-            raise ValueError(f"{name} is not an array")
-        wide = content[6] > 1
-        (length,) = struct.unpack_from("<I" if wide else "<H", content, 8)
-        start = (12 if wide else 10) + length
-        header = ast.literal_eval(content[start - length : start].decode("latin-1"))
-        if header["descr"] not in CODES or (header["fortran_order"] and len(header["shape"]) > 1):
-            raise ValueError(f"{name} is stored in a way that is not understood: {header}")
-        values = array.array(CODES[header["descr"]])
-        values.frombytes(memoryview(content)[start:])
-        if len(values) != math.prod(header["shape"]):
-            raise ValueError(f"{name} is truncated")
-        return values, header["shape"]
 
 
 def build(document: Any, arrays: Any) -> Any:
@@ -115,10 +98,9 @@ def add_object(scene: Any, entry: Any, arrays: Any) -> None:
         do_not_sample(material)
     shape.materials.append(material)
     if entry.get("ground") and hasattr(shape, "polygons"):
-        shape.materials.append(ground_glass())
+        shape.materials.append(make_material(GROUND, None))
         count = len(shape.polygons)
-        kept = count - entry["ground"]
-        shape.polygons.foreach_set("material_index", array.array("i", [0] * kept + [1] * (count - kept)))
+        shape.polygons.foreach_set("material_index", np.int32(np.arange(count) >= count - entry["ground"]))
     thing = bpy.data.objects.new(entry["name"], shape)
     thing.location, thing.scale = entry["location"], entry["scale"]
     thing.rotation_euler = [math.radians(angle) for angle in entry["rotation"]]
@@ -129,57 +111,48 @@ def add_object(scene: Any, entry: Any, arrays: Any) -> None:
 
 def make_mesh(entry: Any, arrays: Any) -> Any:
     """Return a mesh of triangles."""
-    points, _ = arrays.read(entry["vertices"])
-    corners, _ = arrays.read(entry["faces"])
-    count = len(corners) // 3
+    points, faces = arrays[entry["vertices"]], arrays[entry["faces"]]
+    count = len(faces)
     mesh = bpy.data.meshes.new(entry["name"])
-    mesh.vertices.add(len(points) // 3)
-    mesh.vertices.foreach_set("co", points)
-    mesh.loops.add(len(corners))
-    mesh.loops.foreach_set("vertex_index", corners)
+    mesh.vertices.add(len(points))
+    mesh.vertices.foreach_set("co", points.ravel())
+    mesh.loops.add(faces.size)
+    mesh.loops.foreach_set("vertex_index", faces.ravel())
     mesh.polygons.add(count)
-    mesh.polygons.foreach_set("loop_start", array.array("i", range(0, 3 * count, 3)))
+    mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
     if bpy.app.version < (3, 6, 0):
-        mesh.polygons.foreach_set("loop_total", array.array("i", [3]) * count)
-    mesh.polygons.foreach_set("use_smooth", array.array("b", [1 if entry["smooth"] else 0]) * count)
+        mesh.polygons.foreach_set("loop_total", np.full(count, 3, dtype=np.int32))
+    mesh.polygons.foreach_set("use_smooth", np.full(count, bool(entry["smooth"])))
     if entry["uv"]:
-        places, _ = arrays.read(entry["uv"])
-        flat = array.array("f")
-        for corner in corners:
-            flat.extend(places[2 * corner : 2 * corner + 2])
-        mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", flat)
+        mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", arrays[entry["uv"]][faces].ravel())
     if entry["colors"]:
-        light, _ = arrays.read(entry["colors"])
-        opaque = array.array("f", [1.0]) * (len(light) // 3 * 4)
-        for channel in range(3):
-            opaque[channel::4] = light[channel::3]
-        mesh.attributes.new(COLOR, "FLOAT_COLOR", "POINT").data.foreach_set("color", opaque)
+        light = opaque(arrays[entry["colors"]])
+        mesh.attributes.new(COLOR, "FLOAT_COLOR", "POINT").data.foreach_set("color", light)
     mesh.update(calc_edges=True)
     if entry["normals"]:
-        normals, _ = arrays.read(entry["normals"])
         if hasattr(mesh, "use_auto_smooth"):
             mesh.use_auto_smooth = True
-        mesh.normals_split_custom_set_from_vertices([normals[i : i + 3] for i in range(0, len(normals), 3)])
+        mesh.normals_split_custom_set_from_vertices(arrays[entry["normals"]].tolist())
     return mesh
+
+
+def opaque(light: Any) -> Any:
+    """Return red, green, blue and an opacity of 1, flat."""
+    return np.insert(np.float32(light), 3, 1.0, axis=-1).ravel()
 
 
 def make_rods(scene: Any, entry: Any, arrays: Any) -> Any:
     """Return rods as curves, which Cycles intersects in closed form, within boxes that lie along them."""
-    numbers, (count, _, _) = arrays.read(entry["rods"])
-    points, radii = array.array("f", [0.0]) * (6 * count), numbers[3::4]
-    for axis in range(3):
-        points[axis::3] = numbers[axis::4]
+    rods = arrays[entry["rods"]]
+    count = len(rods)
     curves = bpy.data.hair_curves.new(entry["name"])
     curves.add_curves([2] * count)
-    curves.position_data.foreach_set("vector", points)
-    curves.attributes.new("radius", "FLOAT", "POINT").data.foreach_set("value", radii)
+    curves.position_data.foreach_set("vector", rods[..., :3].ravel())
+    curves.attributes.new("radius", "FLOAT", "POINT").data.foreach_set("value", rods[..., 3].ravel())
     if entry["colors"]:
-        light, (vertices, _) = arrays.read(entry["colors"])
-        step = 3 * (vertices // count)
-        opaque = array.array("f", [1.0]) * (4 * count)
-        for channel in range(3):
-            opaque[channel::4] = light[channel::step]
-        curves.attributes.new(COLOR, "FLOAT_COLOR", "CURVE").data.foreach_set("color", opaque)
+        light = arrays[entry["colors"]]
+        light = opaque(light[:: len(light) // count])
+        curves.attributes.new(COLOR, "FLOAT_COLOR", "CURVE").data.foreach_set("color", light)
     scene.cycles_curves.shape = "THICK"
     return curves
 
@@ -194,47 +167,35 @@ def do_not_sample(material: Any) -> None:
 
 def make_image(entry: Any, arrays: Any) -> Any:
     """Return a picture."""
-    levels, (rows, columns, _) = arrays.read(entry["image"])
-    image = bpy.data.images.new(entry["name"], columns, rows, alpha=False)
+    levels = arrays[entry["image"]]
+    image = bpy.data.images.new(entry["name"], levels.shape[1], levels.shape[0], alpha=False)
     image.colorspace_settings.name = "sRGB"
-    pixels = array.array("f", [1.0]) * (rows * columns * 4)
-    scaled = [level / 255 for level in range(256)]
-    for row in range(rows):
-        start = (rows - 1 - row) * columns * 4
-        line = levels[3 * row * columns : 3 * (row + 1) * columns]
-        for channel in range(3):
-            values = array.array("f", [scaled[level] for level in line[channel::3]])
-            pixels[start + channel : start + 4 * columns : 4] = values
-    image.pixels.foreach_set(pixels)
+    image.pixels.foreach_set(opaque(levels[::-1] / 255))
     image.update()
     image.pack()
     return image
 
 
+def new_material(name: Any) -> Any:
+    """Return a material without nodes, and the nodes and links of its tree."""
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    material.node_tree.nodes.clear()
+    return material, material.node_tree.nodes, material.node_tree.links
+
+
 def make_material(entry: Any, image: Any) -> Any:
     """Return a material of nodes."""
     data = entry["material"]
-    material = bpy.data.materials.new(data["name"] or entry["name"])
-    material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    nodes.clear()
-    kinds = {
-        "diffuse": "ShaderNodeBsdfDiffuse",
-        "emission": "ShaderNodeEmission",
-        "glass": "ShaderNodeBsdfGlass",
-        "metal": "ShaderNodeBsdfPrincipled",
-    }
-    node = nodes.new(kinds[data["kind"]])
+    material, nodes, links = new_material(data["name"] or entry["name"])
+    kind, sockets = SHADERS[data["kind"]]
+    node = nodes.new(kind)
     color = node.inputs["Base Color" if data["kind"] == "metal" else "Color"]
     color.default_value = (*data["color"], 1.0)
-    if data["kind"] == "emission":
-        node.inputs["Strength"].default_value = data["strength"]
-    if data["kind"] == "glass":
-        node.inputs["IOR"].default_value = data["index"]
+    for socket, key in sockets.items():
+        node.inputs[socket].default_value = data[key]
     if data["kind"] == "metal":
         node.inputs["Metallic"].default_value = 1.0
-    if data["kind"] in ("glass", "metal"):
-        node.inputs["Roughness"].default_value = data["roughness"]
     if image is not None:
         picture = nodes.new("ShaderNodeTexImage")
         picture.image, picture.extension = image, "EXTEND"
@@ -243,20 +204,7 @@ def make_material(entry: Any, image: Any) -> Any:
         attribute = nodes.new("ShaderNodeAttribute")
         attribute.attribute_name = COLOR
         links.new(attribute.outputs["Color"], color)
-    output = nodes.new("ShaderNodeOutputMaterial")
-    links.new(node.outputs[0], output.inputs["Surface"])
-    return material
-
-
-def ground_glass() -> Any:
-    """Return the matt material of the ground edge of a lens."""
-    material = bpy.data.materials.new("ground edge")
-    material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    nodes.clear()
-    surface, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
-    surface.inputs["Color"].default_value = (0.55, 0.58, 0.6, 1.0)
-    links.new(surface.outputs[0], output.inputs["Surface"])
+    links.new(node.outputs[0], nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
     return material
 
 
@@ -409,18 +357,14 @@ def produce(scene: Any, job: Any, output: Any) -> None:
     bpy.ops.render.render(write_still=True)
     if extension == ".raw":
         image = bpy.data.images.load(target)
-        pixels = array.array("f", [0.0]) * (image.size[0] * image.size[1] * 4)
+        pixels = np.empty(len(image.pixels), dtype=np.float32)
         image.pixels.foreach_get(pixels)
-        with open(output, "wb") as stream:
-            pixels.tofile(stream)
+        pixels.tofile(output)
 
 
 def measure_depth(scene: Any) -> None:
     """Make every surface emit its distance along the camera's axis, sampled in the middle of each pixel."""
-    material = bpy.data.materials.new("depth")
-    material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    nodes.clear()
+    material, nodes, links = new_material("depth")
     seen, shine, output = (
         nodes.new(name) for name in ("ShaderNodeCameraData", "ShaderNodeEmission", "ShaderNodeOutputMaterial")
     )

@@ -1,7 +1,6 @@
 """How Blender is found and run, with programs in its place that only pretend; and how the driver reads files."""
 
 import importlib.util
-import io
 import logging
 import os
 import re
@@ -9,7 +8,6 @@ import stat
 import subprocess
 import sys
 import types
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -234,24 +232,12 @@ def driver(monkeypatch):
     return module
 
 
-@pytest.mark.parametrize("dtype", ["<f4", "<i4", "|u1"])
-@pytest.mark.parametrize("shape", [(0, 3), (7, 3), (2, 3, 4)])
-def test_driver_reads_arrays_without_numpy(driver, random, dtype, shape):
-    values = (random.normal(size=shape) * 100).astype(dtype) if dtype != "|u1" else random.integers(0, 256, shape, "u1")
-    stream = io.BytesIO()
-    np.savez(stream, **{"0.part": values})
-    flat, found = driver.Arrays(zipfile.ZipFile(stream)).read("0.part")
-    assert found == shape
-    assert flat.tobytes() == values.tobytes()
-
-
-def test_driver_refuses_other_arrays(driver):
-    stream = io.BytesIO()
-    np.savez(stream, wide=np.zeros(3), objects=np.array([{}], dtype=object))
-    store = driver.Arrays(zipfile.ZipFile(stream))
-    for name in ("wide", "objects"):
-        with pytest.raises(ValueError, match=f"{name} is stored in a way that is not understood"):
-            store.read(name)
+def test_driver_refuses_objects(driver, tmp_path, monkeypatch):
+    np.savez(tmp_path / "arrays.npz", objects=np.array([{}], dtype=object))
+    (tmp_path / "scene.json").write_text('{"arrays": "arrays.npz"}')
+    monkeypatch.setattr(driver, "build", lambda document, arrays: arrays["objects"])
+    with pytest.raises(ValueError, match="allow_pickle=False"):
+        driver.main([str(tmp_path / "scene.json"), str(tmp_path / "out.png")])
 
 
 def test_driver_runs_nothing_that_it_reads():
