@@ -288,10 +288,8 @@ def read_materials(path: Path | str) -> tuple[list[OpticalMaterial], dict[str, s
             return read_agf(path), {}
         if path.suffix.lower() in (".yml", ".yaml"):
             return [read_entry(path)], {}
-    try:
+    with _validate.refusing(f"{path} is not a JSON file of materials: ", ValueError, RecursionError):
         content = json.loads(Path(regular_file(str(path))).read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is not a JSON file of materials: {error}") from error
     entries = content.get("materials") if isinstance(content, dict) else None
     if not isinstance(entries, dict) or not entries:
         raise ValueError(f'{path} must contain an object {{"materials": {{name: entry, …}}}}, with at least one entry')
@@ -435,7 +433,7 @@ def read_agf(path: Path) -> list[OpticalMaterial]:
         if words[0] == "NM":
             finish()
             head, numbers, limits, passed, heat = words[1:], [], [], [], {}
-        try:
+        with _validate.refusing(f"{path.name}, line {line}: ", ValueError):
             if words[0] == "CD":
                 numbers = [float(word) for word in words[1:]]
             elif words[0] == "LD":
@@ -444,8 +442,6 @@ def read_agf(path: Path) -> list[OpticalMaterial]:
                 heat[words[0]] = [0.0 if word in ("-", "_") else float(word) for word in words[1:]]
             elif words[0] == "IT" and len(words) > 3:
                 passed.append([float(word) for word in words[1:4]])
-        except ValueError as error:
-            raise ValueError(f"{path.name}, line {line}: {error}") from None
     finish()
     if not found:
         raise ValueError(f"{path.name} contains no glass whose dispersion formula is known")

@@ -519,10 +519,8 @@ class plano_convex_lens(_show.Shown):
 
 def _medium(name: str, value):
     if not isinstance(value, OpticalMaterial):
-        try:
+        with _validate.refusing(f"{name} must be one of odak.catalog.material_names(): ", ValueError):
             material(_validate.text(name, value))
-        except ValueError as error:
-            raise ValueError(f"{name} must be one of odak.catalog.material_names(): {error}") from None
     return value
 
 

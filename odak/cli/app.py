@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from odak.cli.job import Job
-from odak.cli.options import InputError, RunSettings, Settings, option_name, parameters_of
+from odak.cli.options import InputError, RunSettings, Settings, option_name, parameters_of, refusing
 from odak.cli.settings import (
     CalibrateSettings,
     CaptureSettings,
@@ -607,10 +607,8 @@ def certificates(settings: CertificateSettings) -> None:
     """
     from odak.manager import make_certificates
 
-    try:
+    with refusing("", ImportError, TypeError, ValueError):
         made = make_certificates(settings.folder, settings.days)
-    except (ImportError, TypeError, ValueError) as error:
-        raise InputError(str(error)) from None
     typer.echo(f"ca.pem, cert.pem, key.pem in {made}; keep key.pem secret")
 
 

@@ -17,8 +17,8 @@ from odak._drawn import png
 from odak._lengths import parse_length
 from odak.cli.files import REPORT, SILENT, Notices, announce, claim, claiming, writable_folder, write_json
 from odak.cli.job import is_length
-from odak.cli.options import InputError
-from odak.cli.report import collected_warnings, definitions, versions
+from odak.cli.options import InputError, refusing
+from odak.cli.report import about, collected_warnings
 from odak.cli.settings import CalibrateSettings, InstrumentsSettings, TableSettings
 from odak.instruments import Calibration, Lens
 from odak.instruments.calibration import UNITS
@@ -138,7 +138,7 @@ def open_table(job: TableSettings, step: str) -> Table:
     names |= {"polariser": job.polariser} if isinstance(job, CalibrateSettings) else {}
     given = options_of(job.option, (*names, SIMULATED))
     simulated = [name for name, entry in names.items() if entry == SIMULATED]
-    try:
+    with refusing("an instrument cannot be opened: ", ImportError, OSError, TypeError, ValueError):
         if simulated:
             if len(simulated) != len([entry for entry in names.values() if entry is not None]):
                 raise InputError(f"--{simulated[0]} is simulated, so all other instruments must be simulated too")
@@ -156,8 +156,6 @@ def open_table(job: TableSettings, step: str) -> Table:
             name: None if entry is None else instruments.open_instrument(entry, **given[name])
             for name, entry in names.items()
         }
-    except (ImportError, OSError, TypeError, ValueError) as error:
-        raise InputError(f"an instrument cannot be opened: {error}") from None
     return Table(opened["modulator"], opened["camera"], opened.get("polariser"))
 
 
@@ -190,10 +188,8 @@ def run(job: CalibrateSettings, notices: Notices = SILENT) -> dict[str, Any]:
     table, distance = open_table(job, step), reach_of(job)
     if step not in STEPS:
         raise InputError(f"STEP must be one of {', '.join(STEPS)}; got {step!r}.{did_you_mean(step, STEPS)}")
-    try:
+    with refusing("the camera cannot be used: ", TypeError, ValueError):
         table = table._replace(camera=checked_camera(table.camera))
-    except (TypeError, ValueError) as error:
-        raise InputError(f"the camera cannot be used: {error}") from None
     folder = writable_folder(job.output)
     path = folder / f"{RESULTS}.h5" if results is None else Path(results).expanduser()
     if path.suffix.lower() not in (".npz", ".h5", ".hdf5"):
@@ -208,11 +204,8 @@ def run(job: CalibrateSettings, notices: Notices = SILENT) -> dict[str, Any]:
     known = known_table(table, path if path.exists() or not earlier.exists() else earlier, job.wavelength, distance)
     # What a second run of the same step replaces.
     announce(folder, [f"{step}.png"], notices)
-    with collected_warnings() as texts:
-        try:
-            found = STEPS[step](table, known)
-        except (RuntimeError, TypeError, ValueError) as error:
-            raise InputError(f"the step {step} failed: {error}") from None
+    with collected_warnings() as texts, refusing(f"the step {step} failed: ", RuntimeError, TypeError, ValueError):
+        found = STEPS[step](table, known)
     instruments.save_calibration(path, found.calibration)
     figure = Figure(figsize=(9, 3.4), layout="constrained")
     found.draw(figure)
@@ -224,8 +217,7 @@ def run(job: CalibrateSettings, notices: Notices = SILENT) -> dict[str, Any]:
         "results": str(path),
         "figure": f"{step}.png",
         "warnings": texts,
-        "versions": versions(),
-        "definitions": definitions("calibrate"),
+        **about("calibrate"),
     }
     write_json(folder / REPORT, report)
     return report
@@ -256,10 +248,8 @@ def known_table(
     """
     if not path.exists():
         return Calibration.nominal(table.modulator, table.camera, wavelength, distance)
-    try:
+    with refusing(f"{option}: ", ImportError, ValueError):
         known = instruments.load_calibration(path)
-    except (ImportError, ValueError) as error:
-        raise InputError(f"{option}: {error}") from None
     if known.amplitude.shape != tuple(table.modulator.shape) or known.wavelength != wavelength:
         raise InputError(
             f"{option} {str(path)!r} belongs to another setup: it must have {list(table.modulator.shape)} pixels "
@@ -275,38 +265,38 @@ def known_table(
     return known
 
 
-def _joined(
-    known: Calibration, uncertainty: dict[str, float], **results: Any
-) -> tuple[Calibration, dict[str, tuple[float, str]]]:
-    """Return a calibration with results and their uncertainties, and the uncertainties as values of a report."""
-    found = dataclasses.replace(known, **results, uncertainty={**known.uncertainty, **uncertainty})
-    return found, {f"uncertainty_{name}": (value, UNITS[f"uncertainty_{name}"]) for name, value in uncertainty.items()}
+def _doubts(uncertainty: dict[str, float]) -> dict[str, tuple[float, str]]:
+    return {f"uncertainty_{name}": (value, UNITS[f"uncertainty_{name}"]) for name, value in uncertainty.items()}
+
+
+def _added(
+    known: Calibration,
+    values: dict[str, tuple[Any, str]],
+    draw: Callable[[Figure], None],
+    uncertainty: float,
+    **result: Any,
+) -> Found:
+    """Return what a step found: a calibration with its one result, and values of the report with its uncertainty."""
+    (name,) = result
+    found = dataclasses.replace(known, **result, uncertainty={**known.uncertainty, name: uncertainty})
+    return Found(found, {**values, **_doubts({name: uncertainty})}, draw)
 
 
 def _phase(table: Table, known: Calibration) -> Found:
     phases, doubt, _ = phases_with_uncertainty(known.table(table.modulator, table.camera))
-    found, uncertainties = _joined(known, {"phases": doubt}, phases=phases)
     line = np.linspace(phases[0], phases[-1], len(phases))
-    return Found(
-        found,
-        {
-            "phase_range": (float(phases[-1] - phases[0]), "rad"),
-            "largest_departure_from_a_line": (float(np.abs(phases - line).max()), "rad"),
-            **uncertainties,
-        },
-        lambda figure: _curves(figure, phases),
-    )
+    values = {
+        "phase_range": (float(phases[-1] - phases[0]), "rad"),
+        "largest_departure_from_a_line": (float(np.abs(phases - line).max()), "rad"),
+    }
+    return _added(known, values, lambda figure: _curves(figure, phases), doubt, phases=phases)
 
 
 def _regions(table: Table, known: Calibration) -> Found:
     tables, doubts = regions_with_uncertainty(known.table(table.modulator, table.camera))
-    ends = tables[..., -1]
-    found, uncertainties = _joined(known, {"regional_phases": float(doubts.max())}, regional_phases=tables)
-    return Found(
-        found,
-        {"phase_ranges": (ends.tolist(), "rad"), **uncertainties},
-        lambda figure: _curves(figure, *tables.reshape(-1, tables.shape[-1])),
-    )
+    curves, values = tables.reshape(-1, tables.shape[-1]), {"phase_ranges": (tables[..., -1].tolist(), "rad")}
+    doubt = float(doubts.max())
+    return _added(known, values, lambda figure: _curves(figure, *curves), doubt, regional_phases=tables)
 
 
 def _registration(table: Table, known: Calibration) -> Found:
@@ -327,43 +317,31 @@ def _registration(table: Table, known: Calibration) -> Found:
         axis.scatter(places[:, 0], places[:, 1], s=60, facecolors="none", edgecolors="tab:orange", linewidths=0.8)
         axis.set(xlabel="camera column", ylabel="camera row", title="Spots, and where the mapping expects them")
 
-    found, uncertainties = _joined(known, {"registration": mapping.uncertainty}, registration=mapping)
-    return Found(
-        found,
-        {
-            "residual_pixels": (mapping.residual, "pixels"),
-            "distortion": (mapping.distortion, "1/(half diagonal)²"),
-            **uncertainties,
-        },
-        draw,
-    )
+    values = {
+        "residual_pixels": (mapping.residual, "pixels"),
+        "distortion": (mapping.distortion, "1/(half diagonal)²"),
+    }
+    return _added(known, values, draw, mapping.uncertainty, registration=mapping)
 
 
 def _wavefront(table: Table, known: Calibration) -> Found:
     wavefront, doubt = wavefront_with_uncertainty(known.table(table.modulator, table.camera))
     waves = wavefront / (2 * np.pi)
-    found, uncertainties = _joined(known, {"wavefront": doubt}, wavefront=wavefront)
-    return Found(
-        found,
-        {"wavefront_rms_waves": (float(waves.std()), "wavelengths"), **uncertainties},
-        lambda figure: _map(figure, waves, known.pitch, "aberration (wavelengths)"),
-    )
+    values = {"wavefront_rms_waves": (float(waves.std()), "wavelengths")}
+    return _added(known, values, _map(waves, known.pitch, "aberration (wavelengths)"), doubt, wavefront=wavefront)
 
 
 def _distance(table: Table, known: Calibration) -> Found:
     distance, doubt = distance_with_uncertainty(known.table(table.modulator, table.camera))
-    found, uncertainties = _joined(known, {"distance": doubt}, distance=distance)
-    return Found(found, {"distance": (distance, "m"), **uncertainties}, _spot(table, known, found))
+    spot = _spot(table, known, dataclasses.replace(known, distance=distance))
+    return _added(known, {"distance": (distance, "m")}, spot, doubt, distance=distance)
 
 
 def _illumination(table: Table, known: Calibration) -> Found:
     amplitude, doubt = illumination_with_uncertainty(known.table(table.modulator, table.camera))
-    found, uncertainties = _joined(known, {"amplitude": doubt}, amplitude=amplitude)
-    return Found(
-        found,
-        {"illumination_min": (float(amplitude.min()), "of the largest amplitude"), **uncertainties},
-        lambda figure: _map(figure, amplitude, known.pitch, "amplitude of the illumination"),
-    )
+    values = {"illumination_min": (float(amplitude.min()), "of the largest amplitude")}
+    drawn = _map(amplitude, known.pitch, "amplitude of the illumination")
+    return _added(known, values, drawn, doubt, amplitude=amplitude)
 
 
 def _exposure(table: Table, known: Calibration) -> Found:
@@ -436,7 +414,7 @@ def _all(table: Table, known: Calibration) -> Found:
         "wavefront_rms_waves": (float(found.wavefront.std() / (2 * np.pi)), "wavelengths"),
         "illumination_min": (float(found.amplitude.min()), "of the largest amplitude"),
         "phase_range": (float(found.phases[-1]), "rad"),
-        **_joined(known, found.uncertainty)[1],
+        **_doubts(found.uncertainty),
     }
     return Found(found, values, draw)
 
@@ -463,8 +441,8 @@ def _curves(figure: Figure, *tables: np.ndarray) -> None:
     axis.set(xlabel="level", ylabel="phase (rad)", title="Phase of each level" + " of each region" * (len(tables) > 1))
 
 
-def _map(figure: Figure, values: np.ndarray, pitch: float, label: str) -> None:
-    _draw_map(figure.subplots(), values, pitch, label)
+def _map(values: np.ndarray, pitch: float, label: str) -> Callable[[Figure], None]:
+    return lambda figure: _draw_map(figure.subplots(), values, pitch, label)
 
 
 def _draw_map(axis: Any, values: np.ndarray, pitch: float, label: str) -> None:
@@ -522,7 +500,7 @@ def check_driver(job: InstrumentsSettings, notices: Notices = SILENT) -> dict[st
     given = options_of(job.option, ("driver", "beside"))
     opened: list[Any] = []
     try:
-        try:
+        with refusing("an instrument cannot be opened: ", ImportError, OSError, TypeError, ValueError):
             if job.driver == SIMULATED:
                 table = instruments.SimulatedTable(**{"seed": 0, **given["driver"]})
                 opened = [table.camera, table.modulator]
@@ -530,8 +508,6 @@ def check_driver(job: InstrumentsSettings, notices: Notices = SILENT) -> dict[st
                 opened.append(instruments.open_instrument(job.driver, **given["driver"]))
                 if job.beside is not None:
                     opened.append(instruments.open_instrument(job.beside, **given["beside"]))
-        except (ImportError, OSError, TypeError, ValueError) as error:
-            raise InputError(f"an instrument cannot be opened: {error}") from None
         cameras = [one for one in opened if isinstance(one, instruments.Camera)]
         modulators = [one for one in opened if isinstance(one, instruments.SLMDriver)]
         if len(cameras) > 1 or len(modulators) > 1 or not cameras + modulators:
@@ -549,8 +525,7 @@ def check_driver(job: InstrumentsSettings, notices: Notices = SILENT) -> dict[st
         "passed": all(finding.passed is not False for finding in found),
         "checks": [dataclasses.asdict(finding) for finding in found],
         "warnings": texts,
-        "versions": versions(),
-        "definitions": definitions("instruments"),
+        **about("instruments"),
     }
     write_json(folder / REPORT, report)
     return report

@@ -23,7 +23,7 @@ from odak.cli.files import (
     write_json,
     write_png,
 )
-from odak.cli.options import InputError
+from odak.cli.options import InputError, refusing
 from odak.cli.settings import CaptureSettings
 from odak.instruments import Calibration, Lens, record_captures, save_captures, set_exposure
 from odak.instruments.calibration import predicted_capture
@@ -93,8 +93,7 @@ def run(job: CaptureSettings, notices: Notices = SILENT) -> dict[str, Any]:
         "lens": dataclasses.asdict(known.distance) if isinstance(known.distance, Lens) else None,
         "calibration": None if calibration is None else str(calibration),
         "warnings": texts,
-        "versions": sheets.versions(),
-        "definitions": sheets.definitions("capture"),
+        **sheets.about("capture"),
     }
     write_json(folder / REPORT, report)
     return report
@@ -140,10 +139,8 @@ def read_pattern(path: Path, shape: tuple[int, int], bits: int) -> np.ndarray:
     InputError
         If it is another picture.
     """
-    try:
+    with refusing("", ValueError, TypeError):
         grey = read_levels(path)
-    except (ValueError, TypeError) as error:
-        raise InputError(" ".join(str(error).split())) from None
     if grey.ndim != 2 or grey.dtype.kind != "u":
         raise InputError(f"PATTERN {str(path)!r} must be a grey picture of levels, got {list(grey.shape)} {grey.dtype}")
     if grey.shape != tuple(shape):

@@ -30,7 +30,7 @@ from odak.cli.files import (
     write_json,
 )
 from odak.cli.job import SHIPPED_IMAGES, Job, image_path
-from odak.cli.options import InputError, option_name
+from odak.cli.options import InputError, option_name, refusing
 from odak.cli.settings import SpreadSettings, WorkerSettings
 from odak.manager import Failure, agent
 from odak.manager.server import Server, start_server
@@ -123,14 +123,10 @@ def _compute(frames, failed, values, spread: SpreadSettings, security) -> set[st
     """Compute frames, write the results, collect the failures, and return the workers that took part."""
     gpu = spread.cluster is not None and str(values.get("device")).startswith("cuda")
     options = {name: getattr(spread, name) for name in ("workers", "retries", "timeout", "trusted_network")}
-    try:
+    with refusing(in_options, ImportError, TypeError, ValueError):
         work = agent(
             hologram, spread.cluster or False, gpu=gpu, verbose=not values["quiet"], security=security, **options
         )
-    except ImportError as error:
-        raise InputError(str(error)) from None
-    except (TypeError, ValueError) as error:
-        raise InputError(in_options(str(error))) from None
     with work:
         work.connect()
         for frame in frames:
@@ -336,14 +332,12 @@ def hologram(
         image = str(picture.put(folder / "picture"))
         depth_map = None if depth is None else str(depth.put(folder / "depth"))
         job = Job(**values, image=image, depth_map=depth_map, output=folder / "output", quiet=True)
-        try:
-            # The warnings are part of the report. They are shown from there, with the name of the picture.
-            with collected_warnings(lambda text: None):
-                report = compute(job)
-            if report["interrupted"]:
-                raise KeyboardInterrupt
-        except InputError as error:
-            raise InputError(str(error).replace(image, picture.name)) from None
+        # The warnings are part of the report. They are shown from there, with the name of the picture.
+        quiet = collected_warnings(lambda text: None)
+        with refusing(lambda text: text.replace(image, picture.name), InputError), quiet:
+            report = compute(job)
+        if report["interrupted"]:
+            raise KeyboardInterrupt
         written = {path.name: path.read_bytes() for path in sorted(job.output.iterdir()) if path.name != REPORT}
     return report, written
 
@@ -387,13 +381,11 @@ def join(settings: WorkerSettings, say: Callable[[str], None]) -> None:
         raise InputError(f"ADDRESS must be the address of a scheduler, such as tls://10.0.0.1:8786; got {address!r}")
     options = {name: getattr(settings, name) for name in ("workers", "threads", "name", "trusted_network", "timeout")}
     options["security"] = settings.security()
-    try:
+    with refusing(in_options, TypeError, ValueError, ImportError):
         if settings.memory_limit is not None:
             limit = _validate.real("memory_limit", settings.memory_limit, positive=True)
             options["memory_limit"] = int(2**30 * limit)
         server = start_server(address, **options)
-    except (TypeError, ValueError, ImportError) as error:
-        raise InputError(in_options(str(error))) from None
     with server:
         former = signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:

@@ -12,7 +12,7 @@ import torch
 from odak.cli import files
 from odak.cli.job import image_path, pitch_pair
 from odak.cli.options import InputError
-from odak.cli.report import definitions, find_device, picture_panel, progress, psnr, sheet, versions
+from odak.cli.report import about, find_device, picture_panel, progress, psnr, sheet
 from odak.cli.settings import EyeboxSettings
 from odak.cli.target import light_of, on_screen
 from odak.learn import wave
@@ -94,8 +94,7 @@ def run(job: EyeboxSettings, notices: files.Notices = files.SILENT) -> dict[str,
         "light_box": job.light_box,
         "files": names,
         "parameters": given,
-        "versions": versions(),
-        "definitions": definitions("eyebox"),
+        **about("eyebox"),
     }
     return files.write_report(folder, report, mark, written)
 

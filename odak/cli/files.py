@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar
 
 from odak._warnings import ArgumentWarning, warn
 from odak.cli.job import Job, depth_map_path, find_preset, image_path
-from odak.cli.options import InputError, option_name
+from odak.cli.options import InputError, option_name, refusing
 from odak.tools import check_directory
 from odak.tools.file import file_depth, save_levels
 from odak.tools.paths import replacing, validate_path, write_file
@@ -62,12 +62,9 @@ def writable_folder(folder: Path, name: str = "--output") -> Path:
         If it cannot be made or written to.
     """
     folder = Path(os.path.expanduser(folder)).resolve()
-    try:
+    with refusing(lambda text: f"{name} cannot be written to: {str(folder)!r} ({text})", OSError, ValueError):
         check_directory(str(folder), validate=False)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except (OSError, ValueError) as error:
-        raise InputError(f"{name} cannot be written to: {str(folder)!r} ({' '.join(str(error).split())})") from None
+        tempfile.TemporaryFile(dir=folder).close()
     return folder
 
 
@@ -459,10 +456,8 @@ def read_lut(path: str, bits: int) -> "numpy.ndarray":
     """
     from odak.instruments.maker_files import values_of_levels
 
-    try:
+    with refusing("--lut: ", OSError, ValueError):
         phases = values_of_levels(os.path.expanduser(path))
-    except (OSError, ValueError) as error:
-        raise InputError(f"--lut: {error}") from None
     if len(phases) != 1 << bits:
         raise InputError(f"--lut {path!r} must have {1 << bits} levels for --bits {bits}, got {len(phases)}")
     return phases
@@ -472,10 +467,8 @@ def read_calibration(path: str) -> "Calibration":
     """Return the calibration in a file; InputError if it cannot be read."""
     from odak.instruments import load_calibration
 
-    try:
+    with refusing("--calibration: ", ImportError, OSError, ValueError):
         return load_calibration(Path(os.path.expanduser(path)))
-    except (ImportError, OSError, ValueError) as error:
-        raise InputError(f"--calibration: {error}") from None
 
 
 def completed(values: dict[str, Any]) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from PIL import Image
 
+from odak import _validate
 from odak.cli import files, hologram
 from odak.cli.job import Job
 from odak.cli.options import InputError
@@ -90,10 +91,8 @@ def _read(film: str) -> tuple[float, int, Iterator[Image.Image]]:
     path = Path(os.path.expanduser(film))
     if not path.is_file():
         raise InputError(f"IMAGE must be an existing file, got {film!r}")
-    try:
-        import cv2
-    except ImportError:
-        raise InputError(f"IMAGE {film!r} is a film, which OpenCV reads: pip install opencv-python-headless") from None
+    told = f"IMAGE {film!r} is a film, which OpenCV reads: pip install opencv-python-headless"
+    cv2 = _validate.optional("cv2", told, InputError)
     stream = cv2.VideoCapture(str(path))
     rate = float(stream.get(cv2.CAP_PROP_FPS)) if stream.isOpened() else 0.0
     if not (math.isfinite(rate) and rate > 0):

@@ -27,7 +27,7 @@ from odak.cli.job import (
     Job,
     pattern_name,
 )
-from odak.cli.options import InputError
+from odak.cli.options import InputError, refusing
 from odak.cli.target import Target, Volume, load_target, load_volume, on_screen
 from odak.instruments import Lens
 from odak.learn import wave
@@ -532,13 +532,10 @@ def _start(job: Job, display: wave.Display, names: Sequence[str] = ()) -> Any:
     """
     if job.start is not None:
         known = [Path(os.path.expanduser(job.start)) / name for name in names]
-        try:
+        wanted = f"--start must hold {', '.join(names)} of {job.resolution[0]} x {job.resolution[1]} pixels: "
+        with refusing(wanted, OSError, ValueError, RuntimeError):
             phases = [files.load_pattern(path, job.bits, files.response_of(job)) for path in known]
             found = torch.stack([phase.reshape(job.resolution) for phase in phases])
-        except (OSError, ValueError, RuntimeError) as error:
-            raise InputError(
-                f"--start must hold {', '.join(names)} of {job.resolution[0]} x {job.resolution[1]} pixels: {error}"
-            ) from None
         found = found - grating_phase(job.resolution, found.device) if job.grating else found
         return found.to(display.powers)
     known = {"gs": "gs", "double-phase": "double phase", "flat": "flat", "uniform": "random", None: "flat"}

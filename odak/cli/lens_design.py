@@ -15,8 +15,8 @@ from odak._drawn import png
 from odak._warnings import ArgumentWarning, warn
 from odak.cli import files
 from odak.cli.files import writable_folder
-from odak.cli.options import InputError, option_name
-from odak.cli.report import definitions, finite, versions
+from odak.cli.options import InputError, option_name, refusing
+from odak.cli.report import about, finite, versions
 from odak.cli.settings import LENS_LENGTHS, DesignSettings
 from odak.cli.trace import read_glasses, read_system
 from odak.learn.raytracing.system import (
@@ -100,13 +100,9 @@ def run(job: DesignSettings, notices: files.Notices = files.SILENT) -> dict[str,
         read_system(job.system)
     files.announce(folder, [*names, files.REPORT], notices)
     begun = time.perf_counter()
-    with tqdm(desc="design", unit="step", disable=job.quiet) as bar:
-        try:
-            start, lens, did, merit = (_from_plates if job.system is None else _from_system)(job, bar.update)
-        except InputError:
-            raise
-        except (TypeError, ValueError) as error:
-            raise InputError(_of_options(str(error), job)) from None
+    bar = tqdm(desc="design", unit="step", disable=job.quiet)
+    with bar, refusing(lambda text: _of_options(text, job), TypeError, ValueError):
+        start, lens, did, merit = (_from_plates if job.system is None else _from_system)(job, bar.update)
     if job.track is not None:
         track = sum(float(item.thickness) for item in lens.surfaces) * MICROMETRES[lens.unit] * 1e-6
         if track > 1.01 * job.track:
@@ -129,8 +125,7 @@ def run(job: DesignSettings, notices: files.Notices = files.SILENT) -> dict[str,
         "elements": elements_of(lens, job.aim),
         "merit": merit,
         "seconds": time.perf_counter() - begun,
-        "versions": versions(),
-        "definitions": definitions("design"),
+        **about("design"),
     }
     drawing = _drawing(lens)
     save_system(lens, folder / "lens.json")
@@ -277,10 +272,8 @@ def _from_system(job: DesignSettings, step: Callable[[], Any]):
         raise InputError(f"SYSTEM {job.system!r} is afocal; a design needs a focal length")
     if job.focal_length is not None:
         wanted = math.copysign(job.focal_length * metre, f)
-        try:
+        with refusing(lambda text: f"--focal-length: {text}, in {job.system!r}; leave it out", ValueError):
             system = scaled_system(system, wanted / f)
-        except ValueError as error:
-            raise InputError(f"--focal-length: {error}, in {job.system!r}; leave it out") from error
         did.append(f"scaled by {wanted / f:.6g} from a focal length of {f:.6g} {system.unit}")
         f = wanted
     # Bounds of edges and the evaluation of spots use the whole beam.
@@ -326,11 +319,8 @@ def _check_start(system: optical_system, job: DesignSettings) -> None:
     if job.f_number is not None and system.telecentric:
         raise InputError(f"--f-number has no effect with {job.system!r}, which is telecentric on the object's side")
     if job.zmx:
-        with tempfile.TemporaryDirectory() as folder:
-            try:
-                write_zmx(system, Path(folder) / "lens.zmx")
-            except ValueError as error:
-                raise InputError(f"--zmx: {error}") from None
+        with tempfile.TemporaryDirectory() as folder, refusing("--zmx: ", ValueError):
+            write_zmx(system, Path(folder) / "lens.zmx")
 
 
 def _fields_to(own: tuple, largest: float | None) -> tuple:

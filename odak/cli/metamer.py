@@ -9,7 +9,7 @@ from tqdm import tqdm
 from odak.cli import files, report
 from odak.cli.job import image_path
 from odak.cli.options import InputError
-from odak.cli.report import decibels, definitions, find_device, versions
+from odak.cli.report import about, decibels, find_device
 from odak.cli.settings import MetamerSettings
 from odak.cli.target import read_picture
 
@@ -92,9 +92,7 @@ def run(job: MetamerSettings, notices: files.Notices = files.SILENT) -> dict[str
     found = {"psnr_db": decibels(error), "largest_pooling": float(pooling.max()), "loss": value, "noise_loss": of_noise}
     found |= dict(zip(("texture_distance", "noise_texture_distance"), textures, strict=True))
     given = {"command": "metamer", "picture": str(path), "parameters": parameters}
-    return files.write_report(
-        folder, {**found, **given, "versions": versions(), "definitions": definitions("metamer")}, mark, NAMES
-    )
+    return files.write_report(folder, {**found, **given, **about("metamer")}, mark, NAMES)
 
 
 def _texture_distance(shown, picture, pooling):

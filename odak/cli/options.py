@@ -11,6 +11,7 @@ import inspect
 import re
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import MISSING, Field, dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, ClassVar, Union, get_args, get_origin, get_type_hints
@@ -27,6 +28,10 @@ _ENTRY = re.compile(r"^(\w+(?:, \w+)*) : .*\n((?: {4}.*\n?|\n)+)", re.MULTILINE)
 
 class InputError(Exception):
     """An argument of the command line is not valid; the message states what is accepted."""
+
+
+# Raises errors of what a user gave as InputError.
+refusing = partial(_validate.refusing, raised=InputError)
 
 
 @dataclass(frozen=True)
@@ -139,12 +144,10 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Check each field by itself, then what they say together; the messages name options of the command line."""
-        try:
+        with refusing("", TypeError, ValueError):
             for item, how in _options(type(self)):
                 self._check_field(item.name, _named(item, how), how)
             self.check()
-        except (TypeError, ValueError) as error:
-            raise InputError(str(error)) from None
 
     def _check_field(self, name: str, named: str, how: Option) -> None:
         value = getattr(self, name)

@@ -146,16 +146,14 @@ def parameters_of(job: Job, target: Target, names: list[str], device: torch.devi
             "grating": "pi on every second column from the first, included in the file" if job.grating else None,
         },
         "device": device_name(device),
-        "versions": versions(),
-        "definitions": definitions("hologram")
-        | {"efficiency_lit": f"As efficiency, where T is at least {LIT} of its maximum."},
+        **about("hologram", efficiency_lit=f"As efficiency, where T is at least {LIT} of its maximum."),
     }
 
 
-def definitions(command: str) -> dict[str, str]:
-    """Return what the numbers in the report of a command mean, by their names, from `odak/assets/definitions.json`."""
+def about(command: str, **defined: str) -> dict[str, dict[str, str]]:
+    """Return versions, and what the numbers in the report of a command mean, from `odak/assets/definitions.json`."""
     text = resources.files("odak").joinpath("assets/definitions.json").read_text(encoding="utf-8")
-    return json.loads(text)[command]
+    return {"versions": versions(), "definitions": json.loads(text)[command] | defined}
 
 
 def versions() -> dict[str, str]:

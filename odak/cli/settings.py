@@ -31,6 +31,7 @@ from odak.cli.options import (
     option,
     option_name,
     positive,
+    refusing,
     up_to,
 )
 
@@ -387,12 +388,9 @@ class DesignSettings(RunSettings):
         """Return the temperatures of the design, None without."""
         if self.temperature is None:
             return None
-        try:
+        told = f"--temperature must be degrees separated by commas, such as -20,20,60; got {self.temperature!r}"
+        with refusing(lambda _: told, ValueError):
             return [_validate.number("--temperature", float(word)) for word in self.temperature.split(",")]
-        except ValueError:
-            raise InputError(
-                f"--temperature must be degrees separated by commas, such as -20,20,60; got {self.temperature!r}"
-            ) from None
 
     def makers(self) -> list[str]:
         """Return the makers whose glasses replace the glasses of the lens."""
@@ -629,10 +627,8 @@ class ClusterSettings(Settings):
                 raise InputError(f"{option_name(name)} is not a file: {file!r}")
         from odak.manager.server import require_dask, tls_security
 
-        try:
+        with refusing("", ImportError):
             require_dask("A cluster")
-        except ImportError as error:
-            raise InputError(str(error)) from None
         return tls_security(*map(str, given))
 
 

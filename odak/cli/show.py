@@ -16,7 +16,7 @@ import torch
 from odak import _validate
 from odak._call_forms import did_you_mean
 from odak.cli.files import FINGERPRINT, REPORT, load_pattern, read_report, stored_bits, writable_folder
-from odak.cli.options import InputError
+from odak.cli.options import InputError, refusing
 from odak.tools.file import read_levels, white_level
 from odak.tools.paths import replacing
 from odak.wave.transfer_functions import pitches
@@ -184,7 +184,7 @@ def _inside(folder: Path, name: str, missing: bool = False) -> Path:
 
 def _checked(path: Path) -> dict[str, Any]:
     """Return the report of a run after checking what is read of it; raise InputError naming what cannot be used."""
-    try:
+    with refusing(f"FILE {str(path)!r} is not the report of a run: ", OSError, TypeError, ValueError, OverflowError):
         report = read_report(path)
         for name in ("bench", "parameters", "pattern", "definitions"):
             if not isinstance(report.get(name, {}), dict):
@@ -199,8 +199,6 @@ def _checked(path: Path) -> dict[str, Any]:
                     _validate.number(f"{name}.pixel_pitch", pitch, positive=True)
             if values.get("wavelength") is not None:
                 _validate.number(f"{name}.wavelength", values["wavelength"], positive=True)
-    except (OSError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"FILE {str(path)!r} is not the report of a run: {error}") from None
     return report
 
 
@@ -259,10 +257,8 @@ def _encoded(path: Path) -> str:
 
 def _levels(path: Path) -> np.ndarray:
     """Return the levels of a picture; raise InputError if it cannot be decoded to its end."""
-    try:
+    with refusing("FILE: ", ValueError):
         return read_levels(path)
-    except ValueError as error:
-        raise InputError(f"FILE: {' '.join(str(error).split())}") from None
 
 
 def _phase(path: Path) -> np.ndarray:
@@ -274,7 +270,7 @@ def _phase(path: Path) -> np.ndarray:
 
 def _load(path: Path) -> np.ndarray:
     """Return an array of two axes from a file; nothing in it is run."""
-    try:
+    with refusing(f"FILE {str(path)!r} cannot be drawn: ", OSError, ValueError, TypeError, EOFError, OverflowError):
         if path.suffix.lower() == ".npy":
             # Mapped: a header may name more samples than the file holds, and more than any memory does.
             values = np.load(path, mmap_mode="r", allow_pickle=False)
@@ -285,8 +281,6 @@ def _load(path: Path) -> np.ndarray:
             if not isinstance(values, torch.Tensor):
                 raise ValueError(f"it contains a {type(values).__name__}, not a tensor")
             values = values.detach().cpu().numpy()
-    except (OSError, ValueError, TypeError, EOFError, OverflowError) as error:
-        raise InputError(f"FILE {str(path)!r} cannot be drawn: {' '.join(str(error).split())}") from None
     values = np.squeeze(values)
     if values.ndim < 2 or values.ndim > 3 or 0 in values.shape or not np.issubdtype(values.dtype, np.number):
         raise InputError(f"FILE {str(path)!r} must contain a field or a stack of fields, got shape {values.shape}")

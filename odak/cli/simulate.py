@@ -10,7 +10,7 @@ import torch
 
 from odak.cli import files, report
 from odak.cli.job import check_wavelength, warn_of_samples
-from odak.cli.options import InputError
+from odak.cli.options import refusing
 from odak.cli.settings import SimulateSettings
 from odak.wave import bench_schema
 from odak.wave.bench_files import BENCH, ELEMENTS, load_bench, positions, steps_of
@@ -47,10 +47,8 @@ def run(job: SimulateSettings, notices: files.Notices = files.SILENT) -> dict[st
         If the file cannot be read or does not conform to the schema.
     """
     with report.collected_warnings() as texts:
-        try:
+        with refusing(lambda text: re.sub(r"(^|: )config\b", r"\1CONFIG", text, count=1), TypeError, ValueError):
             bench, elements = load_bench(Path(str(job.config)))
-        except (TypeError, ValueError) as error:
-            raise InputError(re.sub(r"(^|: )config\b", r"\1CONFIG", str(error), count=1)) from None
         check_wavelength(f"{BENCH}: wavelength", bench["wavelength"])
         coarsest = max(pitches(bench["pixel_pitch"]))
         warn_of_samples(f"{BENCH}: wavelength", bench["wavelength"], f"{BENCH}: pixel_pitch", coarsest)
@@ -63,21 +61,18 @@ def run(job: SimulateSettings, notices: files.Notices = files.SILENT) -> dict[st
         names = [f"{name}{suffix}" for name in recorded for suffix in SUFFIXES]
         files.announce(folder, [*names, files.REPORT], notices)
         steps = []
-        try:
+        with refusing("", ValueError):
             for one in steps_of(bench, elements):
                 step = {"kind": one.kind, "power": one.power, "share_of_source": one.share_of_source}
                 step |= {} if one.lost is None else {"lost": one.lost}
                 record = {} if one.field is None else _write(folder, str(one.name), one.field, one.pitch)
                 steps.append(step | record)
-        except ValueError as error:
-            raise InputError(str(error)) from None
     summary = {
         "bench": bench,
         "elements": elements,
         "steps": steps,
         "warnings": texts,
-        "versions": report.versions(),
-        "definitions": report.definitions("simulate"),
+        **report.about("simulate"),
     }
     return files.write_report(folder, summary, mark, names)
 

@@ -12,7 +12,7 @@ from PIL import Image
 from odak._warnings import ArgumentWarning, warn
 from odak.cli.files import image_pitches
 from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, Job, depth_map_path, image_path
-from odak.cli.options import InputError
+from odak.cli.options import InputError, refusing
 from odak.learn import wave
 from odak.learn.wave import multiplane_loss
 from odak.learn.wave.pictures import fitting_size, on_frame
@@ -154,10 +154,8 @@ def read_picture(path: Path, name: str = "IMAGE") -> torch.Tensor:
     """
     from odak.learn.tools import load_image
 
-    try:
+    with refusing("", OSError, ValueError, TypeError):
         picture = load_image(str(path), normalizeby=None, color_managed=True).float()
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError(" ".join(str(error).split())) from None
     picture = picture[None] if picture.ndim == 2 else picture.movedim(-1, 0)
     with contextlib.suppress(OSError, ValueError, SyntaxError), Image.open(path) as image:
         if (frames := getattr(image, "n_frames", 1)) > 1:

@@ -17,7 +17,7 @@ from PIL import Image
 
 from odak.cli import files, hologram, report
 from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, SMALLEST_SIDE, Job, image_path, pattern_name
-from odak.cli.options import InputError
+from odak.cli.options import InputError, refusing
 from odak.cli.target import Target, light_of, on_screen, read_picture
 from odak.learn.wave.pictures import fitting_size
 from odak.tools.file import file_depth
@@ -110,10 +110,8 @@ def _computed_by(workers: int | None, folder: Path) -> Iterator[None]:
         return
     from odak.manager.server import Share, require_dask, serve
 
-    try:
+    with refusing("", ImportError):
         require_dask("--cluster")
-    except ImportError as error:
-        raise InputError(str(error)) from None
     from distributed import Client
 
     spilled = folder / "spilled"
@@ -136,17 +134,10 @@ def _channel(job: Job, target: Target, index: int, folder: Path, stem: str) -> d
         "learning_rate": job.learning_rate,
         "progress": not job.quiet,
     }
-    try:
+    with refusing(_in_options, ImportError, ValueError):
         phase = hologram_in_chunks(
             intensity, state, int(job.iterations or 1), job.distance, job.pixel_pitch, wavelength, **options
         )
-    except ImportError as error:
-        raise InputError(str(error)) from None
-    except ValueError as error:
-        text = (
-            str(error).replace("target must", "IMAGE must").replace("propagation_type must", "--propagation-type must")
-        )
-        raise InputError(text) from None
     pattern = folder / f"{stem}.zarr"
     _write_zarr(phase.map_blocks(_grey, job.bits, dtype=_kind(job.bits)), pattern)
     shown = da.exp(1j * files.phase_of(da.from_zarr(str(pattern)).astype(np.float64), job.bits)).astype(np.complex64)
@@ -161,6 +152,10 @@ def _channel(job: Job, target: Target, index: int, folder: Path, stem: str) -> d
         "reconstruction": light.name,
         **_measure(intensity.rechunk(image.chunks).astype(np.float64), image.astype(np.float64), target.window),
     }
+
+
+def _in_options(text: str) -> str:
+    return text.replace("target must", "IMAGE must").replace("propagation_type must", "--propagation-type must")
 
 
 def _claim(state: Path, job: Job, index: int) -> None:
@@ -279,10 +274,8 @@ def load_target(job: Job) -> Target:
     InputError
         If the picture is missing, unreadable, or smaller than the least frame.
     """
-    try:
+    with refusing("--tiles needs Dask and Zarr (pip install 'dask[array]' zarr): ", ImportError):
         import dask.array as da
-    except ImportError as error:
-        raise InputError(f"--tiles needs Dask and Zarr: pip install 'dask[array]' zarr ({error})") from None
     path = image_path(job.image)
     source = open_picture(path)
     grey = job.grey or len(job.wavelengths) == 1 or source.shape[2] < 3
@@ -325,7 +318,7 @@ def open_picture(path: Path) -> Any:
     """
     suffix = path.suffix.lower()
     found: Any
-    try:
+    with refusing(f"IMAGE {str(path)!r} cannot be read: ", OSError, ValueError, SyntaxError, KeyError):
         if path.is_dir():
             import zarr
 
@@ -335,8 +328,6 @@ def open_picture(path: Path) -> Any:
             found.dtype  # noqa: B018 (files that cannot be mapped are refused here)
         else:
             found = _tiff(path) if suffix in (".tif", ".tiff") else None
-    except (OSError, ValueError, SyntaxError, KeyError) as error:
-        raise InputError(f"IMAGE {str(path)!r} cannot be read: {' '.join(str(error).split())}") from None
     if found is None:
         found = read_picture(path).movedim(0, -1).numpy()
     shape = tuple(found.shape)
@@ -403,21 +394,19 @@ class _Tiff:
         import tifffile
         import zarr
 
-        try:
-            with tifffile.TiffFile(self.path) as file, file.pages.first.aszarr() as store:
-                return zarr.open_array(store, mode="r")[index]
-        except (OSError, ValueError, TypeError, RuntimeError, zlib.error) as error:
-            raise InputError(
-                f"IMAGE {self.path!r} cannot be read: a strip or tile is damaged ({' '.join(str(error).split())})"
-            ) from None
+        damaged = f"IMAGE {self.path!r} cannot be read: a strip or tile is damaged: "
+        with (
+            refusing(damaged, OSError, ValueError, TypeError, RuntimeError, zlib.error),
+            tifffile.TiffFile(self.path) as file,
+            file.pages.first.aszarr() as store,
+        ):
+            return zarr.open_array(store, mode="r")[index]
 
 
 def _tiff(path: Path) -> _Tiff | None:
     """Return a TIFF file that can be read in parts, None for one that Pillow has to read whole."""
-    try:
+    with refusing("--tiles needs tifffile for a TIFF file (pip install tifffile): ", ImportError):
         import tifffile
-    except ImportError as error:
-        raise InputError(f"--tiles needs tifffile for a TIFF file: pip install tifffile ({error})") from None
     try:
         with tifffile.TiffFile(path) as file:
             page = file.pages.first

@@ -11,8 +11,8 @@ from odak._call_forms import did_you_mean
 from odak._drawn import png
 from odak.cli import files
 from odak.cli.files import writable_folder
-from odak.cli.options import InputError
-from odak.cli.report import definitions, finite, versions
+from odak.cli.options import InputError, refusing
+from odak.cli.report import about, finite
 from odak.cli.settings import ToleranceSettings, TraceSettings
 from odak.learn.raytracing.system import (
     FieldQuality,
@@ -57,10 +57,8 @@ from odak.tools.paths import replacing, write_file
 def read_glasses(paths: Sequence[Path]) -> None:
     """Add the materials of files to the catalogue: .agf, .json or .yml of refractiveindex.info."""
     for path in paths:
-        try:
+        with refusing(f"--glasses {str(path)!r}: ", ValueError, OSError):
             load_materials(path, replace=True)
-        except (ValueError, OSError) as error:
-            raise InputError(f"--glasses {str(path)!r}: {error}") from None
 
 
 def read_system(name: str, argument: str = "SYSTEM") -> tuple[optical_system, list[str]]:
@@ -134,10 +132,8 @@ def run(job: TraceSettings, notices: files.Notices = files.SILENT) -> dict[str, 
     if (kept := files.kept_report(folder, mark, notices)) is not None:
         return kept
     if job.temperature is not None:
-        try:
+        with refusing(lambda text: text if "surfaces[" in text else f"--{text}", ValueError):
             system = in_environment(system, job.temperature, mount=job.mount)
-        except ValueError as error:
-            raise InputError(str(error) if "surfaces[" in str(error) else f"--{error}") from None
     with torch.no_grad():
         shift = None if system.afocal else best_focus(system, aim=aim)
         if focus == "best":
@@ -151,10 +147,8 @@ def run(job: TraceSettings, notices: files.Notices = files.SILENT) -> dict[str, 
     solids = [] if job.solids == "none" else [f"lenses.{job.solids}"]
     files.announce(folder, [*names, *solids, files.REPORT], notices)
     for name in solids:
-        try:
+        with refusing(f"--solids {job.solids}: ", ValueError, ImportError):
             save_solids(system, folder / name)
-        except (ValueError, ImportError) as error:
-            raise InputError(f"--solids {job.solids}: {error}") from None
     with torch.no_grad():
         report = describe(system, job.rings, aim, quality) | {"ignored": ignored, "focus": focus}
         report |= {"temperature": job.temperature, "mount": job.mount}
@@ -209,8 +203,7 @@ def describe(system: optical_system, rings: int, aim: str, quality: FieldQuality
         "quadrature": {"rings": quality.count, "change": finite(quality.change)},
         "modulation_frequencies": frequencies,
         "fields": fields,
-        "versions": versions(),
-        "definitions": definitions("trace"),
+        **about("trace"),
     }
 
 
@@ -266,15 +259,13 @@ def run_tolerance(job: ToleranceSettings, notices: files.Notices = files.SILENT)
         raise InputError(f"SYSTEM {name!r} has no glass, for which ISO 10110 has tolerances")
     with torch.no_grad():
         limit = 2 * float(rms_spot(system).max()) if limit is None else limit
-        try:
+        with refusing(f"SYSTEM {name!r} cannot be toleranced: ", ValueError):
             if share is None:
                 found = tolerance(system, off, samples, seed, compensators=compensators)
             else:
                 off, found = tolerances_for_yield(
                     system, off, limit, share, samples=samples, seed=seed, compensators=compensators
                 )
-        except ValueError as error:
-            raise InputError(f"SYSTEM {name!r} cannot be toleranced: {error}") from None
         alone = sensitivity(system, off, compensators=compensators)
         quality = field_quality(system)
         drawn = {"tolerance": tolerance_figure(system, found, limit), "sensitivity": tolerance_figure(system, alone)}
@@ -300,7 +291,6 @@ def run_tolerance(job: ToleranceSettings, notices: files.Notices = files.SILENT)
             for i, key in enumerate(alone.names)
         },
         "ignored": ignored,
-        "versions": versions(),
-        "definitions": definitions("tolerance"),
+        **about("tolerance"),
     }
     return files.write_report(folder, report | {"figures": names[:-1]}, mark, names)

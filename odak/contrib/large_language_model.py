@@ -94,10 +94,8 @@ def query_llm(
 def _answer(content: bytes) -> str:
     if len(content) > _LARGEST_ANSWER:
         raise ValueError(f"The server's answer is longer than {_LARGEST_ANSWER} bytes")
-    try:
+    with _validate.refusing("The server's answer is not JSON: ", ValueError, RecursionError):
         answer = json.loads(content)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"The server's answer is not JSON: {error}") from error
     for key in ("message", "content"):
         if not isinstance(answer, dict) or key not in answer:
             raise ValueError(f"The server's answer lacks {key!r}")

@@ -209,8 +209,4 @@ def checked_array(
 
 
 def _h5py() -> Any:
-    try:
-        import h5py
-    except ImportError:
-        raise ImportError("HDF5 files need h5py: pip install h5py") from None
-    return h5py
+    return _validate.optional("h5py", "HDF5 files need h5py: pip install h5py")

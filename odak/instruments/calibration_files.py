@@ -105,22 +105,16 @@ def load_calibration(path: str | os.PathLike[str]) -> Calibration:
     path = validate_path(path, [".npz", *SUFFIXES])
     if not os.path.exists(path):
         raise FileNotFoundError(f"there is no file {path!r}")
-    try:
+    with _validate.refusing(f"{path!r} cannot be read as a calibration: ", KeyError, TypeError, ValueError, OSError):
         arrays, header = read_hdf5(path, FORMAT, VERSION) if path.lower().endswith(SUFFIXES) else _read_npz(path)
         return _checked({**header, **arrays})
-    except KeyError as error:
-        raise ValueError(f"{path!r} cannot be read as a calibration: {error} is missing") from error
-    except (TypeError, ValueError, OSError) as error:
-        raise ValueError(f"{path!r} cannot be read as a calibration: {error}") from error
 
 
 def _read_npz(path: str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Return the arrays and the header of a ``.npz`` file."""
     arrays = read_npz(path)
-    try:
+    with _validate.refusing("its header is not JSON: ", ValueError, RecursionError):
         header = json.loads(arrays.pop("header").tobytes().decode())
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"its header is not JSON: {error}") from error
     if not isinstance(header, dict) or header.get("format") != FORMAT or header.get("version") != VERSION:
         told = header if isinstance(header, dict) else {}
         raise ValueError(f"its format is {told.get('format')!r}, version {told.get('version')!r}")

@@ -264,15 +264,9 @@ def load_captures(path: str | os.PathLike[str]) -> Captures:
     ...         print("cannot be read as captures" in str(error))
     True
     """
-    try:
+    with _validate.refusing(f"{os.fspath(path)!r} cannot be read as captures: ", KeyError, TypeError, ValueError):
         arrays, header = read_hdf5(path, CAPTURES, CAPTURES_VERSION)
         return _checked({**header, "dark": 0.0, **arrays})
-    except FileNotFoundError:
-        raise
-    except KeyError as error:
-        raise ValueError(f"{os.fspath(path)!r} cannot be read as captures: {error} is missing") from error
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{os.fspath(path)!r} cannot be read as captures: {error}") from error
 
 
 def _checked(values: Mapping[str, Any]) -> Captures:

@@ -696,10 +696,8 @@ class FileCamera(_show.Shown):
         write_file(os.path.join(self._folder, "request.txt"), f"{self._number} {count} {self.exposure!r}".encode())
         path = os.path.join(self._folder, f"capture_{self._number}.npy")
         _wait(lambda: os.path.exists(path), self._timeout, path)
-        try:
+        with _validate.refusing(f"{path!r} cannot be read as captures: ", ValueError, EOFError):
             frames = np.load(path, allow_pickle=False)
-        except (ValueError, EOFError) as error:
-            raise ValueError(f"{path!r} cannot be read as captures: {error}") from error
         if frames.shape != (count, *self.shape) or frames.dtype.kind not in "iu":
             expected = [count, *self.shape]
             raise ValueError(f"{path!r} must contain integers {expected}, got {frames.dtype} {list(frames.shape)}")
@@ -775,12 +773,7 @@ def checked_levels(levels: Any, shape: Sequence[int], bits: int) -> np.ndarray:
 
 
 def _imported(module: str, package: str, how: str = ": pip install {}") -> Any:
-    import importlib
-
-    try:
-        return importlib.import_module(module)
-    except ImportError:
-        raise ImportError(f"this driver needs {package}{how.format(package)}") from None
+    return _validate.optional(module, f"this driver needs {package}{how.format(package)}")
 
 
 def existing_file(name: str, path: str | os.PathLike[str]) -> str:

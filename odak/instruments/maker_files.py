@@ -136,7 +136,7 @@ def _table(path: str, titled: bool) -> np.ndarray:
     """Return the numbers of a text ``[lines, columns]``; if `titled`, a line of titles has a column of titles too."""
     if os.path.getsize(regular_file(path)) > LARGEST:
         raise ValueError(f"{path!r} has more than {LARGEST} bytes, the most that are read")
-    try:
+    with _validate.refusing(f"{path!r} cannot be read as lines of numbers: ", ValueError):
         with open(path, encoding="utf-8-sig") as stream:
             lines = [text for line in stream if (text := line.strip()) and not text.startswith("#")]
         if not lines:
@@ -145,8 +145,6 @@ def _table(path: str, titled: bool) -> np.ndarray:
         title = not _is_number(lines[0].replace(between or " ", " ").split()[:1])
         rows = (line.rstrip(f"{between or ''} ") for line in lines[title:])
         numbers = np.loadtxt(rows, delimiter=between, ndmin=2) if len(lines) > title else np.zeros((0, 0))
-    except ValueError as error:
-        raise ValueError(f"{path!r} cannot be read as lines of numbers: {error}") from error
     numbers = numbers[:, 1:] if title and titled else numbers
     if not numbers.size:
         raise ValueError(f"{path!r} holds no numbers")

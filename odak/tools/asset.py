@@ -214,11 +214,16 @@ def write_mesh(filename: str, vertices: np.ndarray, faces: np.ndarray, text: boo
     sides["vertex_indices"] = faces
     for name, _ in colours:
         sides[name] = 255
+    write_elements(os.path.expanduser(filename), corners, sides, text)
+
+
+def write_elements(path: str, vertices: np.ndarray, faces: np.ndarray, text: bool) -> None:
+    """Write structured arrays of vertices and faces as a PLY file, of text or little-endian binary."""
     elements = [
-        plyfile.PlyElement.describe(corners, "vertex", comments=["Vertex data"]),
-        plyfile.PlyElement.describe(sides, "face", comments=["Face data"]),
+        plyfile.PlyElement.describe(vertices, "vertex", comments=["Vertex data"]),
+        plyfile.PlyElement.describe(faces, "face", comments=["Face data"]),
     ]
-    with replacing(os.path.expanduser(filename)) as stream:
+    with replacing(path) as stream:
         plyfile.PlyData(elements, text=text, byte_order="<").write(stream)
 
 
@@ -236,7 +241,8 @@ def read_mesh(filename: str) -> tuple[np.ndarray, np.ndarray]:
         If it is not a PLY file, holds no vertices or faces, or a face names a vertex that does not exist.
     """
     _check_name(filename)
-    try:
+    unreadable = f"{filename!r} cannot be read as a PLY file of a mesh: "
+    with _validate.refusing(unreadable, *_BROKEN):
         data = read_elements(os.path.expanduser(filename))
         points = data["vertex"].data
         vertices = np.stack([points[axis] for axis in "xyz"], axis=-1)
@@ -250,8 +256,6 @@ def read_mesh(filename: str) -> tuple[np.ndarray, np.ndarray]:
         name = next((name for name in ("vertex_indices", "vertex_index") if name in sides.dtype.names), None)
         if name is None:
             raise ValueError(f"its {place} have no list vertex_indices, but {', '.join(sides.dtype.names)}")
-    except _BROKEN as error:
-        raise ValueError(f"{filename!r} cannot be read as a PLY file of a mesh: {error}") from error
     wide = vertices.dtype == np.float64 or (vertices.dtype.kind in "iu" and vertices.dtype.itemsize >= 4)
     vertices = vertices.astype(np.float64 if wide else np.float32)
     if sides[name].ndim == 1 and sides[name].dtype != object:
@@ -263,20 +267,16 @@ def read_mesh(filename: str) -> tuple[np.ndarray, np.ndarray]:
         corners.min() >= 0 and corners.max() < len(vertices) and np.array_equal(corners, corners // 1)
     ):
         raise ValueError(f"{filename!r} has a face that names a vertex other than 0 to {len(vertices) - 1}")
-    try:
+    with _validate.refusing(unreadable, ValueError):
         return vertices, _cut(vertices, counts, corners.astype(np.int64))
-    except ValueError as error:
-        raise ValueError(f"{filename!r} cannot be read as a PLY file of a mesh: {error}") from error
 
 
 def read_points(filename: str) -> np.ndarray:
     """Return the vertices ``[v, 3]`` of a PLY file, which need not hold faces; raises as :func:`read_mesh` does."""
     _check_name(filename)
-    try:
+    with _validate.refusing(f"{filename!r} cannot be read as a PLY file of points: ", *_BROKEN):
         points = read_elements(os.path.expanduser(filename))["vertex"].data
         return np.stack([points[axis] for axis in "xyz"], axis=-1)
-    except _BROKEN as error:
-        raise ValueError(f"{filename!r} cannot be read as a PLY file of points: {error}") from error
 
 
 def read_elements(path: str) -> plyfile.PlyData:

@@ -1,6 +1,5 @@
 """Fields for other programs: labelled arrays of xarray, OME-TIFF files with lengths, and a reader for napari."""
 
-import importlib
 import math
 import os
 import xml.etree.ElementTree as ElementTree
@@ -70,7 +69,7 @@ def to_xarray(
     >>> shown.sel(x=0, y=0, wavelength=520e-9, method="nearest").item()  # doctest: +SKIP
     (1+0j)
     """
-    xarray = _package("xarray", "xarray")
+    xarray = _package("xarray")
     values = _numbers("field", field, 2, None)
     steps = _pitches(pitch)
     _validate.instance("name", name, str, "a string")
@@ -153,7 +152,7 @@ def save_ome_tiff(
     (True, (8e-06, 8e-06), (5.32e-07,))
     """
     path = validate_path(filename, TIFF_ENDINGS)
-    tifffile = _package("tifffile", "tifffile")
+    tifffile = _package("tifffile")
     values = _numbers("field", field, 2, len(AXES))
     axes = "ZYX"[-values.ndim :] if values.ndim < 4 else AXES[-values.ndim :]
     described: dict[str, Any] = {"axes": axes}
@@ -213,24 +212,20 @@ def load_ome_tiff(filename: str | os.PathLike[str]) -> tuple[np.ndarray, dict[st
     ((3, 4, 6), (8e-06, 4e-06), 0.001)
     """
     path = validate_path(filename, TIFF_ENDINGS)
-    tifffile = _package("tifffile", "tifffile")
-    with open(regular_file(path), "rb") as stream:
-        try:
-            with tifffile.TiffFile(stream) as file:
-                text = file.ome_metadata
-                if text is None:
-                    raise ValueError("no OME-XML of grey or complex pictures")
-                _check_promise(text, path)
-                series = file.series[0]
-                if not series.axes.endswith("YX"):
-                    raise ValueError("no OME-XML of grey or complex pictures")
-                if series.nbytes > LARGEST_COMPRESSION * os.path.getsize(path):
-                    raise ValueError(f"it states {series.nbytes} bytes, more than it can hold")
-                values = series.asarray()
-            return values, _lengths(text)
-        # Broken files make tifffile raise errors of many types.
-        except Exception as error:
-            raise ValueError(f"Failed to read {path!r} as OME-TIFF: {error}") from error
+    tifffile = _package("tifffile")
+    # Broken files make tifffile raise errors of many types.
+    unreadable = _validate.refusing(f"Failed to read {path!r} as OME-TIFF: ", Exception)
+    with open(regular_file(path), "rb") as stream, unreadable, tifffile.TiffFile(stream) as file:
+        text = file.ome_metadata
+        if text is None:
+            raise ValueError("no OME-XML of grey or complex pictures")
+        _check_promise(text, path)
+        series = file.series[0]
+        if not series.axes.endswith("YX"):
+            raise ValueError("no OME-XML of grey or complex pictures")
+        if series.nbytes > LARGEST_COMPRESSION * os.path.getsize(path):
+            raise ValueError(f"it states {series.nbytes} bytes, more than it can hold")
+        return series.asarray(), _lengths(text)
 
 
 def napari_reader(path: str | list[str]) -> Callable[[str | list[str]], list[tuple[Any, dict[str, Any], str]]] | None:
@@ -291,11 +286,8 @@ def _stack(path):
     return values, (*leading, *(step / MICROMETRE for step in lengths["pitch"]))
 
 
-def _package(module, package):
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise ImportError(f"the package {package} is missing ({error}): pip install {package}") from error
+def _package(name):
+    return _validate.optional(name, f"the package {name} is missing: pip install {name}")
 
 
 def _numbers(name, value, least, most):

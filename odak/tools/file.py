@@ -353,10 +353,8 @@ def load_dictionary(filename: str | os.PathLike[str]) -> dict[str, Any]:
     path = validate_path(filename)
     with open(regular_file(path), "rb") as stream:
         content = stream.read()
-    try:
+    with _validate.refusing(f"{path!r} is not a JSON file: ", ValueError, RecursionError):
         return json.loads(content)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path!r} is not a JSON file: {error}") from error
 
 
 def write_to_text_file(content: str | Iterable[Any], filename: str | os.PathLike[str], write_flag: str = "w") -> bool:
@@ -440,11 +438,9 @@ def read_text_file(filename: str | os.PathLike[str]) -> list[str]:
     ['first', 'second']
     """
     path = validate_path(filename)
-    try:
-        with open(regular_file(path), encoding="utf-8") as stream:
-            return [line.rstrip() for line in stream]
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path!r} is not a UTF-8 text file: {error}") from error
+    unreadable = _validate.refusing(f"{path!r} is not a UTF-8 text file: ", UnicodeDecodeError)
+    with unreadable, open(regular_file(path), encoding="utf-8") as stream:
+        return [line.rstrip() for line in stream]
 
 
 # Bytes that the arrays of a small file may take. Reading them takes some of it again; 256 MB are documented.
@@ -472,29 +468,27 @@ def read_npz(path: str | os.PathLike[str], most: int = MOST_BYTES) -> dict[str, 
     ValueError
         If it is not such a file, is truncated, or would take more memory.
     """
-    try:
-        with zipfile.ZipFile(regular_file(os.fspath(path))) as archive:
-            records = archive.infolist()
-            promised, most = sum(record.file_size for record in records), max(most, os.path.getsize(path))
-            if promised > most:
-                raise ValueError(f"its records take {promised} bytes; at most {most} are read from a file of its size")
-            return {record.filename.removesuffix(".npy"): _read_array(archive, record) for record in records}
-    # RuntimeError: encryption; NotImplementedError: another compression.
-    except (zipfile.BadZipFile, zlib.error, EOFError, struct.error, RuntimeError, NotImplementedError) as error:
-        raise ValueError(f"it is not an archive of arrays: {error or type(error).__name__}") from error
+    # RuntimeError: encryption, or another compression.
+    broken = (zipfile.BadZipFile, zlib.error, EOFError, struct.error, RuntimeError)
+    unreadable = _validate.refusing("it is not an archive of arrays: ", *broken)
+    with unreadable, zipfile.ZipFile(regular_file(os.fspath(path))) as archive:
+        records = archive.infolist()
+        promised, most = sum(record.file_size for record in records), max(most, os.path.getsize(path))
+        if promised > most:
+            raise ValueError(f"its records take {promised} bytes; at most {most} are read from a file of its size")
+        return {record.filename.removesuffix(".npy"): _read_array(archive, record) for record in records}
 
 
 def _read_array(archive: zipfile.ZipFile, record: zipfile.ZipInfo) -> np.ndarray:
     """Return an array of an archive, unless its header promises more than is there."""
     with archive.open(record) as stream:
-        try:
+        # Python's parser reads headers.
+        broken = (ValueError, TypeError, SyntaxError, RecursionError, tokenize.TokenError)
+        with _validate.refusing(f"{record.filename!r} is not an array: ", *broken):
             version = np.lib.format.read_magic(stream)
             if version not in _HEADERS:
                 raise ValueError(f"its version is {version}")
             shape, _, dtype = _HEADERS[version](stream)
-        # Python's parser reads headers.
-        except (ValueError, TypeError, SyntaxError, RecursionError, tokenize.TokenError) as error:
-            raise ValueError(f"{record.filename!r} is not an array: {error}") from error
         if dtype.kind not in "iuf" or min(shape, default=0) < 0:
             raise ValueError(f"{record.filename!r} is not an array of numbers, but of {dtype}")
         if math.prod(shape) * dtype.itemsize > record.file_size:
@@ -703,12 +697,10 @@ def save_image(
         check_levels(image, 255)
     levels = _levels(image, cmin, 255 if cmax is None else cmax, color_depth)
     encode = _encoder(path, levels)
-    with replacing(path) as stream:
-        try:
-            encode(stream)
-            stream.flush()
-        except (OSError, ValueError, struct.error) as error:
-            raise ValueError(f"Failed to save image {path!r}: {error}") from error
+    failed = _validate.refusing(f"Failed to save image {path!r}: ", OSError, ValueError, struct.error)
+    with replacing(path) as stream, failed:
+        encode(stream)
+        stream.flush()
     return True
 
 
@@ -838,13 +830,10 @@ def read_levels(
     if not os.path.isfile(path):
         reason = "it is not a regular file" if os.path.exists(path) else "there is no such file"
         raise ValueError(f"Failed to load image {path!r}: {reason}")
-    try:
+    # On broken files Pillow's decoders raise errors of many types: OSError, SyntaxError, struct.error, KeyError, …
+    large = _validate.refusing("more than 89 megapixels are refused: ", Image.DecompressionBombError)
+    with _validate.refusing(f"Failed to load image {path!r}: ", Exception), large:
         found = _read(path, color_managed, asked)
-    except Image.DecompressionBombError as error:
-        raise ValueError(f"Failed to load image {path!r}: more than 89 megapixels are refused ({error})") from error
-    except Exception as error:
-        # On broken files Pillow's decoders raise errors of many types: OSError, SyntaxError, struct.error, KeyError, …
-        raise ValueError(f"Failed to load image {path!r}: {error or type(error).__name__}") from error
     if len({(levels.shape, levels.dtype) for levels in found}) > 1:
         raise ValueError(f"pages of {path!r} differ in shape or type: read them one by one, such as with pages=0")
     if torch_style and found[0].ndim == 3:
@@ -951,10 +940,8 @@ def _read_page(path, image, page, color_managed):
 
 def _read_tiff(path, pages):
     """Return pages of a TIFF that Pillow cannot represent: colour of floats, and of 16 bits in planes."""
-    try:
-        import tifffile
-    except ImportError:
-        raise ValueError("a TIFF of floats, or of 16 bits in planes, needs tifffile: pip install tifffile") from None
+    told = "a TIFF of floats, or of 16 bits in planes, needs tifffile: pip install tifffile"
+    tifffile = _validate.optional("tifffile", told, ValueError)
     found = []
     with tifffile.TiffFile(path) as file:
         for number in _pages_of(path, pages, len(file.pages)):
@@ -1013,14 +1000,10 @@ def _read_radiance(path):
     if not start.startswith(b"#?") or size is None:
         raise ValueError("it is not a picture of Radiance with rows from the top and columns from the left")
     _check_size(path, int(size[2]), int(size[1]))
-    try:
-        import cv2
-    except ImportError:
-        raise ValueError("pictures of Radiance need OpenCV: pip install opencv-python-headless") from None
-    try:
+    told = "pictures of Radiance need OpenCV: pip install opencv-python-headless"
+    cv2 = _validate.optional("cv2", told, ValueError)
+    with _validate.refusing("it cannot be decoded: ", cv2.error):
         picture = cv2.imread(path, cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:
-        raise ValueError(f"it cannot be decoded ({error.err})") from error
     if picture is None:
         raise ValueError("it cannot be decoded")
     return picture[..., ::-1].astype(np.float32)
@@ -1028,10 +1011,8 @@ def _read_radiance(path):
 
 def _read_exr(path):
     """Return the grey, RGB or RGBA values of a picture of OpenEXR, float32."""
-    try:
-        import OpenEXR
-    except ImportError:
-        raise ValueError("pictures of OpenEXR need the package OpenEXR: pip install OpenEXR") from None
+    told = "pictures of OpenEXR need the package OpenEXR: pip install OpenEXR"
+    OpenEXR = _validate.optional("OpenEXR", told, ValueError)
     with OpenEXR.File(path, header_only=True) as file:
         (left, top), (right, bottom) = (map(int, corner) for corner in file.header()["dataWindow"])
     _check_size(path, right - left + 1, bottom - top + 1)

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import plyfile
 
 from odak import _validate
 from odak._array import Array
+from odak.tools.asset import write_elements
 from odak.tools.paths import replacing, validate_path, write_file
 from odak.visualize import _arrays
 from odak.visualize._arrays import linear_light
@@ -189,13 +189,7 @@ class PLY_object:
         ValueError
             If nothing is drawn, or the path is not acceptable.
         """
-        vertices, faces = self._content()
-        elements = [
-            plyfile.PlyElement.describe(vertices, "vertex", comments=["Vertex data"]),
-            plyfile.PlyElement.describe(faces, "face", comments=["Face data"]),
-        ]
-        with replacing(validate_path(savefn, [".ply"])) as stream:
-            plyfile.PlyData(elements, text=_validate.flag("text", text), byte_order="<").write(stream)
+        write_elements(validate_path(savefn, [".ply"]), *self._content(), _validate.flag("text", text))
 
     def save_OBJ(self, savefn: str | os.PathLike[str] = "out.obj") -> None:
         """Write an OBJ file of text, colours as red, green, blue from 0 to 1 behind the coordinates of each vertex.
@@ -242,10 +236,7 @@ class PLY_object:
         vertices, faces = self._content()
         path = validate_path(savefn, [".glb"])
         scale = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}[_validate.one_of("unit", unit, ("m", "mm", "um", "nm"))]
-        try:
-            import trimesh
-        except ImportError as error:
-            raise ImportError("glTF needs the package trimesh: pip install trimesh") from error
+        trimesh = _validate.optional("trimesh", "glTF needs the package trimesh: pip install trimesh")
         from trimesh.visual.material import PBRMaterial
 
         places = np.stack([vertices[axis] for axis in "xyz"], axis=-1).astype(np.float64) * scale

@@ -322,12 +322,8 @@ def unwrap_phase(phase: Array, mask: Array | None = None, seed: int | None = 0) 
     if not _array.namespace(phase).isdtype(phase.dtype, "real floating"):
         phase = _array.namespace(phase).astype(phase, _array.real_dtype(phase))
     _validate.shaped("phase", phase, "[rows, columns]")
-    try:
-        from skimage.restoration import unwrap_phase as unwrapped
-    except ImportError as error:
-        raise ImportError(
-            "unwrap_phase needs scikit-image, which is not installed: pip install scikit-image"
-        ) from error
+    told = "unwrap_phase needs scikit-image, which is not installed: pip install scikit-image"
+    unwrapped = _validate.optional("skimage.restoration", told).unwrap_phase
     if seed is not None:
         _validate.integer("seed", seed)
     wrapped, known = _plain(phase).astype(np.float64), None

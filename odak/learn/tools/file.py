@@ -255,10 +255,8 @@ def torch_load(
         raise TypeError(f"map_location must be a torch.device or its name, got {type(map_location).__name__}")
     if _validate.flag("weights_only", weights_only):
         return read_torch_file(path, map_location)
-    try:
+    with _validate.refusing(f"Failed to load {path!r}: ", EOFError, RuntimeError):
         return torch.load(path, weights_only=False, map_location=map_location)
-    except (EOFError, RuntimeError) as error:
-        raise ValueError(f"Failed to load {path!r}: {error}") from error
 
 
 def _interpolate(batch, multiplier, mode):

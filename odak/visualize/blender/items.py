@@ -459,10 +459,8 @@ def glass(
     name = index if isinstance(index, str) else getattr(index, "name", "glass")
     if isinstance(index, (str, OpticalMaterial)):
         given = (D_LINE, "m") if wavelength is None else (wavelength, unit)
-        try:
+        with _validate.refusing("index: ", ValueError):
             index = refractive_index(index, given[0], unit=given[1], medium="air")
-        except ValueError as error:
-            raise ValueError(f"index: {error}") from error
     index = _validate.constant("index", index, positive=True)
     return Material("glass", linear_color(color), index=index, roughness=_share("roughness", roughness), name=name)
 

@@ -368,7 +368,8 @@ def read_scene(path: str) -> dict[Any, Any]:
     ValueError
         If a file is missing, not a scene, of a later version, or contradicts itself.
     """
-    try:
+    broken = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
+    with _validate.refusing(f"{path!r} cannot be read as a scene: ", *broken):
         if os.path.getsize(path) > MAXIMUM_BYTES:
             raise ValueError(f"larger than {MAXIMUM_BYTES} bytes")
         with open(path, encoding="utf-8") as stream:
@@ -387,8 +388,6 @@ def read_scene(path: str) -> dict[Any, Any]:
         _check_digest(name, document.pop("arrays_sha256", None))
         arrays = read_npz(name, MAXIMUM_BYTES)
         document["objects"] = [_with_arrays(entry, arrays) for entry in document["objects"]]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ValueError(f"{path!r} cannot be read as a scene: {error}") from error
     return document
 
 
@@ -918,10 +917,9 @@ class scene(Lines, Shapes, Lenses, Views):
         """
         path = validate_path(path, [".json"])
         document = read_scene(path)
-        try:
+        broken = (TypeError, ValueError, KeyError, AttributeError, OverflowError)
+        with _validate.refusing(f"{path!r} cannot be read as a scene: ", *broken):
             return cls._from(document)
-        except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
-            raise ValueError(f"{path!r} cannot be read as a scene: {error}") from error
 
     @classmethod
     def _from(cls, document: dict[Any, Any]) -> "scene":

@@ -560,10 +560,8 @@ class Shapes:
 def pixels(name: str, image: Any) -> np.ndarray:
     """Return a picture, given as a file or as numbers, as uint8 ``[rows, columns, 3]``."""
     if isinstance(image, (str, os.PathLike)):
-        try:
+        with _validate.refusing(f"{name} cannot be read: ", ValueError):
             image = read_levels(image)
-        except ValueError as error:
-            raise ValueError(f"{name} cannot be read: {error}") from error
         image = image // 257 if image.dtype == np.uint16 else image
     found = _arrays.real_array(name, image)
     if found.ndim == 2:

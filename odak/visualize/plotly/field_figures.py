@@ -593,10 +593,8 @@ def _inset(path):
     from PIL import Image
 
     path = validate_path(path, INSETS, name="zoomed_inset")
-    try:
+    with _validate.refusing(f"zoomed_inset {path!r} cannot be read as an image: ", ValueError):
         levels = read_levels(path)
-    except ValueError as error:
-        raise ValueError(f"zoomed_inset {path!r} cannot be read as an image: {error}") from error
     levels = (levels // 257).astype(np.uint8) if levels.dtype == np.uint16 else levels
     return Image.fromarray(levels).convert("RGBA")
 
