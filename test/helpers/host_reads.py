@@ -146,13 +146,15 @@ REASONS = {
         raytracing/system/sequence: axis_signs
         raytracing/system/waves: _peak resolved strehl_ratio
         wave/display_models: _match_brightness _numbers match_gaps misfit
-        wave/holograms/solvers/levels: _proposed step
+        wave/holograms/solvers/levels: _proposed _sweep step
+        wave/holograms/solvers/sweeps: *
         tools/iterations: step
     """,
 }
 # Those whose syntax does not show it, such as `float(loss)`.
 AT_RUN_TIME = {
     "wave/holograms/solvers/levels:step",
+    "wave/holograms/solvers/levels:_sweep",
     "perception/discrimination:__init__",
     "models/gaussians:_improve",
     "models/gaussians:refine",

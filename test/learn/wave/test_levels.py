@@ -41,6 +41,12 @@ def quick(iterations, **options):
     return Run(iterations, progress=False, **options)
 
 
+@pytest.fixture
+def without_sweeps(monkeypatch):
+    """Search as where sweeps are not affordable: of more than two frames, two at a time."""
+    monkeypatch.setattr(levels, "affordable", lambda problem: False)
+
+
 def loss_of(display, target, phases, observer=REGISTERED):
     problem = Problem(
         display, target.expand(display.shape), torch.nn.functional.mse_loss, phases, Run(), True, observer
@@ -194,6 +200,7 @@ def test_a_stopped_search_goes_on_to_the_same_levels(tmp_path):
 
 
 @pytest.mark.parametrize("iterations", [1, 6])
+@pytest.mark.usefixtures("without_sweeps")
 def test_frames_by_blocks_have_the_loss_of_all_together(monkeypatch, iterations):
     """Colours in sequence, of which each block shows all: the gain is that of the whole display over rounded phases."""
     seen, solve = [], levels._InBlocks._round
@@ -241,6 +248,7 @@ def test_blocks_add_up_to_the_image_of_all_frames(kind):
     assert float((shown - whole).abs().max()) < 1e-5 * float(whole.max())
 
 
+@pytest.mark.usefixtures("without_sweeps")
 def test_two_frames_at_a_time_are_better_than_all_at_once(monkeypatch):
     display, target = Display(Modulator((20, 20), 8e-6, bits=4), 532e-9, 2e-3, frames=4), picture(20, 20)
     few = optimise(display, target, run=quick(40))
@@ -248,6 +256,7 @@ def test_two_frames_at_a_time_are_better_than_all_at_once(monkeypatch):
     assert float(few.psnr) > float(optimise(display, target, run=quick(40)).psnr) + 1
 
 
+@pytest.mark.usefixtures("without_sweeps")
 def test_blocks_of_frames_go_on_from_a_checkpoint(tmp_path):
     """A block that was not complete is computed anew; each frame has a table of its own."""
     draw = torch.Generator().manual_seed(2)
@@ -261,6 +270,7 @@ def test_blocks_of_frames_go_on_from_a_checkpoint(tmp_path):
     assert torch.equal(optimise(display, target, run=quick(12, checkpoint=path)).phases, whole.phases)
 
 
+@pytest.mark.usefixtures("without_sweeps")
 def test_a_memory_budget_makes_blocks_small():
     display = Display(Modulator((16, 16), 8e-6, bits=1), 532e-9, 1e-3, frames=6)
     for budget, most in ((None, 2), (1, 1), (2 * levels._BYTES * 256, 2), (9 * levels._BYTES * 256, 2)):
