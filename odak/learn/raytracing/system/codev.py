@@ -4,15 +4,15 @@ import dataclasses
 import math
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from odak.catalog.materials import MICROMETRES, OpticalMaterial, material, model_glass, tabulated
+from odak.catalog.materials import MICROMETRES, OpticalMaterial, model_glass, tabulated
 from odak.learn.raytracing.system.paraxial import first_order
-from odak.learn.raytracing.system.specification import AIR, MIRROR, SystemAperture
+from odak.learn.raytracing.system.specification import AIR, MIRROR
 from odak.learn.raytracing.system.surfaces import (
     coordinate_break,
     is_break,
@@ -22,24 +22,19 @@ from odak.learn.raytracing.system.surfaces import (
 )
 from odak.learn.raytracing.system.system_files import (
     FAR,
-    Context,
+    SPECIAL,
+    Command,
+    LensFile,
     ZmxReport,
     aperture_of_working,
-    catalogued,
     differing,
-    fields_of_image_heights,
-    heights_of_angles,
     image_of,
     lens_text,
     named_errors,
-    opened,
     own_surfaces,
     own_tilt,
     pairs,
     plain,
-    reported,
-    usual_pupil,
-    within,
 )
 from odak.raytracing.apertures import Aperture, CircularAperture, EllipticAperture, RectangularAperture
 from odak.raytracing.interfaces import RadialPhase
@@ -52,21 +47,11 @@ LENGTHS = {"M": 1.0, "MM": 1.0, "C": 10.0, "CM": 10.0, "I": 25.4, "IN": 25.4}
 LETTERS = "ABCDEFGHJ"
 _PLACES = ("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE")
 _FORMS = ("SPH", "CON", "ASP", "CYL", "XTO", "YTO", "AAS")
-# Materials of the catalogue "special".
-SPECIAL = {
-    "SILICA": "fused silica",
-    "CAF2": "CaF2",
-    "BAF2": "BaF2",
-    "LIF": "lithium fluoride",
-    "GERMMN": "germanium",
-    "SILICN": "silicon",
-    "ZNSE": "zinc selenide",
-    "ZNS": "zinc sulfide",
-    "ACRYLIC": "PMMA",
-    "POLYCARB": "polycarbonate",
-    "POLYSTYR": "polystyrene",
-    "WATER": "water",
-}
+# What is done with the frame behind a decentred surface.
+_RETURNS = ("DAR", "BEN", "REV", "RET", "GLB")
+# Patterns of the commands of surfaces that have a number, and of those about apertures.
+_NUMBERS = "|".join(("THI|CUY|HOR|HWL|K|KX|KY|CUX|CUF|XOD|YOD|ZOD|[A-D][RP]", f"[{LETTERS}]", *_PLACES))
+_LIMITS = "CIR|RE[XY]|EL[XY]|AD[XY]|ARO"
 # Commands without effect on rays: controls of the optimisation end in C.
 _INERT_WORDS = (
     "LEN INI SLB TEM PRE CWL PIM CUM THM CCY THC GLC RDC KC CUC XDC YDC ZDC ADC BDC CDC HCC SCC CLS PIK DER GO WID CA "
@@ -101,203 +86,127 @@ def _commands(path: Path) -> list[tuple[int, list[str]]]:
 
 @dataclasses.dataclass
 class _Surface:
-    """Entries of one surface."""
+    """Entries of one surface: numbers and words by the names of their commands, and the commands of its apertures."""
 
-    bend: float = 0.0
-    thickness: float = 0.0
-    glass: str = ""
-    form: str = "SPH"
-    stop: bool = False
-    mirror: bool = False
-    back: str = ""
-    frame: int | None = None
     values: dict[str, float] = dataclasses.field(default_factory=dict)
-    limits: list[tuple[str, tuple[str, ...], float]] = dataclasses.field(default_factory=list)
-    phase: dict[str, Any] = dataclasses.field(default_factory=dict)
+    words: dict[str, str] = dataclasses.field(default_factory=dict)
+    limits: list[Command] = dataclasses.field(default_factory=list)
 
 
-class _Reader:
-    """State of a file that is being read."""
+@dataclasses.dataclass
+class _Reader(LensFile):
+    """A sequence file while it is read."""
 
-    def __init__(self, notes: list[str], ignored: list[str]):
-        self.notes, self.ignored = notes, ignored
-        self.by_radius, self.ended, self.private = False, False, False
-        self.waves: list[float] = []
-        self.surfaces: list[_Surface] = []
-        self.head: dict[str, list[str]] = {}
-        self.zooms = 1
-        self.settings: list[tuple[int, str, list[str]]] = []
-        self.glasses: dict[str, OpticalMaterial] = {}
+    by_radius: bool = False
+    ended: bool = False
+    private: bool = False
+    zooms: int = 1
+    surfaces: list[_Surface] = dataclasses.field(default_factory=list)
+    head: dict[str, Command] = dataclasses.field(default_factory=dict)
+    settings: list[Command] = dataclasses.field(default_factory=list)
+    private_waves: list[float] = dataclasses.field(default_factory=list)
+    private_glasses: dict[str, OpticalMaterial] = dataclasses.field(default_factory=dict)
+
+    def numbers(self, key: str) -> list[float]:
+        """Return the numbers of a command about the whole lens, none where it is not given."""
+        return self.head[key].values() if key in self.head else []
 
     def take(self, number: int, words: list[str]) -> None:
         """Read one command."""
-        line = f"line {number}: {' '.join(word.lstrip(chr(39)) for word in words)}"
         key = words[0].upper()
         if not self.private and key.isalpha():
             key = key[:3]
+        command = Command(number, key, words[1:])
         if self.private:
-            self._private(number, key, words)
+            self._private(command)
         elif re.fullmatch(r"S(O|I|\d*)", key) and len(words) > 1:
-            self._surface(number, key, words[1:])
+            self._surface(command)
         elif key == "RDM":
-            self.by_radius = len(words) < 2 or words[1].upper().startswith("Y")
+            self.by_radius = len(words) < 2 or command.word.startswith("Y")
         elif key == "PRV":
             self.private = True
         elif key == "ZOO":
             if len(words) == 2:
-                self.zooms = int(_number(number, "ZOO", words[1]))
+                self.zooms = int(command.value())
             elif len(words) > 2:
-                self.settings.append((number, words[1].upper()[:3], words[2:]))
+                self.settings.append(Command(number, command.word[:3], words[2:]))
         elif key in ("TIT", "DIM", "EPD", "FNO", "NA", "NAO", "WL", "REF", "WTW", "WTF") or re.fullmatch(
             r"[XY](AN|OB|IM|RI)|V[UL][XY]", key
         ):
-            self.head[key] = words[1:]
+            self.head[key] = command
         elif key in _INERT or re.fullmatch(r"[A-J]C", key):
             if key not in ("LEN", "INI", "GO"):
-                self.ignored.append(line)
+                self.ignored.append(f"line {number}: {' '.join(word.lstrip(chr(39)) for word in words)}")
         else:
-            self._of_surface(number, key, words[1:], line)
+            self._of_surface(command)
 
-    def _private(self, number: int, key: str, words: list[str]) -> None:
-        if key == "END":
+    def _private(self, command: Command) -> None:
+        name = command.key.lstrip("'")
+        if name == "END":
             self.private = False
-        elif key == "PWL":
-            self.waves = [_number(number, "PWL", word) / 1e3 for word in words[1:]]
+        elif name == "PWL":
+            self.private_waves = [value / 1e3 for value in command.values()]
+        elif command.word.startswith("LAU"):
+            values = command._replace(words=command.words[1:]).values()
+            self.private_glasses[name] = _laurent(command.number, name, values, self.private_waves)
         else:
-            name = key.lstrip("'")
-            laurent = len(words) > 1 and words[1].upper().startswith("LAU")
-            values = [_number(number, name, word) for word in words[2 if laurent else 1 :]]
-            if laurent:
-                self.glasses[name] = _laurent(number, name, values, self.waves)
-                return
-            if not self.waves or len(values) != len(self.waves):
+            values = command.values()
+            if not self.private_waves or len(values) != len(self.private_waves):
                 raise ValueError(
-                    f"line {number}: the private glass {name} must have an index at each of {len(self.waves)} "
-                    f"wavelengths (PWL), got {len(values)}"
+                    f"line {command.number}: the private glass {name} must have an index at each of "
+                    f"{len(self.private_waves)} wavelengths (PWL), got {len(values)}"
                 )
-            self.glasses[name] = tabulated(name, self.waves, values, "private catalogue of a CODE V file")
+            source = "private catalogue of a CODE V file"
+            self.private_glasses[name] = tabulated(name, self.private_waves, values, source)
 
-    def _surface(self, number: int, key: str, words: list[str]) -> None:
+    def _surface(self, command: Command) -> None:
+        key, words = command.key, command.words
         place = len(self.surfaces) if key in ("S", "SO", "SI") else int(key[1:])
         if place > len(self.surfaces) or (key == "SO" and self.surfaces) or self.ended:
-            raise ValueError(f"line {number}: surfaces must follow one another from SO to SI, got {key}")
+            raise ValueError(f"line {command.number}: surfaces must follow one another from SO to SI, got {key}")
         if place == len(self.surfaces):
             self.surfaces.append(_Surface())
         self.ended = key == "SI"
         item = self.surfaces[place]
-        bend = _number(number, key, words[0])
-        item.bend = _reciprocal(bend) if self.by_radius else bend
+        item.values["CUY"] = _reciprocal(command.value()) if self.by_radius else command.value()
         far = key == "SO" and words[1:] and words[1].casefold() in ("inf", "infinity")
-        item.thickness = math.inf if far else _number(number, key, words[1]) if len(words) > 1 else 0.0
+        item.values["THI"] = math.inf if far else command.value(1) if len(words) > 1 else 0.0
         for word in words[2:]:
             if word.upper().startswith("REFL"):
-                item.mirror = True
+                item.words["RMD"] = "REFL"
             elif word.upper() not in ("REFR", "AIR"):
-                item.glass = word.lstrip("'")
+                item.words["GLA"] = word.lstrip("'")
 
-    def _of_surface(self, number: int, key: str, words: list[str], line: str) -> None:
+    def _of_surface(self, command: Command) -> None:
         """Read a command about the surface named by a qualifier Sk, or about the last one."""
-        place = len(self.surfaces) - 1
-        if words and re.fullmatch(r"[Ss](\d+|[OoIi])", words[0]) and key not in ("RET", "GLB"):
-            name = words.pop(0)[1:].upper()
-            place = 0 if name == "O" else len(self.surfaces) - 1 if name == "I" else int(name)
+        place, key = len(self.surfaces) - 1, command.key
+        if re.fullmatch(r"S(\d+|[OI])", command.word) and key not in ("RET", "GLB"):
+            name = command.word[1:]
+            place = 0 if name == "O" else place if name == "I" else int(name)
+            command = command._replace(words=command.words[1:])
         if not 0 <= place < len(self.surfaces):
-            raise ValueError(f"line {number}: {key} must follow a surface (SO, S, SI)")
-        command = _Command(number, line, key, words)
-        for pattern, enter in _ENTRIES.items():
-            if re.fullmatch(pattern, key):
-                enter(self.surfaces[place], command)
-                return
-        raise command.unknown()
-
-
-class _Command(NamedTuple):
-    """A command about a surface: number and text of its line, its name and its words."""
-
-    number: int
-    line: str
-    key: str
-    words: list[str]
-
-    @property
-    def word(self) -> str:
-        """The first word in capitals; "" where there is none."""
-        return self.words[0].upper() if self.words else ""
-
-    def value(self, place: int = -1) -> float:
-        """Return one of the words as a number, by default the last."""
-        if len(self.words) <= max(place, 0):
-            raise ValueError(f"line {self.number}: {self.key} must have a number, got none")
-        return _number(self.number, self.key, self.words[place])
-
-    def unknown(self) -> ValueError:
-        """Return the error of a command that is not understood."""
-        return ValueError(f"{self.line:.90}: {self.key} is a command that is not understood")
-
-
-def _enter_number(item: _Surface, command: _Command) -> None:
-    if command.key == "THI":
-        item.thickness = command.value(0)
-    elif command.key == "CUY":
-        item.bend = command.value(0)
-    elif command.key == "RDX":
-        item.values["CUX"] = _reciprocal(command.value())
-    else:
-        item.bend = _reciprocal(command.value(0))
-
-
-def _enter_medium(item: _Surface, command: _Command) -> None:
-    if not command.words:
-        raise ValueError(f"line {command.number}: {command.key} must have a name, got none")
-    if command.key == "GLA":
-        item.glass = command.words[0].lstrip("'")
-    else:
-        item.mirror = command.word.startswith("REFL")
-
-
-def _enter_form(item: _Surface, command: _Command) -> None:
-    if command.key == "STO":
-        item.stop = True
-    else:
-        item.form = f"SPS {command.word}" if command.key == "SPS" else command.key
-
-
-def _enter_frame(item: _Surface, command: _Command) -> None:
-    item.back = command.key
-    if command.key in ("RET", "GLB"):
-        item.frame = int(_number(command.number, command.key, (command.word or "?").lstrip("S") or "0"))
-
-
-def _enter_limit(item: _Surface, command: _Command) -> None:
-    item.limits.append((command.key, tuple(word.upper() for word in command.words[:-1]), command.value()))
-
-
-def _enter_phase(item: _Surface, command: _Command) -> None:
-    key = command.key
-    if key in ("HOR", "HWL"):
-        item.phase[key] = command.value()
-    elif key != "HCO":
-        item.phase["kind" if key == "DIF" else key] = command.word
-    elif re.fullmatch(r"C\d+", command.word):
-        item.phase.setdefault(key, {})[int(command.word[1:])] = command.value(1)
-    else:
-        raise command.unknown()
-
-
-def _enter_coefficient(item: _Surface, command: _Command) -> None:
-    item.values[f"SCO {command.word}" if command.key == "SCO" else command.key] = command.value()
-
-
-# Which function enters a command into its surface, by patterns of its name.
-_ENTRIES: dict[str, Callable[[_Surface, _Command], None]] = {
-    "THI|CUY|RDY|RDX": _enter_number,
-    "GLA|RMD": _enter_medium,
-    "|".join(("STO", "SPS", *_FORMS)): _enter_form,
-    "DAR|BEN|REV|RET|GLB": _enter_frame,
-    "CIR|RE[XY]|EL[XY]|AD[XY]|ARO": _enter_limit,
-    "DIF|HOR|HWL|HCT|HCO": _enter_phase,
-    "|".join(("SCO|K|KX|KY|CUX|CUF|XOD|YOD|ZOD|[A-D][RP]", f"[{LETTERS}]", *_PLACES)): _enter_coefficient,
-}
+            raise ValueError(f"line {command.number}: {key} must follow a surface (SO, S, SI)")
+        item = self.surfaces[place]
+        if key in ("RDY", "RDX"):
+            item.values[f"CU{key[-1]}"] = _reciprocal(command.value())
+        elif re.fullmatch(_NUMBERS, key):
+            item.values[key] = command.value()
+        elif key == "SCO" or (key == "HCO" and re.fullmatch(r"C\d+", command.word)):
+            item.values[f"{key} {command.word}"] = command.value(1)
+        elif re.fullmatch(_LIMITS, key):
+            item.limits.append(command)
+        elif key in ("GLA", "RMD", "DIF", "HCT"):
+            if not command.words:
+                raise ValueError(f"line {command.number}: {key} must have a name, got none")
+            item.words[key] = command.words[0].lstrip("'") if key == "GLA" else command.word
+        elif key in (*_FORMS, "STO", "SPS"):
+            item.words["STO" if key == "STO" else "form"] = f"SPS {command.word}" if key == "SPS" else key
+        elif key in _RETURNS:
+            item.words["back"] = key
+            if key in ("RET", "GLB"):
+                item.values[key] = command._replace(words=[(command.word or "?").lstrip("S") or "0"]).value()
+        else:
+            raise command.unknown()
 
 
 def _laurent(number: int, name: str, values: list[float], waves: list[float]) -> OpticalMaterial:
@@ -314,19 +223,6 @@ def _laurent(number: int, name: str, values: list[float], waves: list[float]) ->
 
 def _reciprocal(value: float) -> float:
     return 1 / value if value else 0.0
-
-
-def _is_number(word: str) -> bool:
-    try:
-        return math.isfinite(float(word))
-    except ValueError:
-        return False
-
-
-def _number(line: int, key: str, word: str) -> float:
-    if not _is_number(word):
-        raise ValueError(f"line {line}: {key} must have a number, got {word!r:.60}")
-    return float(word)
 
 
 def read_seq(
@@ -375,93 +271,83 @@ def read_seq(
     >>> round(float(first_order(again).focal_length - first_order(lens).focal_length), 6)
     0.0
     """
-    path, stand_ins = opened(path, glasses)
-    reader = _Reader([], [])
-    with named_errors(path.name):
-        for number, words in _commands(path):
+    reader = _Reader.opened("read_seq", path, glasses)
+    with named_errors(reader.path.name):
+        for number, words in _commands(reader.path):
             reader.take(number, words)
         if len(reader.surfaces) < 3 or not reader.ended:
             raise ValueError(
                 f"a lens must have an object (SO), at least one surface (S) and an image (SI), got "
                 f"{len(reader.surfaces)} surfaces{'' if reader.ended else ' without SI'}"
             )
-        found = _built(reader, stand_ins, path)
+        found = _built(reader)
     remedy = "" if reader.by_radius else ": without a command RDM the file states curvatures; are they radii?"
-    return reported(found, reader.ignored, reader.notes, remedy)
+    return reader.reported(found, remedy)
 
 
-def _built(reader: _Reader, glasses: dict, path: Path) -> optical_system:
+def _built(reader: _Reader) -> optical_system:
     """Return the system of a file that was read."""
-    head, notes = reader.head, reader.notes
-
-    def numbers(key: str) -> list[float]:
-        return [_number(0, key, word) for word in head.get(key, [])]
-
-    unit = head["DIM"][0].upper() if head.get("DIM") else "M"
-    if unit not in LENGTHS:
-        raise ValueError(f"DIM must be one of {', '.join(LENGTHS)}, got {unit!r}")
-    scale = LENGTHS[unit]
-    waves = [value * 1e-6 for value in numbers("WL")] or [587.5618e-6]
-    reference = int(numbers("REF")[0]) - 1 if head.get("REF") else len(waves) // 2
-    context = Context(scale, {**reader.glasses, **glasses}, [], waves, reader.ignored, notes)
+    head, numbers = reader.head, reader.numbers
+    reader.take_unit("DIM", head["DIM"].word if "DIM" in head and head["DIM"].words else "M", LENGTHS)
+    waves = reader.waves = [value * 1e-6 for value in numbers("WL")] or [587.5618e-6]
+    reader.glasses = {**reader.private_glasses, **reader.glasses}
     items: list[surface] = []
     places: dict[int, int] = {}
     for number, entry in enumerate(reader.surfaces[1:-1], start=1):
         with named_errors(f"surface {number}"):
-            _append(number, entry, items, places, context)
-    defocus = reader.surfaces[-1].thickness * scale
-    if defocus:
-        items[-1].thickness += defocus
+            _append(number, entry, items, places, reader)
+    items[-1].thickness += reader.surfaces[-1].values["THI"] * reader.scale
     with named_errors("the image"):
-        image = _image(reader.surfaces[-1], context)
-    first = reader.surfaces[0]
-    distance = first.thickness * scale
-    heights = any(head.get(f"{axis}OB") for axis in "XY")
-    if distance >= FAR and not heights:
-        if distance < 1e13:
-            notes.append(f"the object, at a distance of {distance:g} mm, is taken to be at infinity")
-        distance = math.inf
-    if first.bend and math.isfinite(distance):
+        image = _image(reader.surfaces[-1], reader)
+    first = reader.surfaces[0].values
+    distance = first["THI"] * reader.scale
+    if not any(key in head and head[key].words for key in ("XOB", "YOB")):
+        distance = reader.object_distance(distance, 1e13)
+    if first["CUY"] and math.isfinite(distance):
         raise ValueError("the object must be flat")
-    if not any(item.stop for item in items):
-        notes.append("no STO: the first surface is taken as the stop")
-    names: dict[str, Any] = {"unit": "mm", "source": path.name, "wavelengths": waves, "reference": reference}
-    names |= {"name": " ".join(word.lstrip("'") for word in head.get("TIT", [])) or path.stem, "image": image}
-    names |= {"object_distance": distance, "wavelength_weights": differing(numbers("WTW"), len(waves))}
+    system = reader.maker_of_system(
+        items,
+        "STO",
+        name=" ".join(word.lstrip("'") for word in head["TIT"].words) if "TIT" in head else "",
+        reference=int(numbers("REF")[0]) - 1 if numbers("REF") else len(waves) // 2,
+        image=image,
+        object_distance=distance,
+        wavelength_weights=differing(numbers("WTW"), len(waves)),
+    )
+    size, form = _aperture(reader, system)
+    points = _points(system(size, form), reader)
+    return system(
+        size,
+        form,
+        fields=points,
+        vignetting_factors=_factors(numbers, len(points)),
+        field_weights=differing(numbers("WTF"), len(points)),
+        settings=_settings(reader, places, points, math.isinf(distance)),
+    )
 
-    def system(size, form, **others):
-        return optical_system(list(items), SystemAperture(size, form), **names, **others)
 
-    size, form = _aperture(head, numbers, scale, system, notes)
-    found = system(size, form)
-    points = _points(found, head, numbers, scale, notes)
-    factors = _factors(numbers, len(points))
-    field_weights = differing(numbers("WTF"), len(points))
-    zooms = _settings(reader, places, points, math.isinf(distance), numbers, context)
-    return system(size, form, fields=points, vignetting_factors=factors, field_weights=field_weights, settings=zooms)
-
-
-def _settings(reader: _Reader, places: dict, points, far: bool, numbers, context: Context) -> list[tuple]:
-    """Return the settings of zoom positions, of lines ZOO; entries that are not used are noted."""
-    count, scale = reader.zooms, context.scale
+def _settings(reader: _Reader, places: dict, points, far: bool) -> list[tuple]:
+    """Return the settings of the zoom positions."""
+    count, scale = reader.zooms, reader.scale
     found: list[tuple] = []
     unused: list[str] = []
     rows = [list(map(list, points)) for _ in range(count)]
-    for number, key, words in reader.settings if count > 1 else []:
-        where = words[0].upper() if re.fullmatch(r"[SsFfWw]([0-9]+|[OoIi])", words[0]) else ""
-        values = words[1:] if where else words
+    for command in reader.settings if count > 1 else []:
+        key, words = command.key, command.words
+        where = command.word if re.fullmatch(r"[SFW]([0-9]+|[OI])", command.word) else ""
+        command = command._replace(words=words[1:] if where else words)
         if key in _INERT or re.fullmatch(r"[A-J]C", key):
             continue
-        with named_errors(f"line {number}"):
-            if len(values) != count:
-                raise ValueError(f"ZOO {key} must have {count} values, got {len(values)}")
+        with named_errors(f"line {command.number}"):
+            if len(command.words) != count:
+                raise ValueError(f"ZOO {key} must have {count} values, got {len(command.words)}")
             place = places.get(int(where[1:])) if re.fullmatch(r"S\d+", where) else None
             kind = "AN" if far else "OB"
             if key == "GLA" and place is not None:
-                glasses = [_glass(place + 1, value.lstrip("'"), context) for value in values]
+                glasses = [_glass(place + 1, value.lstrip("'"), reader) for value in command.words]
                 found.append(("material", place, glasses))
                 continue
-            given = [_number(number, key, value) for value in values]
+            given = command.values()
             if key == "THI" and place is not None:
                 found.append(("thickness", place, [value * scale for value in given]))
             elif key == "THI" and where in ("S0", "SO"):
@@ -472,7 +358,7 @@ def _settings(reader: _Reader, places: dict, points, far: bool, numbers, context
                 found.append(("curvature", place, [value / scale for value in bends]))
             elif key == "K" and place is not None:
                 found.append(("conic", place, given))
-            elif key in ("EPD", "FNO", "NA", "NAO") and numbers(key) and (key != "FNO" or far):
+            elif key in ("EPD", "FNO", "NA", "NAO") and reader.numbers(key) and (key != "FNO" or far):
                 found.append(("aperture", None, [value * (scale if key == "EPD" else 1.0) for value in given]))
             elif key in (f"X{kind}", f"Y{kind}") and re.fullmatch(r"F\d+", where) and int(where[1:]) <= len(rows[0]):
                 factor = 1.0 if kind == "AN" else scale
@@ -483,43 +369,44 @@ def _settings(reader: _Reader, places: dict, points, far: bool, numbers, context
     if any(row != rows[0] for row in rows):
         found.append(("fields", None, rows))
     if count > 1:
-        context.notes.append(
+        reader.notes.append(
             f"the file has {count} zoom positions: the surfaces give the system's own numbers, "
             "its settings hold the numbers of all positions (see configurations)"
         )
     if unused:
-        context.notes.append(f"entries of zoom positions that are not used: {', '.join(unused)}")
+        reader.notes.append(f"entries of zoom positions that are not used: {', '.join(unused)}")
     return found
 
 
-def _append(number: int, entry: _Surface, items: list, places: dict, context: Context) -> None:
+def _append(number: int, entry: _Surface, items: list, places: dict, reader: LensFile) -> None:
     """Append a surface and the coordinate breaks around it."""
-    shift, tilt, along = _placement(entry, context.scale)
-    thickness = entry.thickness * context.scale
+    shift, tilt, along = _placement(entry, reader.scale)
+    thickness, back = entry.values["THI"] * reader.scale, entry.words.get("back", "")
     turned = any(shift) or any(tilt)
-    if entry.back in ("RET", "GLB"):
-        if entry.frame not in places:
-            raise ValueError(f"{entry.back} must name an earlier surface, got S{entry.frame}")
-        items.append(coordinate_break(return_to=places[entry.frame]))
-    if along and entry.back != "REV":
-        if items and entry.back not in ("RET", "GLB"):
+    if back in ("RET", "GLB"):
+        frame = int(entry.values[back])
+        if frame not in places:
+            raise ValueError(f"{back} must name an earlier surface, got S{frame}")
+        items.append(coordinate_break(return_to=places[frame]))
+    if along and back != "REV":
+        if items and back not in ("RET", "GLB"):
             items[-1].thickness += along
         else:
             items.append(coordinate_break(thickness=along))
-    made = _made(number, entry, context)
-    own = entry.back == "DAR" and not along and not bool(made.tilt.any())
+    made = _made(number, entry, reader)
+    own = back == "DAR" and not along and not bool(made.tilt.any())
     if own:
         made.shift.copy_(made.shift.new_tensor(shift))
         made.tilt = made.tilt.new_tensor(own_tilt(tilt))
-    elif turned and entry.back != "REV":
+    elif turned and back != "REV":
         items.append(coordinate_break(shift, tilt))
     places[number] = len(items)
     items.append(made)
     behind: coordinate_break | None = None
-    if (not own and entry.back == "DAR") or entry.back == "REV":
+    if (not own and back == "DAR") or back == "REV":
         behind = coordinate_break(*_inverse(shift, tilt), order="tilt")
         thickness -= along
-    elif entry.back == "BEN":
+    elif back == "BEN":
         behind = coordinate_break(tilt=_bent(tilt))
     if behind is not None:
         behind.thickness.fill_(thickness)
@@ -573,70 +460,72 @@ def _bent(tilt) -> tuple[float, float, float]:
     return _angles(first.T @ whole @ _rotation((0.0, 0.0, tilt[2])))
 
 
-def _made(number: int, entry: _Surface, context: Context) -> surface:
+def _made(number: int, entry: _Surface, reader: LensFile) -> surface:
     """Return the surface itself, in its place."""
-    shape, turn = _shape(entry, context.scale)
-    limit, apertures = _limits(entry, context.scale)
-    medium: Any = MIRROR if entry.mirror else _glass(number, entry.glass, context)
+    shape, turn = _shape(entry, reader.scale)
+    limit, apertures = _limits(entry, reader.scale)
+    medium: Any = (
+        MIRROR if entry.words.get("RMD", "").startswith("REFL") else _glass(number, entry.words.get("GLA", ""), reader)
+    )
     return surface(
         shape=shape,
-        phase=_phase(entry, context.scale),
+        phase=_phase(entry, reader.scale),
         material=medium,
         semi_diameter=limit,
         aperture=apertures or None,
-        stop=entry.stop,
+        stop="STO" in entry.words,
         tilt=(0.0, 0.0, turn),
     )
 
 
 def _shape(entry: _Surface, scale: float) -> tuple[Shape, float]:
     """Return the shape, and the angle about the axis by which it is turned."""
-    v, c = entry.values, entry.bend / scale
+    v, form = entry.values, entry.words.get("form", "SPH")
+    c = v["CUY"] / scale
     cross, k = v.get("CUX", 0.0) / scale, v.get("K", v.get("KY", 0.0))
     powers = [v.get(letter, 0.0) * scale ** (-3 - 2 * i) for i, letter in enumerate(LETTERS)]
     while powers and not powers[-1]:
         powers.pop()
     if v.get("CUF"):
         raise ValueError(f"CUF, the base of a Fresnel surface, is not understood, got {v['CUF']:g}")
-    if entry.form in ("SPH", "CON", "ASP"):
-        k = 0.0 if entry.form == "SPH" else k
-        return (EvenAsphere(c, k, [0.0, *powers]) if entry.form == "ASP" and powers else Conic(c, k)), 0.0
-    if entry.form in ("CYL", "YTO"):
+    if form in ("SPH", "CON", "ASP"):
+        k = 0.0 if form == "SPH" else k
+        return (EvenAsphere(c, k, [0.0, *powers]) if form == "ASP" and powers else Conic(c, k)), 0.0
+    if form in ("CYL", "YTO"):
         return Toroid(cross, c, k, [0.0, *powers] if powers else []), 0.0
-    if entry.form == "XTO":
+    if form == "XTO":
         return Toroid(c, cross, v.get("K", 0.0), [0.0, *powers] if powers else []), 90.0
-    if entry.form == "AAS":
+    if form == "AAS":
         if any(value for key, value in v.items() if re.fullmatch(r"[A-D][RP]", key)):
             raise ValueError("AAS with terms AR to DP is not understood")
         return Biconic(cross, c, v.get("KX", 0.0), v.get("KY", 0.0)), 0.0
-    if entry.form == "SPS XYP":
+    if form == "SPS XYP":
         radius = v.get("SCO NRADIUS", 0.0) or 1.0
         places = {int(key[5:]): value for key, value in v.items() if re.fullmatch(r"SCO C\d+", key)}
         terms = [places.get(i, 0.0) * scale for i in range(2, max(places, default=1) + 1)] or [0.0]
         return PolynomialFreeform(c, v.get("SCO K", places.get(1, 0.0)), terms, radius * scale), 0.0
-    raise ValueError(f"the form must be one of {', '.join(_FORMS)}, SPS XYP, got {entry.form}")
+    raise ValueError(f"the form must be one of {', '.join(_FORMS)}, SPS XYP, got {form}")
 
 
 def _phase(entry: _Surface, scale: float) -> RadialPhase | None:
     """Return the diffractive phase 2π/HWL·Σ C·r^(2i) of a surface."""
-    held = entry.phase
-    if not held:
+    v, kind = entry.values, (entry.words.get("DIF", ""), entry.words.get("HCT", "R"))
+    if not any(key[:3] in ("DIF", "HCT", "HOR", "HWL", "HCO") for key in (*v, *entry.words)):
         return None
-    if held.get("kind") != "DOE" or held.get("HCT", "R") != "R":
-        kind = f"{held.get('kind', '')} {held.get('HCT', '')}".strip()
-        raise ValueError(f"DIF must be DOE with HCT R, a radial phase, got {kind}")
-    terms, wavelength = held.get("HCO", {}), held.get("HWL", 587.5618) * 1e-6
-    given = [
-        2 * math.pi / wavelength * terms.get(i, 0.0) * scale ** (1 - 2 * i) for i in range(1, max(terms, default=0) + 1)
-    ]
-    return RadialPhase(given, 1.0, held.get("HOR", 1.0)) if given else None
+    if kind != ("DOE", "R"):
+        raise ValueError(f"DIF must be DOE with HCT R, a radial phase, got {' '.join(kind).strip()}")
+    terms = {int(key[5:]): value for key, value in v.items() if key.startswith("HCO ")}
+    wave = v.get("HWL", 587.5618) * 1e-6
+    given = [2 * math.pi / wave * terms.get(i, 0.0) * scale ** (1 - 2 * i) for i in range(1, max(terms, default=0) + 1)]
+    return RadialPhase(given, 1.0, v.get("HOR", 1.0)) if given else None
 
 
 def _limits(entry: _Surface, scale: float) -> tuple[float | None, list[Aperture]]:
     """Return the semi-diameter that limits rays, and further apertures."""
     groups: dict[tuple, dict[str, float]] = {}
-    for key, words, value in entry.limits:
-        label = tuple(word for word in words if word not in ("CLR",))
+    for command in entry.limits:
+        key, value = command.key, command.value(-1)
+        label = tuple(word.upper() for word in command.words[:-1] if word.upper() != "CLR")
         shape = "CIR" if key == "CIR" else key[:2]
         if key[:2] in ("AD", "AR"):
             # A centre or an angle belongs to the last aperture.
@@ -670,12 +559,12 @@ def _limits(entry: _Surface, scale: float) -> tuple[float | None, list[Aperture]
     return limit, found
 
 
-def _glass(number: int, name: str, context: Context):
+def _glass(number: int, name: str, reader: LensFile):
     """Return the medium behind a surface."""
     if not name:
         return AIR
-    if name in context.glasses or name.upper() in context.glasses:
-        return context.glasses.get(name, context.glasses.get(name.upper()))
+    if name in reader.glasses or name.upper() in reader.glasses:
+        return reader.glasses.get(name, reader.glasses.get(name.upper()))
     code = re.fullmatch(r"(\d{3,})\.(\d{3,})", name) or re.fullmatch(r"(\d{3})(\d{3})", name)
     stated = re.fullmatch(r"(\d\.\d+):(\d+\.?\d*)", name)
     numbers = (
@@ -683,9 +572,9 @@ def _glass(number: int, name: str, context: Context):
     )
     if numbers:
         glass = model_glass(*numbers)
-        context.notes.append(f"surface {number}: {name} is a model glass of nd = {glass.nd:g}, Vd = {glass.vd:g}")
-        return within(number, glass, context)
-    return within(number, glass_by_name(number, name, context, "read_seq"), context)
+        reader.notes.append(f"surface {number}: {name} is a model glass of nd = {glass.nd:g}, Vd = {glass.vd:g}")
+        return reader.within(number, glass)
+    return reader.named_glass(number, name)
 
 
 def _share(digits: str) -> float:
@@ -693,78 +582,43 @@ def _share(digits: str) -> float:
     return int(digits) / 10 ** len(digits)
 
 
-def glass_by_name(number: int, name: str, context: Context, reader: str) -> OpticalMaterial:
-    """Return a glass by its name, with or without its maker behind it ("NBK7_SCHOTT").
-
-    Parameters
-    ----------
-    number : int
-        Number of the surface.
-    name : str
-        The name.
-    context : Context
-        Makers to be searched first, and notes.
-    reader : str
-        Function whose argument `glasses` the error names.
-    """
-    bare, _, maker = name.rpartition("_") if "_" in name else (name, "", "")
-    maker = maker.casefold()
-    if maker == "special" and bare.upper() in SPECIAL:
-        return material(SPECIAL[bare.upper()])
-    found, problem = catalogued(number, bare, context._replace(makers=[maker] if maker else []))
-    if found is None:
-        raise ValueError(
-            f"{problem} or with odak trace --glasses FILE (.agf), or pass glasses={{{name!r}: …}} to {reader}"
-        )
-    return found
-
-
-def _image(entry: _Surface, context: Context) -> surface | None:
+def _image(entry: _Surface, reader: LensFile) -> surface | None:
     """Return the image surface, None for a plane on the axis."""
-    shift, tilt, along = _placement(entry, context.scale)
-    shape, turn = _shape(entry, context.scale)
-    if along or entry.back or turn or entry.phase:
-        raise ValueError(f"ZDE, {entry.back or 'DIF'} or XTO of the image surface are not understood")
-    limit, apertures = _limits(entry, context.scale)
+    shift, tilt, along = _placement(entry, reader.scale)
+    shape, turn = _shape(entry, reader.scale)
+    if along or "back" in entry.words or turn or _phase(entry, reader.scale):
+        raise ValueError(f"ZDE, {entry.words.get('back', 'DIF')} or XTO of the image surface are not understood")
+    limit, apertures = _limits(entry, reader.scale)
     return image_of(
         surface(shape=shape, semi_diameter=limit, aperture=apertures or None, shift=shift, tilt=own_tilt(tilt))
     )
 
 
-def _aperture(head, numbers, scale: float, system, notes: list) -> tuple[float, str]:
+def _aperture(reader: _Reader, system) -> tuple[float, str]:
     """Return the size of the aperture and its kind."""
-    if numbers("EPD"):
-        return numbers("EPD")[0] * scale, "EPD"
-    if numbers("NAO"):
-        return numbers("NAO")[0], "NA"
-    near = not system(1.0, "EPD").at_infinity
-    if numbers("FNO"):
-        number = numbers("FNO")[0]
-        return (aperture_of_working(system, number), "NA") if near else (number, "F-number")
-    if numbers("NA"):
-        size = numbers("NA")[0]
-        return (aperture_of_working(system, 0.5 / math.tan(math.asin(size))), "NA") if near else (size, "NA")
-    return usual_pupil(system(1.0, "EPD"), "no aperture (EPD, FNO, NA, NAO)", notes)
+    plain_system = system(1.0, "EPD")
+    near = not plain_system.at_infinity
+    for key, form in (("EPD", "EPD"), ("NAO", "NA"), ("FNO", "F-number"), ("NA", "NA")):
+        for size in reader.numbers(key)[:1]:
+            if near and key in ("FNO", "NA"):
+                number = size if key == "FNO" else 0.5 / math.tan(math.asin(size))
+                return aperture_of_working(system, number), "NA"
+            return size * reader.scale if key == "EPD" else size, form
+    return reader.usual_pupil(plain_system, "no aperture (EPD, FNO, NA, NAO)")
 
 
-def _points(system, head, numbers, scale: float, notes: list) -> list[tuple[float, float]]:
+def _points(system, reader: _Reader) -> list[tuple[float, float]]:
     """Return the field points: angles for an object at infinity, heights in millimetres for a near one."""
-    kinds = [kind for kind in ("AN", "OB", "IM", "RI") if head.get(f"X{kind}") or head.get(f"Y{kind}")]
-    if not kinds:
+    kinds = {"AN": "angle", "OB": "height", "IM": "paraxial", "RI": "real"}
+    given = [kind for kind in kinds if reader.numbers(f"X{kind}") or reader.numbers(f"Y{kind}")]
+    if not given:
         return [(0.0, 0.0)]
-    if len(kinds) > 1:
-        raise ValueError(f"fields must be of one kind, got {', '.join(f'Y{kind}' for kind in kinds)}")
-    kind = kinds[0]
-    points = pairs(numbers(f"X{kind}"), numbers(f"Y{kind}"))
-    if kind == "AN" and not system.at_infinity and any(map(any, points)):
-        return heights_of_angles(system, points, notes)
-    if kind == "OB" and system.at_infinity and any(map(any, points)):
+    if len(given) > 1:
+        raise ValueError(f"fields must be of one kind, got {', '.join(f'Y{kind}' for kind in given)}")
+    points = pairs(reader.numbers(f"X{given[0]}"), reader.numbers(f"Y{given[0]}"))
+    if given[0] == "OB" and system.at_infinity and any(map(any, points)):
         raise ValueError("XOB and YOB, heights in the object, need a near object")
-    if kind in ("IM", "RI"):
-        notes.append(f"fields are image heights ({'real' if kind == 'RI' else 'paraxial'}), turned into object fields")
-        points = [(a * scale, b * scale) for a, b in points]
-        return list(fields_of_image_heights(system, points, kind == "RI", "real", notes))
-    return points if kind == "AN" else [(a * scale, b * scale) for a, b in points]
+    return reader.field_points(system, points, kinds[given[0]])
 
 
 def _factors(numbers, count: int) -> list[list[float]] | None:

@@ -7,29 +7,23 @@ import math
 import os
 import re
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import torch
 
 from odak.catalog.materials import MICROMETRES, tabulated
-from odak.learn.raytracing.system.codev import glass_by_name
 from odak.learn.raytracing.system.paraxial import first_order
-from odak.learn.raytracing.system.specification import AIR, MIRROR, SystemAperture
+from odak.learn.raytracing.system.specification import AIR, MIRROR
 from odak.learn.raytracing.system.surfaces import is_break, optical_system, surface, without_derivatives
 from odak.learn.raytracing.system.system_files import (
-    FAR,
-    Context,
+    Command,
+    LensFile,
     ZmxReport,
     differing,
     image_of,
     lens_text,
     named_errors,
-    opened,
     own_surfaces,
-    reported,
-    usual_pupil,
-    within,
 )
 from odak.raytracing.interfaces import IdealLens
 from odak.raytracing.surfaces import Conic, EvenAsphere
@@ -88,126 +82,119 @@ def read_len(
     >>> round(float(first_order(again).focal_length - first_order(lens).focal_length), 6)
     0.0
     """
-    path, stand_ins = opened(path, glasses)
-    ignored: list[str] = []
-    with named_errors(path.name):
-        head, surfaces = _commands(path, ignored)
+    file = LensFile.opened("read_len", path, glasses)
+    with named_errors(file.path.name):
+        head, surfaces = _commands(file)
         if len(surfaces) < 3:
             raise ValueError(f"a lens must have an object, a surface and an image, got {len(surfaces)} surfaces")
-        notes: list[str] = []
-        found = _built(head, surfaces, stand_ins, path, ignored, notes)
-    return reported(found, ignored, notes)
+        found = _built(head, surfaces, file)
+    return file.reported(found)
 
 
-def _commands(path: Path, ignored: list[str]) -> tuple[dict, list[dict]]:
-    """Return the entries of the whole lens and of each surface, by their commands."""
+def _commands(file: LensFile) -> tuple[dict, list[dict]]:
+    """Return the entries of the whole lens, and those of each surface."""
     head: dict[str, Any] = {}
     surfaces: list[dict[str, Any]] = [{}]
-    for number, line in enumerate(lens_text(path).splitlines(), start=1):
+    lines = lens_text(file.path).splitlines()
+    for number, line in enumerate(lines, start=1):
         if line.startswith(_POINT):
-            words = line.removeprefix(_POINT).split()
-            if len(words) != 7:
-                raise ValueError(f"line {number}: a field point must have 7 numbers, got {len(words)}")
-            head.setdefault("points", []).append([_value(number, "a field point", [word]) for word in words])
-    for number, words in _sentences(path):
-        key, rest = words[0].upper(), words[1:]
-        if key == "END":
+            point = Command(number, "a field point", line.removeprefix(_POINT).split())
+            if len(point.words) != 7:
+                raise ValueError(f"line {number}: a field point must have 7 numbers, got {len(point.words)}")
+            head.setdefault("points", []).append(point.values())
+    for command in _sentences(lines):
+        if command.key == "END":
             return head, surfaces
-        if key == "NXT":
+        if command.key == "NXT":
             surfaces.append({})
-        elif key in _INERT:
-            ignored.append(f"line {number}: {' '.join(words)}")
-        elif not (_of_lens(head, number, key, rest) or _of_surface(surfaces[-1], head, number, key, rest)):
-            raise ValueError(f"line {number}: {key} is a command that is not understood, got {' '.join(words)!r:.80}")
+        elif command.key in _INERT:
+            file.ignored.append(command.text)
+        elif not (_of_lens(head, command) or _of_surface(surfaces[-1], head, command)):
+            raise command.unknown()
     raise ValueError("a lens must end with END")
 
 
-def _sentences(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield the words of each command with the number of its line; texts keep their quotation marks."""
-    for number, line in enumerate(lens_text(path).splitlines(), start=1):
+def _sentences(lines: list[str]) -> Iterator[Command]:
+    """Yield the commands; texts keep their quotation marks."""
+    for number, line in enumerate(lines, start=1):
         for text in re.findall(r"(?:\"[^\"]*\"|[^;\"])+", line.split("//")[0]):
             if words := re.findall(r"\"[^\"]*\"|[^\s,]+", text):
-                yield number, words
+                yield Command(number, words[0].upper(), words[1:])
 
 
-def _of_lens(head: dict, number: int, key: str, words: list[str]) -> bool:
+def _of_lens(head: dict, command: Command) -> bool:
     """Enter a command about the whole lens; return whether it is one."""
+    key = command.key
     if key == "LEN":
-        head["name"] = next((word.strip('"') for word in words if word.startswith('"')), "")
+        head["name"] = next((word.strip('"') for word in command.words if word.startswith('"')), "")
     elif key in ("EBR", "NAO", "FNO", "ANG", "OBH", "UNI"):
-        head[key] = _value(number, key, words)
+        head[key] = command.value()
     elif key in ("WV", "WW"):
-        head[key] = [_value(number, key, [word]) for word in words]
+        head[key] = command.values()
     elif re.fullmatch(r"W[VW]\d+", key):
         values = head.setdefault(key[:2], list(WAVES) if key[1] == "V" else [1.0] * len(head.get("WV", WAVES)))
         place = int(key[2:])
         if not 1 <= place <= len(values) + 1:
-            raise ValueError(f"line {number}: {key} must follow {key[:2]}{len(values)}")
-        values[place - 1 : place] = [_value(number, key, words)]
+            raise ValueError(f"line {command.number}: {key} must follow {key[:2]}{len(values)}")
+        values[place - 1 : place] = [command.value()]
     else:
         return False
     return True
 
 
-def _of_surface(entry: dict, head: dict, number: int, key: str, words: list[str]) -> bool:
+def _of_surface(entry: dict, head: dict, command: Command) -> bool:
     """Enter a command about a surface; return whether it is one."""
+    key = command.key
     if key in ("AIR", "AIF", "RFL", "RFH", "AST"):
         entry[{"AIF": "AIR", "RFH": "RFL"}.get(key, key)] = True
     elif key in ("GLA", "GLF"):
-        entry["GLA"] = [word.strip('"') for word in words], list(head.get("WV", WAVES))
+        entry["GLA"] = [word.strip('"') for word in command.words], list(head.get("WV", WAVES))
     elif key in ("RD", "RDF", "CV", "CVF", "TH", "THF", "CC", "PFL", *_POWERS):
-        entry[key[:2] if key != "PFL" else key] = _value(number, key, words)
+        entry[key[:2] if key != "PFL" else key] = command.value()
     elif key in ("AP", "APF"):
-        entry["AP"] = _value(number, key, words[-1:]), words[0].upper() == "CHK"
-    elif key == "PY" and words and _value(number, key, words) == 0:
+        entry["AP"] = command.value(-1), command.word == "CHK"
+    elif key == "PY" and command.words and command.value() == 0:
         entry["PY"] = True
     else:
         return False
     return True
 
 
-def _value(number: int, key: str, words: list[str]) -> float:
-    try:
-        found = float(words[0])
-    except (ValueError, IndexError):
-        found = math.nan
-    if not math.isfinite(found):
-        raise ValueError(f"line {number}: {key} must have a number, got {' '.join(words)!r:.60}")
-    return found
-
-
-def _built(head: dict, entries: list[dict], glasses: dict, path: Path, ignored: list, notes: list) -> optical_system:
+def _built(head: dict, entries: list[dict], file: LensFile) -> optical_system:
     """Return the system of a file that was read."""
-    scale = head.get("UNI", 1.0)
+    file.scale = scale = head.get("UNI", 1.0)
     if not scale > 0:
         raise ValueError(f"UNI, millimetres of a unit, must be positive, got {scale:g}")
-    waves = [value * 1e-3 for value in head.get("WV", WAVES)]
-    context = Context(scale, glasses, [], waves, ignored, notes)
-    distance = entries[0].get("TH", 1e20) * scale
-    distance = distance if distance < FAR else math.inf
+    file.waves = [value * 1e-3 for value in head.get("WV", WAVES)]
+    distance = file.object_distance(entries[0].get("TH", 1e20) * scale, 1e13)
     if math.isfinite(distance) and (entries[0].get("RD") or entries[0].get("CV")):
         raise ValueError("the object must be flat")
-    items = [_surface(i, entry, context) for i, entry in enumerate(entries[1:-1], start=1)]
-    image = _surface(len(entries) - 1, {key: value for key, value in entries[-1].items() if key != "TH"}, context)
+    items = [_surface(i, entry, file) for i, entry in enumerate(entries[1:-1], start=1)]
+    image = _surface(len(entries) - 1, {key: value for key, value in entries[-1].items() if key != "TH"}, file)
     defocus = entries[-1].get("TH", 0.0) * scale
-    names: dict[str, Any] = {"unit": "mm", "name": head.get("name") or path.stem, "source": path.name}
-    names |= {"wavelengths": waves, "reference": 0, "object_distance": distance, "image": image_of(image)}
-    names["wavelength_weights"] = differing(head.get("WW", []), len(waves))
+    system = file.maker_of_system(
+        items,
+        name=head.get("name"),
+        reference=0,
+        object_distance=distance,
+        image=image_of(image),
+        wavelength_weights=differing(head.get("WW", []), len(file.waves)),
+    )
     solved = [i for i, entry in enumerate(entries[1:-1]) if entry.get("PY")]
     if any(i != len(items) - 1 for i in solved):
         raise ValueError(f"surface {solved[0] + 1}: PY, a solve, is understood behind the last surface only")
     size, form = _aperture(head, math.isfinite(distance))
     size = size * scale if form == "EPD" else size
-    if size is None or not size:
-        size, form = usual_pupil(optical_system(items, 1.0, **names), "no aperture (EBR, NAO, FNO)", notes)
+    if not size:
+        size, form = file.usual_pupil(system(1.0, "EPD"), "no aperture (EBR, NAO, FNO)")
     if form == "first":
         # The radius of the axial beam at the first surface.
         form, size = "NA", math.sin(math.atan(size * scale / 2 / distance))
-    system = optical_system(items, SystemAperture(size, form), **names)
+    found = system(size, form)
     if solved:
-        items[-1].thickness.fill_(float(first_order(system).image_distance))
+        items[-1].thickness.fill_(float(first_order(found).image_distance))
     items[-1].thickness += defocus
-    return optical_system(items, SystemAperture(size, form), **_fields(head, system, scale, notes), **names)
+    return system(size, form, **_fields(head, found, file))
 
 
 def _aperture(head: dict, near: bool) -> tuple[float, str]:
@@ -220,13 +207,13 @@ def _aperture(head: dict, near: bool) -> tuple[float, str]:
     return 0.0, "EPD"
 
 
-def _fields(head: dict, system, scale: float, notes: list) -> dict[str, Any]:
+def _fields(head: dict, system, file: LensFile) -> dict[str, Any]:
     """Return the field points with weights and vignetting factors, or 0, 0.7 and 1 times the largest field."""
     points = head.get("points", [[share, 0.0, -1.0, 1.0, -1.0, 1.0, 1.0] for share in (0.0, 0.7, 1.0)])
     if system.at_infinity:
         largest = math.tan(math.radians(abs(head.get("ANG", 0.0))))
     elif "OBH" in head:
-        largest = head["OBH"] * scale
+        largest = head["OBH"] * file.scale
     else:
         reach = system.object_distance + float(first_order(system).entrance_pupil_distance)
         largest = -reach * math.tan(math.radians(head.get("ANG", 0.0)))
@@ -236,7 +223,7 @@ def _fields(head: dict, system, scale: float, notes: list) -> dict[str, Any]:
     if "points" not in head:
         if not largest:
             return {"fields": [0.0]}
-        notes.append("the file states the largest field: 0, 0.7 and 1 times its tangent or height are taken")
+        file.notes.append("the file states the largest field: 0, 0.7 and 1 times its tangent or height are taken")
     found: dict[str, Any] = {"fields": fields}
     factors = [
         ((left + right) / 2, (low + high) / 2, 1 - (right - left) / 2, 1 - (high - low) / 2)
@@ -249,9 +236,9 @@ def _fields(head: dict, system, scale: float, notes: list) -> dict[str, Any]:
     return found
 
 
-def _surface(number: int, entry: dict, context: Context) -> surface:
+def _surface(number: int, entry: dict, file: LensFile) -> surface:
     """Return one surface."""
-    scale = context.scale
+    scale = file.scale
     radius = entry.get("RD", 0.0)
     bend = entry.get("CV", 1 / radius if radius else 0.0) / scale
     powers = [entry.get(key, 0.0) * scale ** (-3 - 2 * i) for i, key in enumerate(_POWERS)]
@@ -264,7 +251,7 @@ def _surface(number: int, entry: dict, context: Context) -> surface:
     elif "GLA" in entry:
         with named_errors(f"surface {number}"):
             words, waves = entry["GLA"]
-            medium = _glass(number, words, waves, context)
+            medium = _glass(number, words, waves, file)
     size, checked = entry.get("AP", (0.0, False))
     with named_errors(f"surface {number}"):
         return surface(
@@ -277,15 +264,15 @@ def _surface(number: int, entry: dict, context: Context) -> surface:
         )
 
 
-def _glass(number: int, words: list[str], waves: list[float], context: Context):
+def _glass(number: int, words: list[str], waves: list[float], file: LensFile):
     """Return a glass by its name, or by its indices at the wavelengths in force."""
     if not words:
         raise ValueError("GLA must name a glass or state its indices")
     name = words[0]
     if name.upper() == "MOD" and len(words) > 2:
         name, words = words[1], words[2:]
-    if name in context.glasses:
-        return context.glasses[name]
+    if name in file.glasses:
+        return file.glasses[name]
     numbers = [word for word in words if re.fullmatch(r"[\d.]+(?:[eE][+-]?\d+)?", word)]
     if len(numbers) == len(words):
         values = [float(word) for word in numbers]
@@ -294,7 +281,7 @@ def _glass(number: int, words: list[str], waves: list[float], context: Context):
         if len(values) > len(waves):
             raise ValueError(f"GLA must have an index at each of {len(waves)} wavelengths, got {len(values)}")
         return tabulated(name, waves[: len(values)], values, "indices of an OSLO file")
-    return within(number, glass_by_name(number, name, context, "read_len"), context)
+    return file.named_glass(number, name)
 
 
 def write_len(system: optical_system, path: str | os.PathLike[str]) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from dataclasses import fields as fields_of
 from itertools import pairwise
 from numbers import Number, Real
-from typing import Any, NamedTuple, SupportsComplex, cast
+from typing import Any, ClassVar, NamedTuple, SupportsComplex, cast
 
 import numpy as np
 import torch
@@ -88,6 +88,7 @@ class Coating:
     thicknesses: Sequence[float | Array | str] | Array = ()
     substrate: str | OpticalMaterial | complex | None = None
     unit: str | None = None
+    fixed: ClassVar[tuple[str, ...]] = ("media", "substrate", "unit")
 
     def __post_init__(self) -> None:
         media, thicknesses = self.media, self.thicknesses
@@ -240,24 +241,6 @@ class _Parameters(torch.nn.Module):
         return self.kind(*(getattr(self, field.name) for field in fields_of(self.kind)))
 
 
-class _Films(torch.nn.Module):
-    """Coating whose thicknesses are a buffer, or a torch.nn.Parameter."""
-
-    def __init__(self, given: Coating):
-        super().__init__()
-        self.media: Sequence[Any] = given.media
-        self.substrate: str | OpticalMaterial | complex | None = given.substrate
-        self.unit: str | None = given.unit
-        values = given.thicknesses
-        values = values if isinstance(values, torch.Tensor) else list(values)
-        _hold(self, "thicknesses", _validate.real("coating.thicknesses", values) if len(values) else values)
-
-    def build(self) -> Coating:
-        """Return the coating with the current thicknesses."""
-        thicknesses: Any = self.thicknesses
-        return Coating(self.media, thicknesses, self.substrate, self.unit)
-
-
 class surface(torch.nn.Module):
     """A surface and the medium behind it; lengths in the system's unit.
 
@@ -367,15 +350,8 @@ class surface(torch.nn.Module):
         _hold(self, "conic", _validate.real("conic", conic))
         coefficients = _listed("coefficients", coefficients)
         _hold(self, "coefficients", _validate.real("coefficients", coefficients) if len(coefficients) else coefficients)
-        self.own_shape: _Parameters | None = (
-            None if shape is None else _Parameters("shape", _checked("shape", shape, Shape))
-        )
-        self.own_phase: _Parameters | None = (
-            None if phase is None else _Parameters("phase", _checked("phase", phase, Phase))
-        )
-        self.own_gradient = None
-        if gradient is not None:
-            self.own_gradient = _Parameters("gradient", _checked("gradient", gradient, Gradient))
+        for name, given, kind in (("shape", shape, Shape), ("phase", phase, Phase), ("gradient", gradient, Gradient)):
+            setattr(self, f"own_{name}", None if given is None else _Parameters(name, _checked(name, given, kind)))
         _hold(self, "thickness", _validate.real("thickness", thickness))
         _hold(self, "shift", _several("shift", shift, (2,)))
         _hold(self, "tilt", _several("tilt", tilt, (2, 3)))
@@ -388,7 +364,7 @@ class surface(torch.nn.Module):
                 "gradient belongs to the medium behind a surface that refracts, not to a mirror, got "
                 f"{type(gradient).__name__}"
             )
-        self.own_coating: _Films | _Parameters | None = None
+        self.own_coating: _Parameters | None = None
         self.coating = coating
         self.semi_diameter = semi_diameter
         if semi_diameter is not None:
@@ -435,21 +411,17 @@ class surface(torch.nn.Module):
 
     @coating.setter
     def coating(self, value: Coating | PolarizingFilm | None) -> None:
-        if value is None:
-            self.own_coating = None
-            return
         if isinstance(value, PolarizingFilm):
             if self.material == MIRROR and not value.reflects:
                 raise ValueError(f"coating of a mirror must reflect light, got {value!r:.120}")
-            self.own_coating = _Parameters("coating", value)
-            return
-        _validate.instance("coating", value, Coating, "a Coating or a PolarizingFilm")
-        if value.substrate is not None and self.material != MIRROR:
-            raise ValueError(
-                "substrate of a coating belongs to mirrors: of other surfaces it is the medium behind; got "
-                f"{value.substrate!r:.80}"
-            )
-        self.own_coating = _Films(value)
+        elif value is not None:
+            _validate.instance("coating", value, Coating, "a Coating or a PolarizingFilm")
+            if value.substrate is not None and self.material != MIRROR:
+                raise ValueError(
+                    "substrate of a coating belongs to mirrors: of other surfaces it is the medium behind; got "
+                    f"{value.substrate!r:.80}"
+                )
+        self.own_coating = None if value is None else _Parameters("coating", value)
 
     @property
     def limit(self) -> Any:

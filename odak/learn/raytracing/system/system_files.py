@@ -6,7 +6,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,7 +28,7 @@ from odak.catalog.materials import (  # noqa: F401
 from odak.learn.raytracing.system.films import PolarizingFilm
 from odak.learn.raytracing.system.paraxial import entrance_pupil, first_order
 from odak.learn.raytracing.system.pupils import at_stop, through_places, trace_fields
-from odak.learn.raytracing.system.specification import AIR, PARTS, plain
+from odak.learn.raytracing.system.specification import AIR, PARTS, SystemAperture, plain
 from odak.learn.raytracing.system.surfaces import (
     Coating,
     checked_system,
@@ -431,6 +431,23 @@ SEALED: tuple[tuple[str, tuple[bytes, ...], str], ...] = (
 )
 
 
+# Materials of the catalogue "special" of CODE V.
+SPECIAL = {
+    "SILICA": "fused silica",
+    "CAF2": "CaF2",
+    "BAF2": "BaF2",
+    "LIF": "lithium fluoride",
+    "GERMMN": "germanium",
+    "SILICN": "silicon",
+    "ZNSE": "zinc selenide",
+    "ZNS": "zinc sulfide",
+    "ACRYLIC": "PMMA",
+    "POLYCARB": "polycarbonate",
+    "POLYSTYR": "polystyrene",
+    "WATER": "water",
+}
+
+
 class ZmxReport(NamedTuple):
     """Report of a lens file: the lines that were not used, and decisions that the file left open.
 
@@ -489,15 +506,227 @@ def told_impossible(system: optical_system, remedy: str = "", notes: list[str] |
     return system
 
 
-class Context(NamedTuple):
-    """Properties that all surfaces of a file share."""
+class Command(NamedTuple):
+    """A line or a command of a lens file: the number of its line, its name, and the words behind it."""
 
-    scale: float
+    number: int
+    key: str
+    words: Sequence[str]
+
+    @property
+    def word(self) -> str:
+        """The first word in capitals; "" where there is none."""
+        return self.words[0].upper() if self.words else ""
+
+    def value(self, place: int = 0) -> float:
+        """Return one of the words as a number; ValueError, naming the line, for anything else."""
+        try:
+            word = self.words[place]
+        except IndexError:
+            wanted = "a number" if place < 1 else f"{place + 1} numbers"
+            given = len(self.words) or "none"
+            raise ValueError(f"line {self.number}: {self.key} must have {wanted}, got {given}") from None
+        found = self.converted(word)
+        if math.isnan(found):
+            raise ValueError(f"line {self.number}: {self.key} must have a number, got {word!r:.60}")
+        return found
+
+    def values(self) -> list[float]:
+        """Return all words as numbers."""
+        return [self.value(place) for place in range(len(self.words))]
+
+    @staticmethod
+    def converted(word: str) -> float:
+        """Return the number that a word stands for, NaN where there is none or an infinite one."""
+        try:
+            return float(word) if math.isfinite(float(word)) else math.nan
+        except ValueError:
+            return math.nan
+
+    @property
+    def text(self) -> str:
+        """The line as a report names it."""
+        return f"line {self.number}: {' '.join((self.key, *self.words))}"
+
+    def unknown(self) -> ValueError:
+        """Return the error of a command that is not understood."""
+        given = " ".join((self.key, *self.words))
+        return ValueError(f"line {self.number}: {self.key} is a command that is not understood, got {given!r:.80}")
+
+
+@dataclasses.dataclass
+class LensFile:
+    """A lens file of another program while it is read: what all its surfaces share, and what its report will say.
+
+    Attributes
+    ----------
+    path : pathlib.Path
+        The file.
+    reader : str
+        Name of the function that reads it, for messages.
+    glasses : dict
+        Stand-ins for glasses by their names in the file.
+    scale : float
+        Millimetres of its unit of length.
+    makers : list of str
+        Makers whose catalogues it names.
+    waves : list of float
+        Its wavelengths, in millimetres.
+    ignored, notes : list of str
+        Lines without effect, and decisions that it left open: the :class:`ZmxReport`.
+    """
+
+    path: Path
+    reader: str
     glasses: dict[Any, Any]
-    makers: list[str]
-    waves: list[float]
-    ignored: list[str]
-    notes: list[str]
+    scale: float = 1.0
+    makers: list[str] = dataclasses.field(default_factory=list)
+    waves: list[float] = dataclasses.field(default_factory=list)
+    ignored: list[str] = dataclasses.field(default_factory=list)
+    notes: list[str] = dataclasses.field(default_factory=list)
+
+    @classmethod
+    def opened(cls, reader: str, path: str | os.PathLike[str], glasses: Mapping[Any, Any] | None) -> "LensFile":
+        """Return the file of a reader's arguments, which are checked."""
+        _validate.instance("glasses", glasses, (Mapping, type(None)), "a dictionary")
+        return cls(Path(_text("path", path)), reader, dict(glasses or {}))
+
+    def take_unit(self, key: str, name: str, lengths: Mapping[str, float]) -> None:
+        """Enter the unit of length, one of a table of millimetres."""
+        if name.upper() not in lengths:
+            raise ValueError(f"{key} must be one of {', '.join(lengths)}, got {name.upper()!r}")
+        self.scale = lengths[name.upper()]
+
+    def object_distance(self, distance: float, silent: float = math.inf) -> float:
+        """Return a distance in millimetres; a very far object is at infinity, with a note below `silent`."""
+        if distance < FAR:
+            return distance
+        if distance < silent:
+            self.notes.append(f"the object, at a distance of {distance:g} mm, is taken to be at infinity")
+        return math.inf
+
+    def maker_of_system(self, items: Sequence[surface], stop: str = "", **names: Any) -> Callable[..., optical_system]:
+        """Return the function that makes the system of these surfaces, of an aperture and of what is known by then.
+
+        `stop` is the key that would have named the stop, for a note where none of the surfaces is it.
+        """
+        if stop and not any(item.stop for item in items):
+            self.notes.append(f"no {stop}: the first surface is taken as the stop")
+        own = {"unit": "mm", "source": self.path.name, "wavelengths": self.waves} | names
+        own["name"] = own.get("name") or self.path.stem
+
+        def system(size: float, form: str, **others: Any) -> optical_system:
+            return optical_system(list(items), SystemAperture(size, form), **(own | others))
+
+        return system
+
+    def usual_pupil(self, system: optical_system, missing: str) -> tuple[float, str]:
+        """Return the aperture where none is stated: an entrance pupil of a tenth of the focal length, in a note."""
+        size = abs(float(first_order(system).focal_length)) / 10
+        size = size if math.isfinite(size) and size else 1.0
+        self.notes.append(f"{missing}: an entrance pupil of {size:g} mm, a tenth of the focal length, is taken")
+        return size, "EPD"
+
+    def field_points(self, system: optical_system, points: list[tuple[float, float]], kind: str, aim: str = "real"):
+        """Return fields as angles where the object is at infinity, as its heights in millimetres where it is near.
+
+        Parameters
+        ----------
+        system : optical_system
+            The system, with any fields.
+        points : list of tuple
+            What the file states.
+        kind : str
+            "angle", "height" (in the object), "paraxial" or "real" (heights in the image).
+        aim : str
+            How real chief rays are aimed.
+        """
+        if kind == "angle":
+            near = not system.at_infinity and any(map(any, points))
+            return self._heights_of_angles(system, points) if near else points
+        points = [(a * self.scale, b * self.scale) for a, b in points]
+        if kind == "height":
+            return points
+        self.notes.append(f"fields are image heights ({kind}), turned into object fields")
+        return list(fields_of_image_heights(system, points, kind == "real", aim, self.notes))
+
+    def _heights_of_angles(self, system: optical_system, points: Iterable[tuple[float, float]]):
+        """Return the object heights that are seen under angles from the entrance pupil, with a note."""
+        reach = float(system.object_distance) + float(first_order(system).entrance_pupil_distance)
+        if not math.isfinite(reach) or system.telecentric:
+            raise ValueError("fields by angles, of a near object, must be seen from a pupil that is not at infinity")
+        self.notes.append("fields are angles from the entrance pupil, turned into object heights")
+        return [(-reach * math.tan(math.radians(a)), -reach * math.tan(math.radians(b))) for a, b in points]
+
+    def named_glass(self, number: int, name: str) -> OpticalMaterial:
+        """Return a glass NAME or NAME_MAKER of the catalogues.
+
+        Parameters
+        ----------
+        number : int
+            Of the surface, for messages.
+        name : str
+            Name in the file.
+        """
+        bare, _, maker = name.rpartition("_") if "_" in name else (name, "", "")
+        if maker.casefold() == "special" and bare.upper() in SPECIAL:
+            return self.within(number, material(SPECIAL[bare.upper()]))
+        found, problem = self.catalogued(number, bare, [maker.casefold()] if maker else [])
+        if found is None:
+            remedy = f"with odak trace --glasses FILE (.agf), or pass glasses={{{name!r}: …}} to {self.reader}"
+            raise ValueError(f"{problem} or {remedy}")
+        return self.within(number, found)
+
+    def catalogued(self, number: int, name: str, makers: Sequence[str]) -> tuple[OpticalMaterial | None, str]:
+        """Return a glass by its name or its successor's, and otherwise None and what is wrong with the name."""
+        makers, problem = list(makers), ""
+        first = makers[: makers.index("schott")] if "schott" in makers else makers
+        for maker in (*(f"{maker}:" for maker in first), "", *(f"{maker}:" for maker in makers)):
+            try:
+                return material(f"{maker}{name}"), ""
+            except ValueError as error:
+                problem = str(error) if not maker else problem
+        several = [maker for maker in glass_makers() if f"'{maker}:{name}'" in problem]
+        # Names of glasses with lead and arsenic, and the names of their successors.
+        former = re.fullmatch(r"([A-Z]+?)N?(\d+\w*)", name.upper())
+        for maker, prefix in (("schott", "N"), ("hoya", "E"), ("cdgm", "H"), ("hikari", "J")):
+            if former and (maker in makers or (prefix == "N" and not makers and not several)):
+                for successor in (f"{prefix}-{name.upper()}", f"{prefix}-{former[1]}{former[2]}"):
+                    for full in (successor, f"{maker}:{successor}"):
+                        try:
+                            found = material(full)
+                        except ValueError:
+                            continue
+                        self.notes.append(f"surface {number}: {name} is not known; its successor {found.name} is taken")
+                        return found, ""
+        if several:
+            self.notes.append(
+                f"surface {number}: {name} is a glass of several makers; the one by {several[0]} is taken"
+            )
+            return material(f"{several[0]}:{name}"), ""
+        return None, problem
+
+    def within(self, number: int, found: Any) -> Any:
+        """Return a material whose range holds the wavelengths, which may reach somewhat beyond its own; noted."""
+        low, high = min(self.waves) * 1e3, max(self.waves) * 1e3
+        own = found.range
+        if own[0] <= low and high <= own[1]:
+            return found
+        ends = [found.index(value) for value in (low, high)]
+        stretched = low < own[0] / MAXIMUM_STRETCH or high > own[1] * MAXIMUM_STRETCH
+        if stretched or any(isinstance(value, complex) or not value > 0 for value in ends):
+            raise ValueError(
+                f"surface {number}: {found.name} must be used from {own[0]:g} to {own[1]:g} µm, got wavelengths from "
+                f"{low:g} to {high:g} µm"
+            )
+        kind = "the model glass" if found.name.startswith("model ") else found.name
+        self.notes.append(f"surface {number}: {kind} is extrapolated to {low:g} … {high:g} µm")
+        return dataclasses.replace(found, range=(min(low, own[0]), max(high, own[1])))
+
+    def reported(self, system: optical_system, remedy: str = "") -> tuple[optical_system, ZmxReport]:
+        """Return what a reader of lens files returns; a system that cannot be meant is warned of."""
+        told_impossible(system, remedy, self.notes)
+        return system, ZmxReport(tuple(self.ignored), tuple(self.notes))
 
 
 def lens_text(path: Path) -> str:
@@ -532,42 +761,9 @@ def _decoded(data: bytes, name: str) -> str:
         return data.decode("latin-1")
 
 
-def opened(path: str | os.PathLike[str], glasses: Mapping[Any, Any] | None) -> tuple[Path, dict[Any, Any]]:
-    """Return the arguments of a reader of lens files, checked."""
-    _validate.instance("glasses", glasses, (Mapping, type(None)), "a dictionary")
-    return Path(_text("path", path)), dict(glasses or {})
-
-
-def reported(
-    system: optical_system, ignored: list[str], notes: list[str], remedy: str = ""
-) -> tuple[optical_system, ZmxReport]:
-    """Return what a reader of lens files returns; a system that cannot be meant is warned of."""
-    told_impossible(system, remedy, notes)
-    return system, ZmxReport(tuple(ignored), tuple(notes))
-
-
 def differing(weights: list[float], count: int) -> list[float] | None:
     """Return weights of a file, None where they are all the same or not `count`."""
     return weights if len(weights) == count and len(set(weights)) > 1 else None
-
-
-def usual_pupil(system: optical_system, missing: str, notes: list[str]) -> tuple[float, str]:
-    """Return the aperture of a file that states none: an entrance pupil of a tenth of the focal length, in a note."""
-    size = abs(float(first_order(system).focal_length)) / 10
-    size = size if math.isfinite(size) and size else 1.0
-    notes.append(f"{missing}: an entrance pupil of {size:g} mm, a tenth of the focal length, is taken")
-    return size, "EPD"
-
-
-def heights_of_angles(
-    system: optical_system, points: Iterable[tuple[float, float]], notes: list[str]
-) -> list[tuple[float, float]]:
-    """Return the object heights that are seen under angles from the entrance pupil, with a note."""
-    reach = float(system.object_distance) + float(first_order(system).entrance_pupil_distance)
-    if not math.isfinite(reach) or system.telecentric:
-        raise ValueError("fields by angles, of a near object, must be seen from a pupil that is not at infinity")
-    notes.append("fields are angles from the entrance pupil, turned into object heights")
-    return [(-reach * math.tan(math.radians(a)), -reach * math.tan(math.radians(b))) for a, b in points]
 
 
 def image_of(found: surface) -> surface | None:
@@ -589,52 +785,6 @@ def own_tilt(tilt: tuple[float, float, float]) -> tuple[float, float, float]:
     m = rotation_matrix(np.asarray(tilt, dtype=float), "ZYX")
     found = math.asin(max(-1.0, min(1.0, -m[1, 2]))), math.atan2(m[0, 2], m[2, 2]), math.atan2(m[1, 0], m[1, 1])
     return tuple(map(math.degrees, found))  # type: ignore[return-value]
-
-
-def catalogued(number: int, name: str, context: Context) -> tuple[OpticalMaterial | None, str]:
-    """Return a glass by its name or its successor's, and otherwise None and what is wrong with the name."""
-    makers, problem = context.makers, ""
-    first = makers[: makers.index("schott")] if "schott" in makers else makers
-    for maker in (*(f"{maker}:" for maker in first), "", *(f"{maker}:" for maker in makers)):
-        try:
-            return material(f"{maker}{name}"), ""
-        except ValueError as error:
-            problem = str(error) if not maker else problem
-    several = [maker for maker in glass_makers() if f"'{maker}:{name}'" in problem]
-    # Names of glasses with lead and arsenic, and the names of their successors.
-    former = re.fullmatch(r"([A-Z]+?)N?(\d+\w*)", name.upper())
-    for maker, prefix in (("schott", "N"), ("hoya", "E"), ("cdgm", "H"), ("hikari", "J")):
-        if former and (maker in makers or (prefix == "N" and not makers and not several)):
-            for successor in (f"{prefix}-{name.upper()}", f"{prefix}-{former[1]}{former[2]}"):
-                for full in (successor, f"{maker}:{successor}"):
-                    try:
-                        found = material(full)
-                    except ValueError:
-                        continue
-                    context.notes.append(f"surface {number}: {name} is not known; its successor {found.name} is taken")
-                    return found, ""
-    if several:
-        context.notes.append(f"surface {number}: {name} is a glass of several makers; the one by {several[0]} is taken")
-        return material(f"{several[0]}:{name}"), ""
-    return None, problem
-
-
-def within(number: int, found: Any, context: Context) -> Any:
-    """Return a material whose range holds the wavelengths, which may reach somewhat beyond its own; noted."""
-    low, high = min(context.waves) * 1e3, max(context.waves) * 1e3
-    own = found.range
-    if own[0] <= low and high <= own[1]:
-        return found
-    ends = [found.index(value) for value in (low, high)]
-    stretched = low < own[0] / MAXIMUM_STRETCH or high > own[1] * MAXIMUM_STRETCH
-    if stretched or any(isinstance(value, complex) or not value > 0 for value in ends):
-        raise ValueError(
-            f"surface {number}: {found.name} must be used from {own[0]:g} to {own[1]:g} µm, got wavelengths from "
-            f"{low:g} to {high:g} µm"
-        )
-    kind = "the model glass" if found.name.startswith("model ") else found.name
-    context.notes.append(f"surface {number}: {kind} is extrapolated to {low:g} … {high:g} µm")
-    return dataclasses.replace(found, range=(min(low, own[0]), max(high, own[1])))
 
 
 def aperture_of_working(system: optical_system, number: float) -> float:

@@ -15,7 +15,7 @@ from odak.catalog.materials import MICROMETRES, OpticalMaterial, glass_makers, m
 from odak.learn.raytracing.system.operands import clear_heights
 from odak.learn.raytracing.system.paraxial import first_order, matrix, signed_indices
 from odak.learn.raytracing.system.pupils import trace_fields
-from odak.learn.raytracing.system.specification import AIR, MIRROR, SETTINGS, SystemAperture
+from odak.learn.raytracing.system.specification import AIR, MIRROR, SETTINGS
 from odak.learn.raytracing.system.surfaces import (
     coordinate_break,
     is_break,
@@ -26,25 +26,19 @@ from odak.learn.raytracing.system.surfaces import (
 from odak.learn.raytracing.system.system_files import (
     FACTORS,
     FAR,
-    Context,
+    Command,
+    LensFile,
     ZmxReport,
     aperture_of_working,
-    catalogued,
     differing,
-    fields_of_image_heights,
-    heights_of_angles,
     image_of,
     lens_text,
     model_numbers,
     named_errors,
-    opened,
     own_surfaces,
     own_tilt,
     pairs,
     plain,
-    reported,
-    usual_pupil,
-    within,
 )
 from odak.learn.raytracing.system.zooms import configurations
 from odak.raytracing.apertures import Aperture, CircularAperture, EllipticAperture, RectangularAperture
@@ -68,34 +62,25 @@ from odak.tools.zernike import fringe_to_nm, noll_to_nm, zernike_norm
 MAXIMUM_SURFACES, MAXIMUM_TERMS = 1000, 500
 
 
-class Line(NamedTuple):
-    """A line: its number, its first word, and the rest as words."""
+class Line(Command):
+    """A line: its number, its first word, and the rest as words; its numbers may be infinite."""
 
-    number: int
-    key: str
-    words: tuple[str, ...]
-
-    def value(self, place: int = 0) -> float:
-        """Return one of the words as a finite number or an infinity; ValueError, naming the line, for anything else."""
-        if place >= len(self.words):
-            raise ValueError(f"line {self.number}: {self.key} must have {place + 1} numbers, got {len(self.words)}")
-        word = self.words[place]
+    @staticmethod
+    def converted(word: str) -> float:
+        """Return the number that a word stands for, NaN where there is none."""
         if word.upper() in ("INFINITY", "-INFINITY"):
             return float(word)
         try:
             # Programs of some countries write a decimal comma, Fortran an exponent D.
             # Blanks of other alphabets behind a number may stand as question marks.
-            found = float(re.sub(r"(?<=\d)[dD](?=[+-]?\d)", "e", word.rstrip("?").replace(",", ".", 1)))
+            return float(re.sub(r"(?<=\d)[dD](?=[+-]?\d)", "e", word.rstrip("?").replace(",", ".", 1)))
         except ValueError:
-            raise ValueError(f"line {self.number}: {self.key} must have a number, got {word!r}") from None
-        if found != found:
-            raise ValueError(f"line {self.number}: {self.key} must have a number, got {word!r}")
-        return found
+            return math.nan
 
     @property
     def automatic(self) -> bool:
         """Whether it is a semi-diameter that its program has from the rays, and that states nothing."""
-        return self.key == "DIAM" and self.words[1:2] == ("0",)
+        return self.key == "DIAM" and list(self.words[1:2]) == ["0"]
 
     def whole(self, place: int = 0) -> int:
         """Return one of the words as an integer."""
@@ -133,7 +118,7 @@ def read_lines(path) -> tuple[list[Line], list[list[Line]]]:
         words = text.split()
         if not words:
             continue
-        line = Line(number, words[0].upper(), tuple(words[1:]))
+        line = Line(number, words[0].upper(), words[1:])
         if line.key == "SURF":
             if not surfaces and line.counts(1):
                 # Some programs leave out the object.
@@ -169,6 +154,13 @@ _SURFACE_KEYS = frozenset(re.findall(r"\w+", _OF_SURFACES)) | {"ELOB"}
 _IDLE_OPERANDS = frozenset(("MOFF", "LTTL", "NCOM", "MNUM"))
 _OF_CONFIGURATIONS = "THIC CRVT CURV CONN SDIA APER GLSS XFIE YFIE WAVE PRAM TEMP PRES IGNR WLWT FLWT"
 _OPERANDS = _IDLE_OPERANDS | frozenset(_OF_CONFIGURATIONS.split())
+# Numbers of surfaces among them: the setting, the key of the surface's own number, and the power of the unit.
+_NUMBERS = {
+    "THIC": ("thickness", "DISZ", 1),
+    "CRVT": ("curvature", "CURV", -1),
+    "CURV": ("curvature", "CURV", -1),
+    "CONN": ("conic", "CONI", 0),
+}
 # Temperature in degrees Celsius and pressure in atmospheres: values where there is none, and the unit of ours.
 WEATHER = {"TEMP": (20.0, 1.0), "PRES": (1.0, 101325.0)}
 # Keys of surfaces without effect on rays.
@@ -235,61 +227,65 @@ def read_zmx(
     >>> round(float(first_order(again).focal_length - first_order(lens).focal_length), 6)
     0.0
     """
-    path, stand_ins = opened(path, glasses)
-    general, surfaces = read_lines(path)
-    notes: list[str] = []
-    ignored: list[str] = []
-    with named_errors(path.name):
-        for line in general:
-            if line.key not in _GENERAL_KEYS | _OPERANDS and not (line.key == "VANN" and not any(_numbers(line))):
-                ignored.append(_named(line))
-        head = {line.key: line for line in reversed(general)}
-        surfaces, focused = _completed(head, surfaces, notes)
-        if "MODE" in head and head["MODE"].words[:1] != ("SEQ",):
-            raise ValueError(f"MODE must be SEQ, got {' '.join(head['MODE'].words)!r}")
-        unit = head["UNIT"].words[0].upper() if "UNIT" in head and head["UNIT"].words else "MM"
-        if unit not in LENGTHS:
-            raise ValueError(f"UNIT must be one of {', '.join(LENGTHS)}, got {unit!r}")
-        words = [word.lower() for word in head["GCAT"].words] if "GCAT" in head else []
-        makers = list(dict.fromkeys(maker for word in words for maker in glass_makers() if maker in word))
-        waves, weights, reference = _wavelengths(general, head, notes)
-        context = Context(LENGTHS[unit], stand_ins, makers, waves, ignored, notes)
-        built = [_surface(number, surfaces, context) for number in range(1, len(surfaces) - 1)]
-        image = _image(len(surfaces) - 1, surfaces, context)
-        distance = _object_distance(head, surfaces[0], context)
-        _check_object(surfaces[0], math.isinf(distance), context)
-        _note_settings(head, surfaces, notes)
-        names: dict[str, Any] = {"unit": "mm", "name": " ".join(head["NAME"].words) if "NAME" in head else path.stem}
-        names |= {"object_distance": distance, "object_material": _glass(0, surfaces, context)}
-        names |= {"source": path.name, "wavelengths": waves, "reference": reference, "wavelength_weights": weights}
-        if not any(item.stop for item in built):
-            notes.append("no STOP: the first surface is taken as the stop")
-        if focused:
-            plain_system = optical_system(list(built), 1.0, wavelengths=waves[reference])
-            back = float(first_order(plain_system).back_focal_distance)
-            built[-1].thickness.fill_(back if math.isfinite(back) else 0.0)
+    file = LensFile.opened("read_zmx", path, glasses)
+    general, surfaces = read_lines(file.path)
+    with named_errors(file.path.name):
+        found = _built(file, general, surfaces)
+    return file.reported(found)
 
-        def system(size, form, **others):
-            return optical_system(list(built), SystemAperture(size, form), image=image, **names, **others)
 
-        names["afocal"] = bool(_count(head, 6))
-        if names["afocal"] and image is not None:
-            notes.append("the image space is afocal (FTYP): the shape and the aperture of the image are not used")
-            image = None
-
-        size, form = _aperture(head, surfaces, context, system)
-        telecentric = bool(_count(head, 1)) and not math.isinf(distance) and form in ("NA", "stop")
-        if _count(head, 1) and not telecentric:
-            notes.append("the telecentric flag of FTYP needs a near object and an aperture by OBNA or FLOA: not used")
-        found = system(size, form, telecentric=telecentric)
-        points = _field_points(head, found, context)
-        own: dict[str, Any] = {
-            "vignetting_factors": _factors(head, len(points), notes),
-            "field_weights": _field_weights(head, len(points)),
-        }
-        own["settings"] = _settings(general, head, surfaces, form, context)
-        found = system(size, form, telecentric=telecentric, fields=points, **own)
-    return reported(found, ignored, notes)
+def _built(file: LensFile, general: list[Line], surfaces: list[list[Line]]) -> optical_system:
+    """Return the system of a file that was read."""
+    notes = file.notes
+    for line in general:
+        if line.key not in _GENERAL_KEYS | _OPERANDS and not (line.key == "VANN" and not any(line.values())):
+            file.ignored.append(line.text)
+    head = {line.key: line for line in reversed(general)}
+    surfaces, focused = _completed(head, surfaces, notes)
+    if "MODE" in head and list(head["MODE"].words[:1]) != ["SEQ"]:
+        raise ValueError(f"MODE must be SEQ, got {' '.join(head['MODE'].words)!r}")
+    file.take_unit("UNIT", head["UNIT"].word if "UNIT" in head and head["UNIT"].words else "MM", LENGTHS)
+    words = [word.lower() for word in head["GCAT"].words] if "GCAT" in head else []
+    file.makers = list(dict.fromkeys(maker for word in words for maker in glass_makers() if maker in word))
+    file.waves, weights, reference = _wavelengths(general, head, notes)
+    built = [_surface(number, surfaces, file) for number in range(1, len(surfaces) - 1)]
+    image = _image(len(surfaces) - 1, surfaces, file)
+    distance = _object_distance(head, surfaces[0], file)
+    _check_object(surfaces[0], math.isinf(distance), file)
+    _note_settings(head, surfaces, notes)
+    medium = _glass(0, surfaces, file)
+    if focused:
+        plain_system = optical_system(list(built), 1.0, wavelengths=file.waves[reference])
+        back = float(first_order(plain_system).back_focal_distance)
+        built[-1].thickness.fill_(back if math.isfinite(back) else 0.0)
+    afocal = bool(_count(head, 6))
+    if afocal and image is not None:
+        notes.append("the image space is afocal (FTYP): the shape and the aperture of the image are not used")
+    system = file.maker_of_system(
+        built,
+        "STOP",
+        name=" ".join(head["NAME"].words) if "NAME" in head else "",
+        object_distance=distance,
+        object_material=medium,
+        reference=reference,
+        wavelength_weights=weights,
+        afocal=afocal,
+        image=None if afocal else image,
+    )
+    size, form = _aperture(head, surfaces, file, system)
+    telecentric = bool(_count(head, 1)) and not math.isinf(distance) and form in ("NA", "stop")
+    if _count(head, 1) and not telecentric:
+        notes.append("the telecentric flag of FTYP needs a near object and an aperture by OBNA or FLOA: not used")
+    points = _field_points(head, system(size, form, telecentric=telecentric), file)
+    return system(
+        size,
+        form,
+        telecentric=telecentric,
+        fields=points,
+        vignetting_factors=_factors(head, len(points), notes),
+        field_weights=differing(_numbers(head.get("FWGN", head.get("FWGT")))[: len(points)], len(points)),
+        settings=_settings(general, head, surfaces, form, file),
+    )
 
 
 def _completed(head, surfaces, notes: list) -> tuple[list, bool]:
@@ -309,23 +305,21 @@ def _completed(head, surfaces, notes: list) -> tuple[list, bool]:
     return [*surfaces, []], not distance
 
 
-def _object_distance(head, lines, context: Context) -> float:
+def _object_distance(head, lines, file: LensFile) -> float:
     """Return the distance of the object; a very far one given by angles is at infinity."""
-    distance = _of(lines, "DISZ", math.inf) * context.scale
-    if not FAR <= distance < math.inf or ("FTYP" in head and head["FTYP"].value() not in (0, 4)):
-        return distance
-    context.notes.append(f"the object, at a distance of {distance:g} mm, is taken to be at infinity")
-    return math.inf
+    distance = _of(lines, "DISZ", math.inf) * file.scale
+    by_angles = "FTYP" not in head or head["FTYP"].value() in (0, 4)
+    return file.object_distance(distance) if by_angles else distance
 
 
-def _check_object(lines, far: bool, context: Context) -> None:
+def _check_object(lines, far: bool, file: LensFile) -> None:
     """Raise ValueError for an object that is curved; note the rest."""
     for line in lines:
         curved = line.key in ("CURV", "CONI") and line.words and line.value()
         if curved and not far:
             raise ValueError(f"line {line.number}: the object must be flat, got {' '.join(line.words)!r}")
         if line.key not in _SURFACE_KEYS or curved:
-            context.ignored.append(_named(line, 0))
+            file.ignored.append(_named(line, 0))
 
 
 def _note_settings(head, surfaces, notes: list) -> None:
@@ -341,12 +335,12 @@ def _note_settings(head, surfaces, notes: list) -> None:
         notes.append(f"curvatures of surfaces {where} are variables or solves in the file: read as they stand")
 
 
-def _settings(general, head, surfaces, form: str, context: Context) -> list[tuple]:
-    """Return what differs between the configurations of a file; operands that are not used are noted."""
+def _settings(general, head, surfaces, form: str, file: LensFile) -> list[tuple]:
+    """Return the settings of the configurations, with a note of them and of the operands that are not used."""
     count = head["MNUM"].whole() if "MNUM" in head and head["MNUM"].words else 1
     if count < 2:
         return []
-    context.notes.append(
+    file.notes.append(
         f"the file holds {count} configurations: the surfaces give the system's own numbers, "
         "its settings hold the numbers of all configurations (see configurations)"
     )
@@ -357,126 +351,79 @@ def _settings(general, head, surfaces, form: str, context: Context) -> list[tupl
             held.setdefault((line.key, line.whole()), {})[line.whole(1)] = line
         elif line.key in _OPERANDS - _IDLE_OPERANDS:
             unused.add(line.key)
-    read = _Configurations(count, head, surfaces, form, context)
-    unused |= {f"{key} {place}" for (key, place), lines in held.items() if not read.enter(key, place, lines)}
-    found = read.settings()
+    kind = _count(head, 0)
+    factor = file.scale if kind in (1, 2, 3) else 1.0
+    points = _listed_points(head, factor)
+    fields = [list(map(list, points)) for _ in range(count)]
+    waves = [list(file.waves) for _ in range(count)]
+    weather: dict[str, list[float]] = {}
+    # Numbers one by one: where they go in each configuration, what stands there, and the unit.
+    single: dict[tuple[str, int], tuple[list[list[float]], int, float, float]] = {}
+    for i, wave in enumerate(file.waves):
+        single["WAVE", i + 1] = waves, i, wave * 1e3, 1e-3
+    for i, point in enumerate(points if kind != 4 else []):
+        for axis, key in enumerate(("XFIE", "YFIE")):
+            single[key, i + 1] = [row[i] for row in fields], axis, point[axis] / factor, factor
+    found: list[tuple] = []
+    for (key, place), lines in held.items():
+        values = _Values(count, lines)
+        if key in WEATHER:
+            weather[key] = values(*WEATHER[key])
+        elif (key, place) in single:
+            rows, at, own, unit = single[key, place]
+            for row, value in zip(rows, values(own, unit), strict=True):
+                row[at] = value
+        else:
+            made = _setting(key, place, values, (surfaces, form, kind), file)
+            found += made or []
+            unused |= {f"{key} {place}"} if made is None else set()
+    heights = {2: "image_heights", 3: "real_image_heights"}.get(kind)
+    for name, rows in ((heights or "fields", fields), ("wavelengths", waves)):
+        if name == heights or any(row != rows[0] for row in rows):
+            found.append((name, None, rows))
     if unused:
-        context.notes.append(f"operands of configurations that are not used: {', '.join(sorted(unused))}")
-    return found
+        file.notes.append(f"operands of configurations that are not used: {', '.join(sorted(unused))}")
+    return _in_weather(found, surfaces, weather, count, file) if weather else found
 
 
-class _Configurations:
-    """Settings of the configurations of a file, entered operand by operand.
+class _Values(NamedTuple):
+    """Lines of an operand by the number of the configuration, and how many configurations there are."""
 
-    The methods that enter an operand return whether it is used. They take its name, the number of its surface, field
-    or wavelength, and its lines by the number of their configuration.
-    """
+    count: int  # type: ignore[assignment]  # hides tuple.count
+    lines: dict[int, Line]
 
-    def __init__(self, count: int, head, surfaces, form: str, context: Context):
-        self.count, self.surfaces, self.form, self.context = count, surfaces, form, context
-        self.stop = next((i for i, lines in enumerate(surfaces) if any(line.key == "STOP" for line in lines)), 1)
-        self.kind = _count(head, 0)
-        self.factor = context.scale if self.kind in (1, 2, 3) else 1.0
-        self.points = _listed_points(head, self.factor)
-        self.fields = [list(map(list, self.points)) for _ in range(count)]
-        self.waves = [list(context.waves) for _ in range(count)]
-        self.weather: dict[str, list[float]] = {}
-        self.found: list[tuple] = []
-
-    def enter(self, key: str, place: int, lines: dict[int, Line]) -> bool:
-        """Enter an operand."""
-        enter: dict[str, Callable[[str, int, dict[int, Line]], bool]] = {
-            **dict.fromkeys(("THIC", "CRVT", "CURV", "CONN"), self._number),
-            **dict.fromkeys(("XFIE", "YFIE"), self._field),
-            **dict.fromkeys(WEATHER, self._weather),
-            "SDIA": self._semi_diameter,
-            "APER": self._aperture,
-            "GLSS": self._material,
-            "WAVE": self._wave,
-        }
-        return key in enter and enter[key](key, place, lines)
-
-    def settings(self) -> list[tuple[Any, ...]]:
-        """Return all settings: name, place of the surface or None, and values."""
-        if self.kind in (2, 3):
-            self.found.append((("image_heights", "real_image_heights")[self.kind - 2], None, self.fields))
-        elif any(row != self.fields[0] for row in self.fields):
-            self.found.append(("fields", None, self.fields))
-        if any(row != self.waves[0] for row in self.waves):
-            self.found.append(("wavelengths", None, self.waves))
-        if self.weather:
-            return _in_weather(self.found, self.surfaces, self.weather, self.count, self.context)
-        return self.found
-
-    def _values(self, lines: dict[int, Line], own: float, scale: float = 1.0) -> list[float]:
-        """Return the values of an operand, `own` in configurations without it."""
-        return [scale * (lines[i].value(2) if i in lines else own) for i in range(1, self.count + 1)]
-
-    def _is_inside(self, place: int) -> bool:
-        return 1 <= place <= len(self.surfaces) - 2
-
-    def _number(self, key: str, place: int, lines: dict[int, Line]) -> bool:
-        scale = self.context.scale
-        if key == "THIC" and place == 0 and self.kind not in (0, 4):
-            values = self._values(lines, _of(self.surfaces[0], "DISZ", math.inf), scale)
-            self.found.append(("object_distance", None, [value if value < FAR else math.inf for value in values]))
-            return True
-        if not self._is_inside(place):
-            return False
-        name, line, unit = {"THIC": ("thickness", "DISZ", scale), "CONN": ("conic", "CONI", 1.0)}.get(
-            key, ("curvature", "CURV", 1 / scale)
-        )
-        self.found.append((name, place - 1, self._values(lines, _of(self.surfaces[place], line, 0.0), unit)))
-        return True
-
-    def _semi_diameter(self, key: str, place: int, lines: dict[int, Line]) -> bool:
-        scale = self.context.scale
-        if place == self.stop and self.form == "stop":
-            own = _of(self.surfaces[place], "DIAM", 0.0)
-            self.found.append(("aperture", None, self._values(lines, own, 2 * scale)))
-        elif self._is_inside(place) and any(line.key == "FLAP" for line in self.surfaces[place]):
-            own = _of(self.surfaces[place], "DIAM", 0.0)
-            self.found.append(("semi_diameter", place - 1, self._values(lines, own, scale)))
-        # Elsewhere it limits no rays.
-        return True
-
-    def _aperture(self, key: str, place: int, lines: dict[int, Line]) -> bool:
-        used = self.form != "stop" and len(lines) == self.count
-        if used:
-            values = self._values(lines, 1.0, self.context.scale if self.form == "EPD" else 1.0)
-            self.found.append(("aperture", None, values))
-        return used
-
-    def _material(self, key: str, place: int, lines: dict[int, Line]) -> bool:
-        if self._is_inside(place):
-            media = _glasses_of(place, self.surfaces, lines, self.count, self.context)
-            self.found.append(("material", place - 1, media))
-        return self._is_inside(place)
-
-    def _field(self, key: str, place: int, lines: dict[int, Line]) -> bool:
-        used = 1 <= place <= len(self.points) and self.kind != 4
-        if used:
-            axis = 0 if key == "XFIE" else 1
-            values = self._values(lines, self.points[place - 1][axis] / self.factor, self.factor)
-            for row, value in zip(self.fields, values, strict=True):
-                row[place - 1][axis] = value
-        return used
-
-    def _wave(self, key: str, place: int, lines: dict[int, Line]) -> bool:
-        used = 1 <= place <= len(self.context.waves)
-        if used:
-            values = self._values(lines, self.context.waves[place - 1] * 1e3, 1e-3)
-            for row, value in zip(self.waves, values, strict=True):
-                row[place - 1] = value
-        return used
-
-    def _weather(self, key: str, place: int, lines: dict[int, Line]) -> bool:
-        start, scale = WEATHER[key]
-        self.weather[key] = self._values(lines, start, scale)
-        return True
+    def __call__(self, own: float, scale: float = 1.0) -> list[float]:
+        """Return the number of each configuration; of one without a line, the surface's own."""
+        return [scale * (self.lines[i].value(2) if i in self.lines else own) for i in range(1, self.count + 1)]
 
 
-def _glasses_of(place: int, surfaces, lines: dict, count: int, context: Context) -> list:
+def _setting(key: str, place: int, values: _Values, given: tuple, file: LensFile) -> list[tuple] | None:
+    """Return the setting of an operand; none for one without effect on rays, None for one that is not used."""
+    (surfaces, form, kind), scale = given, file.scale
+    if key == "THIC" and place == 0 and kind not in (0, 4):
+        distances = values(_of(surfaces[0], "DISZ", math.inf), scale)
+        return [("object_distance", None, [value if value < FAR else math.inf for value in distances])]
+    if key == "APER" and form != "stop" and len(values.lines) == values.count:
+        return [("aperture", None, values(1.0, scale if form == "EPD" else 1.0))]
+    lines = surfaces[place] if 1 <= place <= len(surfaces) - 2 else None
+    if key == "SDIA":
+        stops = [i for i, item in enumerate(surfaces) if any(line.key == "STOP" for line in item)]
+        if place == (stops or [1])[0] and form == "stop":
+            return [("aperture", None, values(_of(surfaces[place], "DIAM", 0.0), 2 * scale))]
+        # Elsewhere it limits rays only where the aperture floats.
+        floats = lines is not None and any(line.key == "FLAP" for line in lines)
+        return [("semi_diameter", place - 1, values(_of(lines, "DIAM", 0.0), scale))] if floats else []
+    if lines is None:
+        return None
+    if key == "GLSS":
+        return [("material", place - 1, _glasses_of(place, surfaces, values.lines, values.count, file))]
+    if key not in _NUMBERS:
+        return None
+    name, own, power = _NUMBERS[key]
+    return [(name, place - 1, values(_of(lines, own, 0.0), scale**power))]
+
+
+def _glasses_of(place: int, surfaces, lines: dict, count: int, file: LensFile) -> list:
     """Return the medium behind a surface in each configuration."""
     found = []
     for i in range(1, count + 1):
@@ -484,13 +431,13 @@ def _glasses_of(place: int, surfaces, lines: dict, count: int, context: Context)
         if i in lines:
             name = lines[i].words[2].strip('"')
             kept = [line for line in surfaces[place] if line.key != "GLAS"]
-            glass = [Line(lines[i].number, "GLAS", (name,))] if name.upper() not in ("AIR", "") else []
+            glass = [Line(lines[i].number, "GLAS", [name])] if name.upper() not in ("AIR", "") else []
             rows[place] = kept + glass
-        found.append(_glass(place, rows, context))
+        found.append(_glass(place, rows, file))
     return found
 
 
-def _in_weather(settings: list, surfaces, weather: dict, count: int, context: Context) -> list[tuple]:
+def _in_weather(settings: list, surfaces, weather: dict, count: int, file: LensFile) -> list[tuple]:
     """Return settings with the glasses at the temperatures and in air of the pressures of the configurations.
 
     As in the program, lengths are what the other operands say: these two change indices only.
@@ -500,16 +447,15 @@ def _in_weather(settings: list, surfaces, weather: dict, count: int, context: Co
     given = {place: values for name, place, values in settings if name == "material"}
     found = [entry for entry in settings if entry[0] != "material"]
     for place in range(len(surfaces) - 2):
-        media = given.get(place) or [_glass(place + 1, surfaces, context)] * count
+        media = given.get(place) or [_glass(place + 1, surfaces, file)] * count
         if any(isinstance(medium, OpticalMaterial) for medium in media) or place in given:
             at = [m.at(*w) if isinstance(m, OpticalMaterial) else m for m, w in zip(media, weathers, strict=True)]
             found.append(("material", place, at))
     return found
 
 
-def _named(line: Line, surface_number: int | None = None) -> str:
-    where = "" if surface_number is None else f", surface {surface_number}"
-    return f"line {line.number}{where}: {' '.join((line.key, *line.words))}"
+def _named(line: Line, surface_number: int) -> str:
+    return line.text.replace(":", f", surface {surface_number}:", 1)
 
 
 def _of(lines, key: str, default: float) -> float:
@@ -521,9 +467,9 @@ def _parameters(lines, key: str, scale_of=None) -> dict[int, float]:
     return {line.whole(): line.value(1) for line in lines if line.key == key and len(line.words) > 1}
 
 
-def _surface(number: int, surfaces, context: Context) -> surface:
+def _surface(number: int, surfaces, file: LensFile) -> surface:
     """Return one surface; entries without effect go to the report."""
-    lines, scale = surfaces[number], context.scale
+    lines, scale = surfaces[number], file.scale
     kind = next((line.words[0] for line in lines if line.key == "TYPE" and line.words), "STANDARD").upper()
     if kind not in KINDS:
         raise ValueError(f"surface {number}: TYPE must be one of {', '.join(KINDS)}, got {kind!r}")
@@ -534,18 +480,18 @@ def _surface(number: int, surfaces, context: Context) -> surface:
         if line.key in ("PARM", "XDAT") and len(line.words) > 1 and line.value(1):
             used = line.whole() in KINDS[kind].parameters if line.key == "PARM" else line.whole() <= extended
         if not (used or line.automatic):
-            context.ignored.append(_named(line, number))
+            file.ignored.append(_named(line, number))
     thickness = _of(lines, "DISZ", 0.0) * scale
     p = _parameters(lines, "PARM")
     if kind == "COORDBRK":
         if any(line.key == "STOP" for line in lines):
-            context.notes.append(f"surface {number}: a coordinate break cannot be the stop")
+            file.notes.append(f"surface {number}: a coordinate break cannot be the stop")
         order = "tilt" if p.get(6, 0.0) else "shift"
         shift = (p.get(1, 0.0) * scale, p.get(2, 0.0) * scale)
         return coordinate_break(shift, tuple(p.get(i, 0.0) for i in (3, 4, 5)), thickness, order=order)
     shape, phase = _form(number, kind, lines, scale)
     limit, apertures = _limits(number, lines, scale)
-    gradient, medium = None, _glass(number, surfaces, context)
+    gradient, medium = None, _glass(number, surfaces, file)
     if kind.startswith("GRINSUR"):
         gradient, medium = _graded(number, kind, p, scale)
     # Only irregular surfaces have a position of their own.
@@ -842,47 +788,45 @@ class _Glass(NamedTuple):
         return cls(name, code, nd, vd, line.value(5) if len(line.words) > 5 else 0.0, own, stated)
 
 
-def _glass(number: int, surfaces, context: Context):
+def _glass(number: int, surfaces, file: LensFile):
     """Return the medium behind a surface."""
     line = next((line for line in surfaces[number] if line.key == "GLAS" and line.words), None)
     if line is None:
         return "air"
-    if line.words[0] in context.glasses:
-        return context.glasses[line.words[0]]
+    if line.words[0] in file.glasses:
+        return file.glasses[line.words[0]]
     if line.words[0].upper() == "MIRROR":
         return MIRROR
     glass = _Glass.of(line)
     if glass.own and glass.nd == -1:
-        context.notes.append(f"surface {number}: {glass.name} of index -1 is a mirror")
+        file.notes.append(f"surface {number}: {glass.name} of index -1 is a mirror")
         return MIRROR
     if glass.own and glass.nd > 0 and not glass.vd:
         if glass.nd != 1:
-            context.notes.append(
-                f"surface {number}: {glass.name} of index {glass.nd:g} has no Abbe number: no dispersion"
-            )
+            file.notes.append(f"surface {number}: {glass.name} of index {glass.nd:g} has no Abbe number: no dispersion")
         return glass.nd
     if glass.code == "2" and len(line.words) > 2 and not (glass.nd > 1 and glass.vd > 0):
         source = line.whole(2)
         if 0 < source < number:
-            return _glass(source, surfaces, context)
+            return _glass(source, surfaces, file)
     if glass.code == "4" and (glass.nd or glass.vd):
-        context.notes.append(
+        file.notes.append(
             f"surface {number}: the offset of {glass.name}, {glass.nd:g} in nd and {glass.vd:g} in Vd, is not used"
         )
     if glass.own:
-        return _modelled(number, glass, context)
-    thin = abs(_of(surfaces[number], "DISZ", 0.0)) * context.scale <= THIN
-    return _of_catalogue(number, glass, thin, context)
+        return _modelled(number, glass, file)
+    thin = abs(_of(surfaces[number], "DISZ", 0.0)) * file.scale <= THIN
+    return _of_catalogue(number, glass, thin, file)
 
 
-def _of_catalogue(number: int, glass: _Glass, thin: bool, context: Context):
+def _of_catalogue(number: int, glass: _Glass, thin: bool, file: LensFile):
     """Return a glass by its name, or a model of it where the line or a six-digit name states index and Abbe number."""
-    found, problem = catalogued(number, glass.name, context)
+    found, problem = file.catalogued(number, glass.name, file.makers)
     if found is None and thin and re.fullmatch(r"NOA-?\d+\w*", glass.name.upper()) and not glass.stated:
         found = material("NOA61")
-        context.notes.append(f"surface {number}: {glass.name}, a thin layer of an adhesive, is taken to be NOA61")
+        file.notes.append(f"surface {number}: {glass.name}, a thin layer of an adhesive, is taken to be NOA61")
     if found is not None:
-        return within(number, found, context)
+        return file.within(number, found)
     digits = re.fullmatch(r"(\d{3})\.?(\d{3})", glass.name)
     if digits and not glass.stated:
         nd, vd = 1 + int(digits[1]) / 1000, int(digits[2]) / 10
@@ -891,30 +835,28 @@ def _of_catalogue(number: int, glass: _Glass, thin: bool, context: Context):
         nearest = ", ".join(nearest_materials(glass.nd, glass.vd)) if glass.nd > 1 else ""
         near = f" Nearest to its nd = {glass.nd:g}, Vd = {glass.vd:g}: {nearest}." if nearest else ""
         raise ValueError(
-            f"surface {number}: {problem}.{near} Or pass glasses={{{glass.name!r}: …}} to read_zmx, or "
+            f"surface {number}: {problem}.{near} Or pass glasses={{{glass.name!r}: …}} to {file.reader}, or "
             "load a catalogue that holds it (load_materials; odak trace --glasses)"
         )
-    return _modelled(number, glass, context)
+    return _modelled(number, glass, file)
 
 
-def _modelled(number: int, glass: _Glass, context: Context):
+def _modelled(number: int, glass: _Glass, file: LensFile):
     """Return a model glass of a stated index and Abbe number."""
     name, nd, vd = glass.name, glass.nd, glass.vd
     if not glass.stated:
         raise ValueError(f"surface {number}: {name} must state an index above 1 and an Abbe number, got {nd:g}, {vd:g}")
-    near = ", ".join(nearest_materials(nd, vd, 2, context.makers or None))
-    context.notes.append(f"surface {number}: {name} is a model glass of nd = {nd:g}, Vd = {vd:g}; nearest are {near}")
-    return within(number, model_glass(nd, vd, glass.dpgf), context)
+    near = ", ".join(nearest_materials(nd, vd, 2, file.makers or None))
+    file.notes.append(f"surface {number}: {name} is a model glass of nd = {nd:g}, Vd = {vd:g}; nearest are {near}")
+    return file.within(number, model_glass(nd, vd, glass.dpgf))
 
 
-def _image(number: int, surfaces, context: Context) -> surface | None:
+def _image(number: int, surfaces, file: LensFile) -> surface | None:
     """Return the image surface, None for a plane; a glass behind it has no effect."""
     lines = [line for line in surfaces[number] if line.key not in ("GLAS", "DISZ", "STOP")]
-    context.ignored.extend([_named(line, number) for line in surfaces[number] if line.key == "GLAS"])
-    found = _surface(0, [lines], context._replace(ignored=[]))
-    context.ignored.extend(
-        [_named(line, number) for line in lines if not (line.key in _SURFACE_KEYS or line.automatic)]
-    )
+    file.ignored.extend([_named(line, number) for line in surfaces[number] if line.key == "GLAS"])
+    found = _surface(0, [lines], dataclasses.replace(file, ignored=[]))
+    file.ignored.extend([_named(line, number) for line in lines if not (line.key in _SURFACE_KEYS or line.automatic)])
     if is_break(found) or found.phase is not None:
         kind = "COORDBRK" if is_break(found) else type(found.phase).__name__
         raise ValueError(f"surface {number}, the image, must be a surface without diffraction, got {kind}")
@@ -952,34 +894,21 @@ def _factors(head, count: int, notes: list) -> list[list[float]] | None:
     return rows if any(map(any, rows)) else None
 
 
-def _field_weights(head, count: int) -> list[float] | None:
-    """Return the weights of the fields where they differ."""
-    return differing(_numbers(head.get("FWGN", head.get("FWGT")))[:count], count)
-
-
-def _field_points(head, system, context: Context) -> list[tuple[float, float]]:
+def _field_points(head, system, file: LensFile) -> list[tuple[float, float]]:
     """Return the field points: angles for an object at infinity, heights in millimetres for a near one."""
-    kind, far, notes = head["FTYP"].whole() if "FTYP" in head else 0, system.at_infinity, context.notes
-    points = _listed_points(head, 1.0)
-    if kind not in range(5) or (kind == 1 and far and any(map(any, points))):
+    kind, points = head["FTYP"].whole() if "FTYP" in head else 0, _listed_points(head, 1.0)
+    if kind not in range(5) or (kind == 1 and system.at_infinity and any(map(any, points))):
         raise ValueError(
             f"FTYP must be 0 or 4 (angles), 1 (object heights, object near), 2 or 3 (image heights), got {kind}"
         )
-    if kind in (1, 2, 3):
-        points = [(a * context.scale, b * context.scale) for a, b in points]
     if kind == 4:
         # Azimuth and elevation, the latter from the x–z plane.
         points = [
             (a, math.degrees(math.atan(math.tan(math.radians(b)) / math.cos(math.radians(a))))) for a, b in points
         ]
-        notes.append("fields are theodolite angles, turned into angles along x and y")
-    if kind in (0, 4) and not far and any(map(any, points)):
-        points = heights_of_angles(system, points, notes)
-    if kind in (2, 3):
-        notes.append(f"fields are image heights ({'real' if kind == 3 else 'paraxial'}), turned into object fields")
-        aim = "real" if "RAIM" in head and len(head["RAIM"].words) > 1 and head["RAIM"].value(1) else "paraxial"
-        return list(fields_of_image_heights(system, points, kind == 3, aim, notes))
-    return points
+        file.notes.append("fields are theodolite angles, turned into angles along x and y")
+    aim = "real" if "RAIM" in head and len(head["RAIM"].words) > 1 and head["RAIM"].value(1) else "paraxial"
+    return file.field_points(system, points, ("angle", "height", "paraxial", "real", "angle")[kind], aim)
 
 
 def _listed_points(head, scale: float) -> list[tuple[float, float]]:
@@ -991,21 +920,21 @@ def _listed_points(head, scale: float) -> list[tuple[float, float]]:
 
 
 def _numbers(line) -> list[float]:
-    return [] if line is None else [line.value(i) for i in range(len(line.words))]
+    return [] if line is None else line.values()
 
 
 def _count(head, place: int) -> int:
     return head["FTYP"].whole(place) if "FTYP" in head and len(head["FTYP"].words) > place else 0
 
 
-def _aperture(head, surfaces, context: Context, system) -> tuple[float, str]:
+def _aperture(head, surfaces, file: LensFile, system) -> tuple[float, str]:
     """Return the size of the aperture and its kind; `system` builds the system from both."""
     given = next((key for key in ("ENPD", "FNUM", "OBNA", "FLOA") if key in head), None)
     if given in ("ENPD", "FNUM", "OBNA") and head[given].words and not head[given].value():
-        context.notes.append(f"{given} is 0")
+        file.notes.append(f"{given} is 0")
         given = None
     if given == "ENPD":
-        return head["ENPD"].value() * context.scale, "EPD"
+        return head["ENPD"].value() * file.scale, "EPD"
     if given == "FNUM":
         number, near = head["FNUM"].value(), not system(1.0, "EPD").at_infinity
         if near and len(head["FNUM"].words) > 1 and head["FNUM"].value(1):
@@ -1018,10 +947,10 @@ def _aperture(head, surfaces, context: Context, system) -> tuple[float, str]:
             )
         size = head["OBNA"].value()
         if len(head["OBNA"].words) > 1 and head["OBNA"].value(1):
-            context.notes.append(f"OBNA is a cone of {size:g} degrees, turned into a numerical aperture")
+            file.notes.append(f"OBNA is a cone of {size:g} degrees, turned into a numerical aperture")
             size = math.sin(math.radians(size))
         return size, "NA"
-    sizes = [_of(lines, "DIAM", 0.0) * context.scale for lines in surfaces[1:-1]]
+    sizes = [_of(lines, "DIAM", 0.0) * file.scale for lines in surfaces[1:-1]]
     size = sizes[next((i for i, lines in enumerate(surfaces[1:-1]) if any(v.key == "STOP" for v in lines)), 0)]
     if given == "FLOA" and size:
         return 2 * size, "stop"
@@ -1029,14 +958,14 @@ def _aperture(head, surfaces, context: Context, system) -> tuple[float, str]:
         size = _widest_stop(system(1.0, "stop"), sizes)
     what = "FLOA without a semi-diameter of the stop" if given else "no aperture (ENPD, FNUM, OBNA, FLOA)"
     if size:
-        context.notes.append(
+        file.notes.append(
             f"{what}: {size:g} mm, so that the axial bundle fills the narrowest of the surfaces' semi-diameters, "
             "paraxially"
         )
         return 2 * size, "stop"
     if given:
         raise ValueError("FLOA takes the aperture from the stop, whose semi-diameter (DIAM) is not given")
-    return usual_pupil(system(1.0, "stop"), what, context.notes)
+    return file.usual_pupil(system(1.0, "stop"), what)
 
 
 def _widest_stop(system, sizes) -> float:
