@@ -10,7 +10,7 @@ from odak._array import is_readable
 from odak._attributes import Prepared
 from odak.learn._face import face_of, torch_face
 from odak.learn._tensors import checked_device, reals_of
-from odak.learn.raytracing.primitives import batched, define_plane
+from odak.learn.raytracing.primitives import batched, define_plane, placed_sheet, sheet_axes, sheet_points
 from odak.raytracing import arguments, intersections
 from odak.raytracing import boundary as core
 from odak.tools.transformation import apply_matrix, rotation_matrix
@@ -403,22 +403,15 @@ class detector(_show.Shown, Prepared):
         self.colors: int = _validate.integer("colors", colors, minimum=1)
         shape = _validate.size("resolution", resolution)
         self.resolution: torch.Tensor = torch.tensor(shape, device=self.device)
-        none = [0.0, 0.0, 0.0]
-        given = {"size": size, "center": none if center is None else center, "tilt": none if tilt is None else tilt}
-        given = {name: v.to(self.device) if torch.is_tensor(v) else v for name, v in given.items()}
-        values = [value.reshape(-1).to(self.device) for value in reals_of(**given)]
-        for name, value, count in zip(given, values, (2, 3, 3), strict=True):
-            if len(value) != count:
-                raise ValueError(f"{name} must be {count} numbers, got {len(value)}")
+        values = placed_sheet(self.device, size, center=center, tilt=tilt)
         self.size, self.surface_center, self.surface_tilt = values
         _validate.real("size", self.size, positive=True)
         self.pixel_size: torch.Tensor = self.size / self.resolution
         self.pixel_diagonal_size: torch.Tensor = (self.pixel_size**2).sum().sqrt()
         self.pixel_diagonal_half_size: torch.Tensor = self.pixel_diagonal_size / 2
         self.plane: torch.Tensor = define_plane(self.surface_center, self.surface_tilt)
-        x, y = torch.meshgrid(*self._axes(self.size), indexing="ij")
-        flat = torch.stack((x, y, torch.zeros_like(x)), dim=-1).reshape(-1, 3)
-        self.pixel_locations: Any = apply_matrix(rotation_matrix(self.surface_tilt), flat) + self.surface_center
+        matrix = rotation_matrix(self.surface_tilt)
+        self.pixel_locations: torch.Tensor = sheet_points(self.size, shape, matrix, self.surface_center)
         self.image: torch.Tensor = torch.zeros(self.colors, *shape, dtype=self.size.dtype, device=self.device)
 
     def intersect(
@@ -464,7 +457,8 @@ class detector(_show.Shown, Prepared):
         self.image[color] += image.reshape(self.image.shape[1:]).to(self.image.dtype)
         if not distances:
             return points, image, None
-        across, along = ((local[:, i, None] - axis) ** 2 for i, axis in enumerate(self._axes(size)))
+        axes = sheet_axes(size, self.resolution.tolist())
+        across, along = ((local[:, i, None] - axis) ** 2 for i, axis in enumerate(axes))
         distance_image = (across[:, :, None] + along[:, None]).flatten(1)
         return points, image, distance_image.masked_fill(~met[:, None], torch.nan)
 
@@ -476,14 +470,6 @@ class detector(_show.Shown, Prepared):
     def clear(self) -> None:
         """Set all counts to zero."""
         self.image = torch.zeros_like(self.image)
-
-    def _axes(self, size: torch.Tensor) -> list[torch.Tensor]:
-        """Return the places of the pixels along both axes of the rectangle."""
-        shape = self.resolution.tolist()
-        return [
-            half * torch.linspace(-1, 1, n, dtype=size.dtype, device=size.device)
-            for half, n in zip(size / 2, shape, strict=True)
-        ]
 
     def _count(self, local: torch.Tensor, counted: torch.Tensor, size: torch.Tensor) -> torch.Tensor:
         shape = self.resolution.to(size.dtype)

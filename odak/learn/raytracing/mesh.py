@@ -16,6 +16,7 @@ from odak._attributes import Prepared
 from odak._threads import each
 from odak.learn._tensors import checked_device, reals_of, tensor, trainable
 from odak.learn.raytracing.boundary import reflect
+from odak.learn.raytracing.primitives import placed_sheet, sheet_axes
 from odak.learn.tools.file import save_torch_tensor
 from odak.raytracing import arguments, geometry, intersections
 from odak.raytracing.geometry import (
@@ -860,14 +861,7 @@ class planar_mesh(_show.Shown, Prepared):
         device = heights.device if device is None and torch.is_tensor(heights) else checked_device("device", device)
         self.device: torch.device = torch.device("cpu") if device is None else device
         self.number_of_meshes = torch.tensor(_validate.size("number_of_meshes", number_of_meshes), device=self.device)
-        none = [0.0, 0.0, 0.0]
-        given = [size, none if angles is None else angles, none if offset is None else offset]
-        given = [v.to(self.device) if torch.is_tensor(v) else v for v in given]
-        size, angles, offset = reals_of(size=given[0], angles=given[1], offset=given[2])
-        for name, value, count in (("size", size, 2), ("angles", angles, 3), ("offset", offset, 3)):
-            if value.numel() != count:
-                raise ValueError(f"{name} must be {count} numbers, got {tuple(value.shape)}")
-        self.size, self.angles, self.offset = (v.reshape(-1).to(self.device) for v in (size, angles, offset))
+        self.size, self.angles, self.offset = placed_sheet(self.device, size, angles=angles, offset=offset)
         self.ray_indices: torch.Tensor | None = None
         self._mesh: triangle_mesh | None = None
         self.init_heights(heights)
@@ -886,11 +880,8 @@ class planar_mesh(_show.Shown, Prepared):
         heights = trainable(heights.to(self.device))
         self.heights: Any = heights if heights.requires_grad else heights.requires_grad_()
         dtype = torch.promote_types(heights.dtype, self.size.dtype)
-        axes = (
-            half * torch.linspace(-1, 1, n, dtype=dtype, device=self.device)
-            for half, n in zip(self.size.to(dtype) / 2, (n0, n1), strict=True)
-        )
-        self.X, self.Y = (axis[..., None] for axis in torch.meshgrid(*axes, indexing="ij"))
+        axes = torch.meshgrid(*sheet_axes(self.size.to(dtype), (n0, n1)), indexing="ij")
+        self.X, self.Y = (axis[..., None] for axis in axes)
 
     def get_squares(self) -> torch.Tensor:
         """Return the vertices before rotation and shift, ``[n0, n1, 3]``: x, y, height."""

@@ -26,6 +26,34 @@ def batched(result: Any, axes: int) -> Any:
     return arguments.batch(result, axes)
 
 
+def placed_sheet(
+    device: torch.device, size: Sequence[float] | torch.Tensor, **vectors: torch.Tensor | None
+) -> list[torch.Tensor]:
+    """Return the two sides of a sheet and vectors of three numbers, zeros where they are None, on a device."""
+    given = {"size": size} | {name: list(_ORIGIN) if value is None else value for name, value in vectors.items()}
+    given = {name: value.to(device) if torch.is_tensor(value) else value for name, value in given.items()}
+    values = reals_of(**given)
+    for name, value in zip(given, values, strict=True):
+        count = 2 if name == "size" else 3
+        if value.numel() != count:
+            raise ValueError(f"{name} must be {count} numbers, got {tuple(value.shape)}")
+    return [value.reshape(-1).to(device) for value in values]
+
+
+def sheet_axes(size: torch.Tensor, counts: Sequence[int]) -> list[torch.Tensor]:
+    """Return coordinates of a grid on a sheet about its middle, from edge to edge along both sides."""
+    return [
+        half * torch.linspace(-1, 1, count, dtype=half.dtype, device=half.device)
+        for half, count in zip(size / 2, counts, strict=True)
+    ]
+
+
+def sheet_points(size: torch.Tensor, counts: Sequence[int], matrix: torch.Tensor, center: torch.Tensor) -> torch.Tensor:
+    """Return the points ``[m, 3]`` of a grid on a sheet, rotated and moved to its centre."""
+    x, y = torch.meshgrid(*sheet_axes(size, counts), indexing="ij")
+    return apply_matrix(matrix, torch.stack((x, y, torch.zeros_like(x)), dim=-1).reshape(-1, 3)) + center
+
+
 if not TYPE_CHECKING:
 
     @face_of(core.bring_plane_to_origin, tensors=("point", "center", "angles"), defaults={"plane": None})

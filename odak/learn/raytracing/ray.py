@@ -8,7 +8,7 @@ import torch
 from odak import _validate
 from odak.learn._face import face_of, torch_face
 from odak.learn._tensors import checked_generator, reals_of
-from odak.learn.raytracing.primitives import batched
+from odak.learn.raytracing.primitives import batched, sheet_points
 from odak.raytracing import arguments
 from odak.raytracing import ray as core
 from odak.tools.transformation import apply_matrix, rotation_matrix
@@ -216,14 +216,8 @@ def create_ray_from_grid_w_luminous_angle(
     center, size, tilt = reals_of(center=center, size=size, tilt=tilt)
     rows, columns = _validate.size("no", no)
     size = arguments.vector("size", size, 2)
-    axes = [
-        half * torch.linspace(-1, 1, n, dtype=half.dtype, device=half.device)
-        for half, n in zip(size / 2, (rows, columns), strict=True)
-    ]
-    x, y = torch.meshgrid(*axes, indexing="ij")
-    flat = torch.stack((x, y, torch.zeros_like(x)), dim=-1).reshape(-1, 3)
     matrix = rotation_matrix(arguments.vector("tilt", tilt))
-    sources = apply_matrix(matrix, flat) + arguments.vector("center", center)
+    sources = sheet_points(size, (rows, columns), matrix, arguments.vector("center", center))
     count = _validate.integer("num_ray_per_light", num_ray_per_light, minimum=0)
     return _cone(sources.repeat(count, 1), matrix, angle_limit, seed, generator)
 
