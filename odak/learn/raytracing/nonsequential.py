@@ -764,11 +764,7 @@ class Received(NamedTuple):
         A ray counts in the four pixels about it in proportion to its distance from their centres, so that the map is
         differentiable in its place; at the edge it counts in the last pixel. The sum of the power is kept.
         """
-        rows, columns = _validate.size("pixels", pixels)
-        width, height = _validate.pair("size", size, positive=True)
-        return binned(self.point[:, 0] / width, self.point[:, 1] / height, self.power, rows, columns) / (
-            width * height / (rows * columns)
-        )
+        return irradiance_of(self.point[:, 0], self.point[:, 1], self.power, size, pixels)
 
     def intensity(self, pixels: Sequence[int] = (64, 64), reach: float = 1.0) -> torch.Tensor:
         """Return the power in each unit of solid angle over direction cosines along x and y, ``[rows, columns]``.
@@ -788,6 +784,15 @@ class Received(NamedTuple):
         v, u = (((torch.arange(n, device=found.device) + 0.5) / n - 0.5) * 2 * reach for n in (rows, columns))
         cosine = (1 - u * u - (v * v)[:, None]).clamp_min(0).sqrt().to(found)
         return found * cosine / (4 * reach * reach / (rows * columns))
+
+
+def irradiance_of(
+    x: torch.Tensor, y: torch.Tensor, power: torch.Tensor, size: float | Sequence[float], pixels: Sequence[int]
+) -> torch.Tensor:
+    """Return the power per area in the pixels of a detector of this size that rays bring to these points."""
+    rows, columns = _validate.size("pixels", pixels)
+    width, height = _validate.pair("size", size, positive=True)
+    return binned(x / width, y / height, power, rows, columns) / (width * height / (rows * columns))
 
 
 def binned(x: Any, y: Any, power: Any, rows: int, columns: int) -> torch.Tensor:
@@ -1037,7 +1042,7 @@ def _checked_light(light) -> Light:
     return Light(torch.stack((rays[:, 0], unit(rays[:, 1])), 1), power, field)
 
 
-def _perpendicular(way: tuple[Any, ...], normal: tuple[Any, ...], otherwise: tuple[Any, ...]) -> tuple[Any, ...]:
+def perpendicular(way: tuple[Any, ...], normal: tuple[Any, ...], otherwise: tuple[Any, ...]) -> tuple[Any, ...]:
     """Return unit vectors across the plane of incidence; others at normal incidence, where there is none."""
     found = vec.cross(way, normal)
     squared = vec.dot(found, found)
@@ -1202,7 +1207,7 @@ class _Walk:
         n1, n2, cosine = numbers
         axes: tuple[Any, ...] = ()
         if field:
-            s = _perpendicular(way, normal, axes_across(way)[0])
+            s = perpendicular(way, normal, axes_across(way)[0])
             p = vec.cross(way, s)
             axes = (s, vec.dot(field, s), vec.dot(field, p))
 
@@ -1213,7 +1218,7 @@ class _Walk:
                 return out, torch.where(exists, share * power, 0.0), (), path
             s, along_s, along_p = axes
             if interface.phase is not None:
-                s = _perpendicular(out, normal, s)
+                s = perpendicular(out, normal, s)
             along_s, along_p = amplitudes[0] * along_s, amplitudes[1] * along_p
             strength = along_s.abs().square() + along_p.abs().square()
             seen = exists & (strength > 0)

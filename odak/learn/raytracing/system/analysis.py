@@ -42,6 +42,7 @@ from odak.learn.raytracing.system.surfaces import (
     checked_system,
     is_break,
     layout_of,
+    numbers_of,
     optical_system,
     reference_of,
     wavelength_shares,
@@ -477,8 +478,7 @@ def footprint(
         raise ValueError(f"place must be a surface, got the coordinate break {place}")
     given: Any = options
     found = trace_fields(system, pupil, count, prescription=prescription, until=place, **given)
-    numbers = system.prescription() if prescription is None else prescription
-    x, y, _ = in_surface_frame(system, numbers, place, found)
+    x, y, _ = in_surface_frame(system, numbers_of(system, prescription), place, found)
     return Footprint(x, y, found.status)
 
 
@@ -525,8 +525,7 @@ def pupil_aberration(
     True
     """
     axis, aim = _checked_fan(axis, count), _validate.one_of("aim", aim, AIMS)
-    given = checked_prescription(prescription)
-    numbers = (checked_system(system).prescription() if given is None else given).at(system.reference)
+    numbers = numbers_of(system, prescription).at(system.reference)
     pupil, points = entrance_pupil(system, prescription=numbers), pupil_of(axis, count, system)
     chosen, which = field_points(system, fields).to(points.device)[:, None], ("x", "y").index(axis)
     line = points[:, which]
@@ -609,8 +608,7 @@ def incidence_angles(
     >>> bool(incidence_angles(lens, count=5).angle[1].max() < 1e-6)
     True
     """
-    checked_system(system), checked_prescription(prescription)
-    numbers = system.prescription() if prescription is None else prescription
+    numbers = numbers_of(system, prescription)
     given: Any = options
     vignetting = _validate.flag("vignetting", given.pop("vignetting", True))
     rays = launch(system, pupil, count, prescription=prescription, **given)
@@ -897,7 +895,7 @@ def paraxial_points(
 ) -> torch.Tensor:
     """Return the points of the paraxial chief rays in the image plane, ``[..., F, 2]``, at the reference wavelength."""
     projection = _validate.one_of("projection", projection, ("tangent", "angle"))
-    numbers = (system.prescription() if prescription is None else prescription).at(system.reference)
+    numbers = numbers_of(system, prescription).at(system.reference)
     check_media(system, numbers)
     index = signed_indices(system, numbers)
     whole = [matrix(numbers, index, 0, len(system.surfaces), gap=True)] * 2
@@ -1103,7 +1101,7 @@ def wavefront(
     lost = torch.cat([torch.zeros_like(kept[..., :1]), ~kept], -1)
     held = [torch.where(lost, value[..., :1].detach(), value) for value in traced[:-1]]
     traced = type(traced)._make([*held, traced.status])
-    numbers = system.prescription() if prescription is None else prescription
+    numbers = numbers_of(system, prescription)
     index = numbers.index[..., -1][..., None, None]
     path = path_at_start(system, rays, numbers) + traced.path + index * _to_sphere(system, traced, prescription)
     lag = path[..., 1:] - path[..., :1]

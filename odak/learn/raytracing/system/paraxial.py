@@ -19,7 +19,7 @@ from odak.learn.raytracing.system.specification import (
     condition,
     largest_of,
 )
-from odak.learn.raytracing.system.surfaces import Coating, checked_system, is_break, optical_system, surface
+from odak.learn.raytracing.system.surfaces import Coating, checked_system, is_break, numbers_of, optical_system, surface
 from odak.raytracing.gradients import AxialGradient, RadialGradient, step
 
 SEIDEL_STEPS = 20
@@ -261,14 +261,8 @@ def paraxial_rays(
     checked_system(system), checked_prescription(prescription)
     p = _at_one_wavelength(system, None, prescription)
     check_media(system, p)
-    index, pupil = signed_indices(system, p), entrance_pupil(system, prescription=p)
-    size = largest_of(system.fields) if field is None else condition("field", field)
-    if system.at_infinity:
-        slope = _field_slope(size) + 0 * pupil.distance
-        starts = (pupil.radius, 0 * pupil.radius), (-pupil.distance * slope, slope)
-    else:
-        slope = -size * pupil.bend
-        starts = (system.object_distance * pupil.reach, pupil.reach), (size + system.object_distance * slope, slope)
+    index = signed_indices(system, p)
+    starts = _starts(system, entrance_pupil(system, prescription=p), field)
     found: list[list[torch.Tensor]] = [[], [], [], []]
     for i in range(len(system.surfaces) + 1):
         whole = matrix(p, index, 0, i, gap=True)
@@ -276,6 +270,16 @@ def paraxial_rays(
             found[2 * k].append(whole.a * y + whole.b * index[..., 0] * u)
             found[2 * k + 1].append((whole.c * y + whole.d * index[..., 0] * u) / index[..., i])
     return ParaxialRays(*(torch.stack(torch.broadcast_tensors(*values), -1) for values in found))
+
+
+def _starts(system: optical_system, pupil: "EntrancePupil", field: float | torch.Tensor | None) -> tuple[Any, Any]:
+    """Return height and slope in front of the first surface, of the marginal ray and of the chief ray of a field."""
+    size = largest_of(system.fields) if field is None else condition("field", field)
+    if system.at_infinity:
+        slope = _field_slope(size) + 0 * pupil.distance
+        return (pupil.radius, 0 * pupil.radius), (-pupil.distance * slope, slope)
+    slope = -size * pupil.bend
+    return (system.object_distance * pupil.reach, pupil.reach), (size + system.object_distance * slope, slope)
 
 
 def _field_slope(angle: Any) -> Any:
@@ -541,8 +545,7 @@ def seidel_sums(
     >>> tuple(seidel_sums(load_system("cooke_triplet")).seidel.shape)
     (5, 6)
     """
-    checked_system(system), checked_prescription(prescription)
-    p = system.prescription() if prescription is None else prescription
+    p = numbers_of(system, prescription)
     if any(group is not None and any(group) for group in (p.shapes, p.phases)):
         raise ValueError("system must consist of planes, conics and even aspheres without diffractive phases")
     media = p.gradients or (None,) * len(system.surfaces)
@@ -556,20 +559,11 @@ def seidel_sums(
             raise ValueError(f"surfaces[{i}] is shifted or tilted: Seidel sums are defined for centred systems")
     one = p.at(system.reference)
     n = signed_indices(system, one)
-    pupil = entrance_pupil(system, prescription=one)
     waves = list(system.wavelengths) if p.wavelengths is None else p.wavelengths.tolist()
     waves = waves if len(waves) == p.index.shape[-2] else [0.0]
     ends = [p.index[..., waves.index(wave), :] for wave in (min(waves), max(waves))]
     spread = (ends[0] - ends[1]) * n / one.index[..., 0, :]
-    size = largest_of(system.fields) if field is None else condition("field", field)
-    if system.at_infinity:
-        chief_slope = _field_slope(size) + 0 * pupil.distance
-        y, u = pupil.radius, 0 * pupil.radius
-        yb, ub = -pupil.distance * chief_slope, chief_slope
-    else:
-        y, u = system.object_distance * pupil.reach, pupil.reach
-        ub = -size * pupil.bend
-        yb = size + system.object_distance * ub
+    (y, u), (yb, ub) = _starts(system, entrance_pupil(system, prescription=one), field)
     sums, colours = [], []
     invariant = n[..., 0] * (ub * y - u * yb)
     # Index on the axis in front of a surface; derivatives by r² and by z of the index there.

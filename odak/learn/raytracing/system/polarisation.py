@@ -8,14 +8,14 @@ import torch
 
 from odak import _show, _validate
 from odak.catalog.materials import OpticalMaterial, absorption_coefficient
-from odak.learn.raytracing.nonsequential import axes_across, binned
+from odak.learn.raytracing.nonsequential import axes_across, irradiance_of, perpendicular
 from odak.learn.raytracing.system.films import PolarizingFilm
 from odak.learn.raytracing.system.paraxial import first_order, ghost_system
-from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
+from odak.learn.raytracing.system.prescriptions import Prescription
 from odak.learn.raytracing.system.pupils import launch
 from odak.learn.raytracing.system.sequence import IDENTITY, Passage, flat_arguments, placement, plain_trace
 from odak.learn.raytracing.system.specification import FieldPoints
-from odak.learn.raytracing.system.surfaces import Coating, checked_system, layout_of, optical_system
+from odak.learn.raytracing.system.surfaces import Coating, checked_system, layout_of, numbers_of, optical_system
 from odak.learn.raytracing.system.tracing import RaysLike, Traced, checked_rays, finished, spread_rays
 from odak.learn.raytracing.system.waves import Spread, chosen_samples, pupil_image
 from odak.raytracing.geometry import safe_sqrt
@@ -173,9 +173,8 @@ def polarized_trace(
     >>> round(float(polarized_trace(lens, launch(lens, "rings", 1)).transmittance[0, 0, 0]), 2)
     0.92
     """
-    checked_system(system), checked_prescription(prescription)
+    numbers = numbers_of(system, prescription)
     vignetting = _validate.flag("vignetting", vignetting)
-    numbers = system.prescription() if prescription is None else prescription
     rays = checked_rays(rays)
     layout = layout_of(system.surfaces, numbers, system.image, vignetting)
     flat, shape = spread_rays(rays, numbers)
@@ -294,15 +293,9 @@ def _carried_axes(direction):
 
 
 def _across(k, normal):
-    """Return unit vectors perpendicular to the plane of incidence; any across the ray at normal incidence."""
-    across = torch.linalg.cross(k, normal)
-    size = across.square().sum(-1, keepdim=True)
-    oblique = size > 1e-20
-    # At normal incidence the direction is arbitrary: the axis farthest from the ray is taken.
-    axis = torch.eye(3, dtype=k.dtype, device=k.device)[k.abs().argmin(-1)]
-    other = torch.linalg.cross(k, axis)
-    other = other / other.square().sum(-1, keepdim=True).sqrt()
-    return torch.where(oblique, across / torch.where(oblique, size, 1.0).sqrt(), other)
+    """Return unit vectors across the plane of incidence; any across the ray at normal incidence."""
+    way = k.unbind(-1)
+    return torch.stack(perpendicular(way, normal.unbind(-1), axes_across(way)[0]), -1)
 
 
 def _rotation_between(k, out, reflects: bool):
@@ -406,13 +399,10 @@ class Ghosts(NamedTuple):
         -----
         The light through the entrance pupil has a power of 1. Take more `samples` than pixels across a ghost.
         """
-        rows, columns = _validate.size("pixels", pixels)
-        width, height = _validate.pair("size", size, positive=True)
         field = _validate.place_in("field", field, len(self.direct))
-        total = self.direct.new_zeros(rows, columns)
-        for ghost in self.paths:
-            total = total + binned(ghost.x[field] / width, ghost.y[field] / height, ghost.share[field], rows, columns)
-        return total / (width * height / (rows * columns))
+        none = self.direct.new_zeros(0)
+        parts = [(none, none, none), *((ghost.x[field], ghost.y[field], ghost.share[field]) for ghost in self.paths)]
+        return irradiance_of(*map(torch.cat, zip(*parts, strict=True)), size, pixels)
 
 
 @_validate.takes_units()

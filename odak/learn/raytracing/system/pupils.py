@@ -14,7 +14,7 @@ from odak.learn._tensors import checked_device, checked_dtype
 from odak.learn.raytracing.system.paraxial import EntrancePupil, entrance_pupil
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.specification import FieldPoints, is_number, plain, stacked
-from odak.learn.raytracing.system.surfaces import checked_system, is_break, optical_system
+from odak.learn.raytracing.system.surfaces import checked_system, is_break, numbers_of, optical_system
 from odak.learn.raytracing.system.tracing import Rays, Traced, in_surface_frame, trace
 from odak.raytracing.batches import needs_gradient
 from odak.raytracing.surfaces import Parametric
@@ -236,9 +236,8 @@ def pupil_quadrature(
     >>> round(float((weights * points.square().sum(-1)).sum()), 12), round(float(weights.sum()), 12)
     (0.5, 1.0)
     """
-    checked_system(system), checked_prescription(prescription)
     count, vignetting = _validate.integer("count", count, minimum=1), _validate.flag("vignetting", vignetting)
-    numbers = (system.prescription() if prescription is None else prescription).at(system.reference)
+    numbers = numbers_of(system, prescription).at(system.reference)
     if len(numbers.batch):
         raise ValueError(f"prescription must be of one system, got a batch of {tuple(numbers.batch)}")
     device = numbers.thickness.device
@@ -482,7 +481,7 @@ def through_pupil(
     system: optical_system, points: torch.Tensor, fields: torch.Tensor, prescription: Prescription | None, aim: str
 ) -> Rays:
     """Return rays through points of the pupil, ``[P, 2]`` or ``[..., F, P, 2]``, from field points ``[F, 1, 2]``."""
-    numbers = (system.prescription() if prescription is None else prescription).at(system.reference)
+    numbers = numbers_of(system, prescription).at(system.reference)
     pupil = entrance_pupil(system, prescription=numbers)
     if aim == "real" and not system.telecentric:
         return through_places(system, fields, pupil, *real_places(system, numbers, pupil, points, fields))

@@ -1133,6 +1133,12 @@ def checked_system(system: optical_system) -> optical_system:
     return system
 
 
+def numbers_of(system: optical_system, prescription: Prescription | None) -> Prescription:
+    """Return the prescription that is given, or the system's own, after checking both."""
+    checked_system(system), checked_prescription(prescription)
+    return system.prescription() if prescription is None else prescription
+
+
 def without_derivatives(system: optical_system) -> optical_system:
     """Return a system whose aperture, fields and object distance are plain numbers, with the same surfaces."""
     found = copy.copy(checked_system(system))

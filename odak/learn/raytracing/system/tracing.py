@@ -10,7 +10,7 @@ import torch
 from odak import _array, _show, _torch_private, _validate
 from odak._array import is_readable
 from odak.learn.raytracing.system.fused import Trace
-from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
+from odak.learn.raytracing.system.prescriptions import Prescription
 from odak.learn.raytracing.system.sequence import (
     HIT,
     Layout,
@@ -20,7 +20,13 @@ from odak.learn.raytracing.system.sequence import (
     plain_trace,
     points_within,
 )
-from odak.learn.raytracing.system.surfaces import checked_system, coordinate_break, layout_of, optical_system
+from odak.learn.raytracing.system.surfaces import (
+    checked_system,
+    coordinate_break,
+    layout_of,
+    numbers_of,
+    optical_system,
+)
 from odak.raytracing.batches import in_pieces, needs_gradient
 
 # Rays of a block of plain operations: its graph, a few kilobytes per ray, takes some tens of megabytes.
@@ -183,10 +189,9 @@ def trace(
 
 
 def _trace(system, rays, prescription, until, vignetting):
-    checked_system(system), checked_prescription(prescription)
+    numbers = numbers_of(system, prescription)
     vignetting = _validate.flag("vignetting", vignetting)
     rays = checked_rays(rays)
-    numbers = system.prescription() if prescription is None else prescription
     _validate.one_device(**rays._asdict(), system=numbers.curvature)
     layout = layout_of(system.surfaces, numbers, system.image, vignetting)
     held = numbers.numbers(system.image)
@@ -265,11 +270,9 @@ def ray_paths(system: optical_system, rays: Rays, *, prescription: Prescription 
     >>> points.shape[-2] == len(lens.surfaces) + 2
     True
     """
-    checked_system(system), checked_prescription(prescription)
     _validate.instance("rays", rays, Rays, "Rays")
+    shape = _shape(rays, numbers_of(system, prescription))
     matrices, origins = system.frames(prescription, own=False)
-    numbers = system.prescription() if prescription is None else prescription
-    shape = _shape(rays, numbers)
     stations = [torch.stack([value.expand(shape) for value in rays[:3]], -1)]
     for i in [*range(len(system.surfaces)), None]:
         if i is not None and isinstance(system.surfaces[i], coordinate_break):

@@ -36,7 +36,13 @@ from odak.learn.raytracing.system.pupils import (
     trace_fields,
 )
 from odak.learn.raytracing.system.specification import FieldPoints, Values
-from odak.learn.raytracing.system.surfaces import checked_system, optical_system, wavelength_shares, wavelengths_of
+from odak.learn.raytracing.system.surfaces import (
+    checked_system,
+    numbers_of,
+    optical_system,
+    wavelength_shares,
+    wavelengths_of,
+)
 from odak.learn.raytracing.system.tracing import trace
 from odak.raytracing.geometry import safe_sqrt
 from odak.raytracing.intersections import RayStatus
@@ -124,7 +130,7 @@ class RayMap:
         distance: float | torch.Tensor,
         across: bool,
     ):
-        numbers = system.prescription() if prescription is None else prescription
+        numbers = numbers_of(system, prescription)
         self.system: optical_system = system
         self.numbers: Prescription = numbers.at(place)
         self.reference: Prescription = numbers.at(system.reference)
@@ -371,8 +377,7 @@ def pupil_image(
         # A sample on the edge has the amplitude of the part inside, and the energy of its square: too little.
         energy = energy + (abs(amplitude) ** 2 * weight).sum(-1) * (size / weight.sum(-1)).square()
     slopes = _derivatives(found, weight)
-    given = options.get("prescription")
-    numbers = system.prescription() if given is None else given
+    numbers = numbers_of(system, options.get("prescription"))
     waves = (wavelengths_of(system, numbers) / numbers.index[..., -1].abs())[..., None, None]
     pitch = waves / (size * (2 / samples) * slopes)
     return Spread(intensity, pitch, intensity.amax((-2, -1)), energy)
@@ -557,8 +562,7 @@ def strehl_ratio(
 def _strehl(system, pupil, count: int, options: Mapping[str, Any]) -> tuple[torch.Tensor, torch.Tensor]:
     """Return Strehl ratios, and the part of the pupil over which the rays are too few to resolve the wavefront."""
     found = wavefront(system, pupil, count, **options)
-    given = options.get("prescription")
-    numbers = system.prescription() if given is None else given
+    numbers = numbers_of(system, options.get("prescription"))
     waves = wavelengths_of(system, numbers)[:, None] / numbers.index[..., -1].abs()[..., None]
     kept = found.status == RayStatus.HIT
     weight = kept.to(found.path) if found.weights is None else kept * found.weights
@@ -1318,7 +1322,7 @@ def _plane_waves(system, samples: int, size: int | None, pitch: float | None, op
     rays = launch(system, torch.cat([origin, points]), **own)
     found = trace(system, rays, prescription=prescription, vignetting=vignetting)
     centre = trace(system, rays, prescription=prescription, vignetting=False) if vignetting else found
-    numbers = system.prescription() if prescription is None else prescription
+    numbers = numbers_of(system, prescription)
     check_image_space(system, numbers)
     kept = found.arrived[..., 1:]
     weight = torch.where(kept, share.to(found.x), 0.0)
