@@ -96,7 +96,7 @@ REASONS = {
         perception/quality: _split
         perception/csf: foveated_budget
         perception/pooled_model: _overlapping _windows
-        raytracing/boundary: _axes intersect_w_triangle_batch
+        raytracing/boundary: intersect_w_triangle_batch
         raytracing/mesh: _faces init_heights
         raytracing/surfaces: intersect_parametric
         raytracing/system/eye: _radial_transfer

@@ -457,7 +457,7 @@ class detector(_show.Shown, Prepared):
         self.image[color] += image.reshape(self.image.shape[1:]).to(self.image.dtype)
         if not distances:
             return points, image, None
-        axes = sheet_axes(size, self.resolution.tolist())
+        axes = sheet_axes(size, self.image.shape[1:])
         across, along = ((local[:, i, None] - axis) ** 2 for i, axis in enumerate(axes))
         distance_image = (across[:, :, None] + along[:, None]).flatten(1)
         return points, image, distance_image.masked_fill(~met[:, None], torch.nan)
