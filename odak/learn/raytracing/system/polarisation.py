@@ -402,7 +402,8 @@ class Ghosts(NamedTuple):
         field = _validate.place_in("field", field, len(self.direct))
         none = self.direct.new_zeros(0)
         parts = [(none, none, none), *((ghost.x[field], ghost.y[field], ghost.share[field]) for ghost in self.paths)]
-        return irradiance_of(*map(torch.cat, zip(*parts, strict=True)), size, pixels)
+        x, y, share = map(torch.cat, zip(*parts, strict=True))
+        return irradiance_of(x, y, share, size, pixels)
 
 
 @_validate.takes_units()

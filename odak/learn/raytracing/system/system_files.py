@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -554,6 +554,9 @@ class Command(NamedTuple):
         return ValueError(f"line {self.number}: {self.key} is a command that is not understood, got {given!r:.80}")
 
 
+Opened = TypeVar("Opened", bound="LensFile")
+
+
 @dataclasses.dataclass
 class LensFile:
     """A lens file of another program while it is read: what all its surfaces share, and what its report will say.
@@ -586,7 +589,9 @@ class LensFile:
     notes: list[str] = dataclasses.field(default_factory=list)
 
     @classmethod
-    def opened(cls, reader: str, path: str | os.PathLike[str], glasses: Mapping[Any, Any] | None) -> "LensFile":
+    def opened(
+        cls: type[Opened], reader: str, path: str | os.PathLike[str], glasses: Mapping[Any, Any] | None
+    ) -> Opened:
         """Return the file of a reader's arguments, which are checked."""
         _validate.instance("glasses", glasses, (Mapping, type(None)), "a dictionary")
         return cls(Path(_text("path", path)), reader, dict(glasses or {}))
