@@ -93,6 +93,42 @@ def operator(function: type[torch.autograd.Function]) -> Callable[..., Any]:
     return apply
 
 
+def linear_operator(compute: Callable[..., torch.Tensor]) -> Callable[..., torch.Tensor]:
+    """Return a function that is linear in its first argument and differentiable in it any number of times.
+
+    Forward mode applies it to the tangent, and torch.func.vmap to a longer batch.
+
+    Parameters
+    ----------
+    compute : callable
+        Of a batch, of further arguments, which get no gradients, and last of whether the adjoint is wanted.
+    """
+
+    class Linear(torch.autograd.Function):
+        forward = staticmethod(compute)
+
+        @staticmethod
+        def setup_context(context, inputs, output):
+            context.rest = inputs[1:]
+
+        @staticmethod
+        def backward(context, gradient):
+            *rest, adjoint = context.rest
+            return apply(gradient, *rest, not adjoint), *[None] * len(context.rest)
+
+        @staticmethod
+        def jvp(context, tangent, *_):
+            return apply(tangent, *context.rest)
+
+        @staticmethod
+        def vmap(info, in_dims, batch, *rest):
+            batch = batch.movedim(in_dims[0], 0)
+            return apply(batch.flatten(0, 1), *rest).unflatten(0, batch.shape[:2]), 0
+
+    apply = operator(Linear)
+    return apply
+
+
 def is_plain_on_cpu(tensor: torch.Tensor) -> bool:
     """Return whether a tensor is on a CPU, without a transform, forward-mode derivative or compiler."""
     if tensor.device.type != "cpu" or is_transformed():

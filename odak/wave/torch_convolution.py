@@ -447,16 +447,10 @@ def sparse_operator(matrix: Any) -> Callable[..., Any]:
                 held[adjoint] = torch.sparse_csr_tensor(*parts, one.shape, check_invariants=False)
         return held[adjoint]
 
-    class Product(torch.autograd.Function):
-        @staticmethod
-        def forward(ctx, fields, adjoint):
-            ctx.adjoint = adjoint
-            columns = torch.view_as_real(fields.resolve_conj()).permute(1, 0, 2).reshape(fields.shape[-1], -1)
-            result = table(adjoint) @ columns
-            return torch.view_as_complex(result.reshape(-1, len(fields), 2).transpose(0, 1).contiguous())
+    @_torch_private.linear_operator
+    def product(fields, adjoint):
+        columns = torch.view_as_real(fields.resolve_conj()).permute(1, 0, 2).reshape(fields.shape[-1], -1)
+        result = table(adjoint) @ columns
+        return torch.view_as_complex(result.reshape(-1, len(fields), 2).transpose(0, 1).contiguous())
 
-        @staticmethod
-        def backward(ctx, gradient):
-            return Product.apply(gradient, not ctx.adjoint), None
-
-    return lambda fields: Product.apply(fields, False)
+    return lambda fields: product(fields, False)

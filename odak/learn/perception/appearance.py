@@ -116,12 +116,17 @@ def _viewing(white, luminance, background, model, surround):
     return matrix, found | {"white": bright, "dark": dark / bright}
 
 
-def _checked_viewing(white, luminance, background, model, surround="average"):
+def _numbers_of(white):
+    """Return the XYZ of a white as three floats after checking it."""
     white = _white(white)
     if isinstance(white, torch.Tensor):
         white = _validate.numbers(_validate.constants(white=white)[0])
+    return tuple(map(float, white))
+
+
+def _checked_viewing(white, luminance, background, model, surround="average"):
     return _viewing(
-        tuple(map(float, white)),
+        _numbers_of(white),
         _validate.constant("adapting_luminance", luminance, positive=True),
         _validate.constant("background", background, positive=True),
         model,
@@ -394,10 +399,7 @@ def _opponents(white):
 
 
 def _dkl_matrix(white):
-    white = _white(white)
-    if isinstance(white, torch.Tensor):
-        white = _validate.numbers(_validate.constants(white=white)[0])
-    return _opponents(tuple(map(float, white)))
+    return _opponents(_numbers_of(white))
 
 
 @decoded_in_float32

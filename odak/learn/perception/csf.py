@@ -267,23 +267,11 @@ class CSFLoss(Seen):
         mean = wanted.detach().mean((-2, -1), keepdim=True).clamp_min(self.viewing.darkest)
         spectrum = torch.fft.rfft2((shown - wanted) / mean, norm="forward")
         gain = sensitivity(self._frequencies(image), mean, self._size(image))
-        # Half a spectrum: every column but the first, and the last of an even width, counts twice.
-        columns = image.shape[-1]
-        weights = gain.new_full((spectrum.shape[-1],), 4.0)
-        weights[0] = 2.0
-        if columns % 2 == 0:
-            weights[-1] = 2.0
         power = spectrum.real**2 + spectrum.imag**2
-        return (weights * gain**2 * power).sum((-2, -1)).mean()
+        return (half_spectrum_weights(image) * gain**2 * power).sum((-2, -1)).mean()
 
     def _luminance(self, picture):
-        light = srgb_decoded(picture) if self.encoding == "sRGB" else picture
-        if picture.shape[-3] == 3:
-            red, green, blue = light.unbind(-3)
-            light = (_BT709_LUMINANCE[0] * red + _BT709_LUMINANCE[1] * green + _BT709_LUMINANCE[2] * blue)[
-                ..., None, :, :
-            ]
-        return self.viewing.luminance(light)
+        return _luminance(srgb_decoded(picture) if self.encoding == "sRGB" else picture, self.viewing)
 
     def _size(self, picture):
         """Return the side in degrees of a square of the picture's area."""
@@ -336,6 +324,23 @@ def not_negative(name: str, value: torch.Tensor | float) -> torch.Tensor:
     if _array.is_readable(value) and bool((value.detach() < 0).any()):
         raise ValueError(f"{name} must not be negative, got {float(value.detach().min()):g}")
     return value
+
+
+def half_spectrum_weights(picture: torch.Tensor) -> torch.Tensor:
+    """Return by which the columns of half a spectrum count in 2·mean(picture²): all but the first and middle twice."""
+    columns = picture.shape[-1]
+    weights = picture.new_full((columns // 2 + 1,), 4.0)
+    weights[0] = 2.0
+    if columns % 2 == 0:
+        weights[-1] = 2.0
+    return weights
+
+
+def _luminance(light, viewing):
+    """Return the luminance in cd/m² of pictures ``[..., C, H, W]`` of one or three primaries, ``[..., 1, H, W]``."""
+    if light.shape[-3] == 3:
+        light = sum(weight * one for weight, one in zip(_BT709_LUMINANCE, light.split(1, -3), strict=True))
+    return viewing.luminance(light)
 
 
 def _check_range(name, picture):
@@ -445,7 +450,6 @@ RED_GREEN, BLUE_YELLOW = ((0.531, 0.0392), (0.330, 0.494)), ((0.488, 0.0536), (0
 JUST_NOTICEABLE = 2.3
 # Slope of threshold elevation over the contrast of the mask: Legge and Foley, J. Opt. Soc. Am. 70, 1458 (1980).
 MASKING = 0.6
-_LUMINANCE = (0.2126, 0.7152, 0.0722)
 # Middle of an octave band, as a fraction of its upper end; and of the high-pass residual.
 BAND, RESIDUAL = 0.5, 0.85
 
@@ -695,7 +699,7 @@ class VisibilityLoss(Seen):
 
     def _compared(self, image, target, gaze):
         """Return the sum over the pixels of pictures with one gaze."""
-        shown, wanted = self._luminance(image), self._luminance(target)
+        shown, wanted = (_luminance(srgb_decoded(one.clamp(0, 1)), self.viewing) for one in (image, target))
         mean = wanted.detach().mean((-2, -1), keepdim=True)
         scales = self._sensitivities(image, gaze, mean)
         total = self._visible((shown - wanted) / mean, wanted.detach() / mean, [brightness for brightness, _ in scales])
@@ -704,12 +708,6 @@ class VisibilityLoss(Seen):
             one, two = (srgb_to_lab(picture.clamp(0, 1))[:, 1:] for picture in (image, target))
             total = total + self.colour * self._visible(one - two, two.detach(), [colours for _, colours in scales])
         return total
-
-    def _luminance(self, picture):
-        light = srgb_decoded(picture.clamp(0, 1))
-        if picture.shape[1] == 3:
-            light = sum(weight * channel for weight, channel in zip(_LUMINANCE, light.split(1, 1), strict=True))
-        return self.viewing.luminance(light)
 
     def _visible(self, difference, mask, scales):
         """Return the sum of squared differences, each in multiples of its threshold."""

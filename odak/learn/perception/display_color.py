@@ -416,7 +416,6 @@ def _checked(dataset):
     return table[np.argsort(table[:, 0])]
 
 
-FIRST, LAST = 400, 700
 OPPONENT = ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 1.0))
 
 

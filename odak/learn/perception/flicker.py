@@ -9,7 +9,7 @@ from torch.nn import functional
 
 from odak import _validate
 from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, in_float32, tensor
-from odak.learn.perception.csf import CSFLoss, not_negative, positive_numbers
+from odak.learn.perception.csf import CSFLoss, half_spectrum_weights, not_negative, positive_numbers
 from odak.learn.perception.sight import Gaze, Viewing, gaze_of
 
 # stelaCSF: peak sensitivity and its frequency by luminance, width of the parabola and where it is cut.
@@ -189,11 +189,7 @@ class FlickerLoss(CSFLoss):
         mean = light.detach().mean((1, 2, 3), keepdim=True).clamp_min(self.viewing.darkest)
         spectrum = torch.fft.fft(torch.fft.rfft2(light / mean, norm="forward"), dim=1, norm="forward")
         frequencies = self._frequencies(light).clamp_min(_LOWEST)
-        weights = torch.full_like(frequencies, 4.0)
-        weights[:, 0] = 2.0
-        if frames.shape[-1] % 2 == 0:
-            weights[:, -1] = 2.0
-        count, total = frames.shape[1], light.new_zeros(len(light))
+        weights, count, total = half_spectrum_weights(light), frames.shape[1], light.new_zeros(len(light))
         for k in range(1, math.floor(_HIGHEST * count / self.frames_per_second) + 1):
             flicker = k * self.frames_per_second / count
             gain = stela_contrast_sensitivity(

@@ -20,7 +20,7 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _array, _torch_private, _validate
-from odak._torch_private import is_plain_on_cpu, operator
+from odak._torch_private import is_plain_on_cpu, linear_operator
 from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, checked_device, checked_dtype
 from odak.learn.perception.sight import (
     Gaze,
@@ -752,39 +752,26 @@ def plane_chunks(sampler: Sampler, planes: torch.Tensor) -> list[slice]:
     return [slice(start, min(start + count, planes.shape[1])) for start in range(0, planes.shape[1], count)]
 
 
-class _Sampled(torch.autograd.Function):
-    """The linear map of a sampler on planes ``[H, P, W]``, or its adjoint; each is the other's gradient."""
-
-    @staticmethod
-    def forward(planes, sampler, adjoint):
-        result = torch.empty_like(planes)
-        for chunk in plane_chunks(sampler, planes):
-            part, target = planes[:, chunk], result[:, chunk]
-            memory = strip_memory(sampler, part, part.shape[1])
-            if adjoint:
-                totals = [part.new_zeros(level.enlarged.shape[1], *part.shape[1:]) for level in sampler.levels]
-                for strip in sampler.strips:
-                    rows = part[strip.rows]
-                    torch.mul(rows, strip.fine, out=target[strip.rows])
-                    strip.add_adjoint(rows[:, None], totals, memory[: len(rows), None])
-                sampler.levels[0].halve_adjoint(sampler.coarse_adjoint(totals), target)
-            else:
-                coarse = sampler.coarse(sampler.levels[0].halve(part))
-                for strip in sampler.strips:
-                    total = torch.mul(part[strip.rows], strip.fine, out=target[strip.rows])
-                    strip.add(total[:, None], coarse, memory[: len(total), None])
-        return result
-
-    @staticmethod
-    def setup_context(context, inputs, output):
-        _, context.sampler, context.adjoint = inputs
-
-    @staticmethod
-    def backward(context, gradient):
-        return _sampled(gradient, context.sampler, not context.adjoint), None, None
-
-
-_sampled = operator(_Sampled)
+@linear_operator
+def _sampled(planes, sampler, adjoint):
+    """Return the linear map of a sampler on planes ``[H, P, W]``, or its adjoint."""
+    result = torch.empty_like(planes)
+    for chunk in plane_chunks(sampler, planes):
+        part, target = planes[:, chunk], result[:, chunk]
+        memory = strip_memory(sampler, part, part.shape[1])
+        if adjoint:
+            totals = [part.new_zeros(level.enlarged.shape[1], *part.shape[1:]) for level in sampler.levels]
+            for strip in sampler.strips:
+                rows = part[strip.rows]
+                torch.mul(rows, strip.fine, out=target[strip.rows])
+                strip.add_adjoint(rows[:, None], totals, memory[: len(rows), None])
+            sampler.levels[0].halve_adjoint(sampler.coarse_adjoint(totals), target)
+        else:
+            coarse = sampler.coarse(sampler.levels[0].halve(part))
+            for strip in sampler.strips:
+                total = torch.mul(part[strip.rows], strip.fine, out=target[strip.rows])
+                strip.add(total[:, None], coarse, memory[: len(total), None])
+    return result
 
 
 def _halved(size):

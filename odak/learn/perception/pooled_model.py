@@ -342,37 +342,15 @@ class Windows:
         return found.reshape(*values.shape[:2], -1, 1)
 
 
-class _Pooled(torch.autograd.Function):
-    """Means of planes ``[N, H·W]`` over windows, or the adjoint; ten times as fast as sparse tensors."""
-
-    @staticmethod
-    def forward(planes, tables, adjoint):
-        columns, starts, weights = tables[adjoint]
-        result = planes.new_empty(len(planes), len(starts))
-        for part, target in zip(planes.split(_PLANES), result.split(_PLANES), strict=True):
-            rows = part.T.contiguous()
-            target.copy_(functional.embedding_bag(columns, rows, starts, mode="sum", per_sample_weights=weights).T)
-        return result
-
-    @staticmethod
-    def setup_context(context, inputs, output):
-        _, context.tables, context.adjoint = inputs
-
-    @staticmethod
-    def backward(context, gradient):
-        return _pooled(gradient, context.tables, not context.adjoint), None, None
-
-    @staticmethod
-    def jvp(context, tangent, *_):
-        return _pooled(tangent, context.tables, context.adjoint)
-
-    @staticmethod
-    def vmap(info, in_dims, planes, tables, adjoint):
-        planes = planes.movedim(in_dims[0], 0)
-        return _pooled(planes.flatten(0, 1), tables, adjoint).unflatten(0, planes.shape[:2]), 0
-
-
-_pooled = _torch_private.operator(_Pooled)
+@_torch_private.linear_operator
+def _pooled(planes, tables, adjoint):
+    """Return means of planes ``[N, H·W]`` over windows, or the adjoint; ten times as fast as sparse tensors."""
+    columns, starts, weights = tables[adjoint]
+    result = planes.new_empty(len(planes), len(starts))
+    for part, target in zip(planes.split(_PLANES), result.split(_PLANES), strict=True):
+        rows = part.T.contiguous()
+        target.copy_(functional.embedding_bag(columns, rows, starts, mode="sum", per_sample_weights=weights).T)
+    return result
 
 
 def _table(matrix):

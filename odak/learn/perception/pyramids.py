@@ -18,7 +18,7 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _torch_private, _validate
-from odak._torch_private import in_own_precision, is_plain_on_cpu, operator
+from odak._torch_private import in_own_precision, is_plain_on_cpu, linear_operator
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import checked_device, checked_dtype, floating_tensor, in_float64, kind_of
 
@@ -465,7 +465,9 @@ class SpatialSteerablePyramid(nn.Module):
             )
             return image
 
-        return _solved(exact._gathered([in_float64(bands) for bands in groups], last), inverted).to(pyramid[-1]["l"])
+        return _solved(exact._gathered([in_float64(bands) for bands in groups], last), inverted, False).to(
+            pyramid[-1]["l"]
+        )
 
     def _normal(self, image, n_levels):
         """Return the adjoint of the pyramid of a picture."""
@@ -580,32 +582,8 @@ def _largest_share(step, image) -> float:
     return float(shares.max()) if shares.numel() else 0.0
 
 
-class _Solution(torch.autograd.Function):
-    """The inverse of a symmetric operator, as a function of the right-hand side computes it."""
-
-    @staticmethod
-    def forward(right, inverted):
-        return inverted(right)
-
-    @staticmethod
-    def setup_context(context, inputs, output):
-        _, context.inverted = inputs
-
-    @staticmethod
-    def backward(context, gradient):
-        return _solved(gradient, context.inverted), None
-
-    @staticmethod
-    def jvp(context, tangent, *_):
-        return _solved(tangent, context.inverted)
-
-    @staticmethod
-    def vmap(info, in_dims, right, inverted):
-        right = right.movedim(in_dims[0], 0)
-        return _solved(right.flatten(0, 1), inverted).unflatten(0, right.shape[:2]), 0
-
-
-_solved = operator(_Solution)
+# The inverse of a symmetric operator, as a function of the right-hand side computes it.
+_solved = linear_operator(lambda right, inverted, adjoint: inverted(right))
 
 
 def nearest_picture(
@@ -631,7 +609,7 @@ def nearest_picture(
     """
     maker._follow(last)
     inverted = functools.partial(maker._descended, n_levels=len(groups), tolerance=tolerance)
-    return _solved(maker._gathered(groups, last), inverted)
+    return _solved(maker._gathered(groups, last), inverted, False)
 
 
 @functools.lru_cache(maxsize=16)
@@ -874,7 +852,7 @@ def correlate(image: torch.Tensor, taps: torch.Tensor, stride: int = 1) -> torch
     several times less time.
     """
     if is_plain_on_cpu(image) and image.dtype in (torch.float32, torch.float64) and not taps.requires_grad:
-        return _correlated(image, taps, stride)
+        return _correlated(image, taps, stride, image.shape[-2:], False)
     padded = functional.pad(image, (taps.shape[-1] // 2,) * 4, mode="reflect")
     planes = functional.conv2d(padded.flatten(0, 1)[:, None], taps[:, None], stride=stride)
     return planes.unflatten(0, image.shape[:2])
@@ -903,7 +881,7 @@ def spread(
     """
     size = values.shape[-2:] if size is None else size
     if is_plain_on_cpu(values) and values.dtype in (torch.float32, torch.float64):
-        return _adjoint(values, taps, stride, size)
+        return _correlated(values, taps, stride, size, True)
     reach = taps.shape[-1] // 2
     planes = functional.conv_transpose2d(values.flatten(0, 1), taps[:, None], stride=stride)
     beyond = [length + 2 * reach - found for length, found in zip(size, planes.shape[-2:], strict=True)]
@@ -912,68 +890,41 @@ def spread(
     return torch.ops.aten.reflection_pad2d_backward(planes, above, (reach,) * 4)[:, 0].unflatten(0, values.shape[:2])
 
 
-class _Correlation(torch.autograd.Function):
-    """The linear map; its gradient is the value of the adjoint, and vice versa."""
-
-    @staticmethod
-    def forward(image, taps, stride):
-        reach = taps.shape[-1] // 2
-        rows, columns = (-(-length // stride) for length in image.shape[-2:])
-        planes = functional.pad(image, (reach,) * 4, mode="reflect").flatten(0, 1)
-        # Whole steps of the lanes; results from the zeros added are dropped.
-        beyond = (-(-columns // LANES) * LANES - 1) * stride + taps.shape[-1] - planes.shape[-1]
-        planes = _as_channels_last(functional.pad(planes, (0, beyond)) if beyond > 0 else planes)
-        result = image.new_empty(rows, len(planes), len(taps), columns)
-        for index, filt in enumerate(taps):
-            lanes = functional.conv2d(planes, _shifted(filt[None], LANES, stride), stride=(stride, stride * LANES))
-            result[:, :, index] = lanes.permute(2, 0, 3, 1).flatten(2)[..., :columns]
-        return result.permute(1, 2, 0, 3).unflatten(0, image.shape[:2])
-
-    @staticmethod
-    def setup_context(context, inputs, output):
-        image, context.taps, context.stride = inputs
-        context.size = image.shape[-2:]
-
-    @staticmethod
-    def backward(context, gradient):
-        return _adjoint(gradient, context.taps, context.stride, context.size), None, None
+@linear_operator
+def _correlated(image, taps, stride, size, adjoint):
+    """Return the correlations of pictures of a size, or the adjoint."""
+    if adjoint:
+        return _adjoint_of_correlations(image, taps, stride, size)
+    reach = taps.shape[-1] // 2
+    rows, columns = (-(-length // stride) for length in size)
+    planes = functional.pad(image, (reach,) * 4, mode="reflect").flatten(0, 1)
+    # Whole steps of the lanes; results from the zeros added are dropped.
+    beyond = (-(-columns // LANES) * LANES - 1) * stride + taps.shape[-1] - planes.shape[-1]
+    planes = _as_channels_last(functional.pad(planes, (0, beyond)) if beyond > 0 else planes)
+    result = image.new_empty(rows, len(planes), len(taps), columns)
+    for index, filt in enumerate(taps):
+        lanes = functional.conv2d(planes, _shifted(filt[None], LANES, stride), stride=(stride, stride * LANES))
+        result[:, :, index] = lanes.permute(2, 0, 3, 1).flatten(2)[..., :columns]
+    return result.permute(1, 2, 0, 3).unflatten(0, image.shape[:2])
 
 
-_correlated = operator(_Correlation)
-
-
-class _Adjoint(torch.autograd.Function):
-    """The adjoint of the correlations with all filters."""
-
-    @staticmethod
-    def forward(gradient, taps, stride, size):
-        # Pixels fall into stride² phases, each a correlation of its own.
-        lanes, side = LANES // stride**2, taps.shape[-1]
-        padded = [length + side - 1 for length in size]
-        cells = -(-padded[0] // stride), -(-padded[1] // (stride * lanes)) * lanes
-        before = -(-side // stride) - 1
-        after = [cell - length for cell, length in zip(cells, gradient.shape[-2:], strict=True)]
-        total = None
-        for filt, part in zip(taps, gradient.flatten(0, 1).unbind(1), strict=True):
-            planes = _as_channels_last(functional.pad(part, (before, after[1], before, after[0])))
-            spread = functional.conv2d(planes, _shifted(_phases(filt, stride), lanes, 1), stride=(1, lanes))
-            total = spread if total is None else total.add_(spread)
-        phases = total.permute(0, 2, 3, 1).unflatten(-1, (stride, stride, lanes))
-        # [N, cell, cells of lanes, row in the cell, column in the cell, lane] to rows and columns.
-        pixels = phases.permute(0, 1, 3, 2, 5, 4).flatten(3).flatten(1, 2)[..., : padded[0], : padded[1]]
-        folded = _folded(_folded(pixels, 1, side // 2), 2, side // 2)
-        return folded.unflatten(0, gradient.shape[:2])
-
-    @staticmethod
-    def setup_context(context, inputs, output):
-        _, context.taps, context.stride, _ = inputs
-
-    @staticmethod
-    def backward(context, gradient):
-        return _correlated(gradient, context.taps, context.stride), None, None, None
-
-
-_adjoint = operator(_Adjoint)
+def _adjoint_of_correlations(gradient, taps, stride, size):
+    # Pixels fall into stride² phases, each a correlation of its own.
+    lanes, side = LANES // stride**2, taps.shape[-1]
+    padded = [length + side - 1 for length in size]
+    cells = -(-padded[0] // stride), -(-padded[1] // (stride * lanes)) * lanes
+    before = -(-side // stride) - 1
+    after = [cell - length for cell, length in zip(cells, gradient.shape[-2:], strict=True)]
+    total = None
+    for filt, part in zip(taps, gradient.flatten(0, 1).unbind(1), strict=True):
+        planes = _as_channels_last(functional.pad(part, (before, after[1], before, after[0])))
+        spread = functional.conv2d(planes, _shifted(_phases(filt, stride), lanes, 1), stride=(1, lanes))
+        total = spread if total is None else total.add_(spread)
+    phases = total.permute(0, 2, 3, 1).unflatten(-1, (stride, stride, lanes))
+    # [N, cell, cells of lanes, row in the cell, column in the cell, lane] to rows and columns.
+    pixels = phases.permute(0, 1, 3, 2, 5, 4).flatten(3).flatten(1, 2)[..., : padded[0], : padded[1]]
+    folded = _folded(_folded(pixels, 1, side // 2), 2, side // 2)
+    return folded.unflatten(0, gradient.shape[:2])
 
 
 def _as_channels_last(planes):
