@@ -28,16 +28,13 @@ def to_numpy(name: str, value) -> np.ndarray:
         If it does not hold numbers.
     """
     if is_torch(value):
-        value = value.float() if str(value.dtype) == "torch.bfloat16" else value
         value = convert_to_numpy(value)
     elif isinstance(value, (list, tuple)):
         value = [to_numpy(f"{name}[{i}]", v) if hasattr(v, "shape") else v for i, v in enumerate(value)]
     elif hasattr(value, "get") and hasattr(value, "__cuda_array_interface__"):
         value = value.get()
-    try:
+    with _validate.refusing(f"{name} must be an array or a tensor of numbers: ", ValueError, raised=TypeError):
         found = np.asarray(value)
-    except ValueError as error:
-        raise TypeError(f"{name} must be an array or a tensor of numbers: {error}") from error
     if found.dtype.kind == "b":
         return found.astype(np.uint8)
     if found.dtype.kind not in "iufc":

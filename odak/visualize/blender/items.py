@@ -520,10 +520,9 @@ def chosen(material: Material, color: str | Sequence[float], default: Any, wavel
 def linear_color(color: str | Sequence[float]) -> tuple[float, float, float]:
     """Return a colour name, "#rrggbb" or red, green, blue in sRGB as linear light."""
     if isinstance(color, str):
-        try:
+        told = f"color must be a name or '#rrggbb' as in web pages, got {color!r}"
+        with _validate.refusing(lambda _: told, ValueError):
             color = [value / 255 for value in ImageColor.getrgb(color)]
-        except ValueError:
-            raise ValueError(f"color must be a name or '#rrggbb' as in web pages, got {color!r}") from None
     values = np.asarray(_validate.numbers(_validate.real("color", listed(color))), dtype=np.float64)
     if values.shape not in ((3,), (4,)) or (values < 0).any() or (values > 1).any():
         raise ValueError(f"color must be red, green, blue from 0 to 1, got {listed(color)!r}")
@@ -568,10 +567,7 @@ def aim(location: Any, target: Any, up: Any = None) -> list[list[float]]:
 
 def positive(name: str, value: Any) -> float:
     """Return a positive number."""
-    found = _validate.numbers(_validate.real(name, value, positive=True))
-    if len(found) != 1:
-        raise ValueError(f"{name} must be one positive number, got {value!r:.80}")
-    return found[0]
+    return _validate.constant(name, value, positive=True)
 
 
 def pair(name: str, value: Any) -> list[Any]:

@@ -458,9 +458,7 @@ class Shapes:
             given, radius = given[:3], given[3]
         segments = _validate.integer("segments", segments, minimum=8)
         mesh = sphere_mesh(positive("radius", radius), segments)
-        item = self._add(name, mesh, material, color, diffuse(), smooth=True)
-        item.location = three("center", given)
-        return item
+        return self._add(name, mesh, material, color, diffuse(), smooth=True, location=three("center", given))
 
     def add_plane(
         self,
@@ -703,9 +701,9 @@ class Lenses:
         )
         _check(front[0], back[0], thickness)
         mesh = lens_mesh(front, back)
-        item = self._add(name, mesh, material, color, glass(), smooth=True, ground=2 * segments if ground else 0)
-        item.location, item.rotation = three("location", location), three("rotation", rotation)
-        return item
+        place = {"location": three("location", location), "rotation": three("rotation", rotation)}
+        rim = 2 * segments if ground else 0
+        return self._add(name, mesh, material, color, glass(), smooth=True, ground=rim, **place)
 
     def add_system(
         self,

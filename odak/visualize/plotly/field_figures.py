@@ -123,7 +123,7 @@ def spectrum(field: np.ndarray, dx: Pitch = None, wavelength: float | None = Non
     """
     if dx is None or wavelength is None:
         raise ValueError("the angular spectrum needs dx and wavelength, in metres")
-    wavelength = _number("wavelength", wavelength)
+    wavelength = _validate.constant("wavelength", wavelength, positive=True)
     power = _power(np.fft.fftshift(np.fft.fft2(field)))
     sines = [
         np.fft.fftshift(np.fft.fftfreq(n, step)) * wavelength for n, step in zip(field.shape, _pitches(dx), strict=True)
@@ -184,12 +184,7 @@ def _power(field) -> np.ndarray:
 def _pitches(dx) -> tuple[float, float]:
     """Return the distances between rows and between columns."""
     dy, dx = _validate.pair("dx", dx, positive=True)
-    return _number("dx", dy), _number("dx", dx)
-
-
-def _number(name, value) -> float:
-    (number,) = _validate.numbers(_validate.real(name, value, positive=True))
-    return number
+    return _validate.constant("dx", dy), _validate.constant("dx", dx)
 
 
 ORIGINS = ("upper", "lower")
@@ -309,7 +304,6 @@ class plot2dshow(_Images):
         vertical_spacing: float = 0.05,
     ):
         rows, cols = _counts(rows, cols)
-        shape = figures.numbers("shape", shape, 2, positive=True)
         titles = figures.texts("subplot_titles", subplot_titles)
         settings = {
             "title": figures.text("title", title),
@@ -319,9 +313,7 @@ class plot2dshow(_Images):
             "column number": cols,
             "row number": rows,
             "font": figures.mapping("font_settings", font_settings, {"size": 48}),
-            "width": shape[0],
-            "height": shape[1],
-            "margin": figures.numbers("margin", margin, 4, least=0),
+            **figures.frame(shape, margin),
             "xaxis": figures.mapping("xaxis_settings", xaxis_settings, _AXIS),
             "yaxis": figures.mapping("yaxis_settings", yaxis_settings, _AXIS),
             "horizontal spacing": figures.share("horizontal_spacing", horizontal_spacing),
@@ -790,15 +782,13 @@ class surfaceshow(Figure):
         camera: Sequence[float] = (1.87, 0.88, -0.64),
         colorbarlength: float = 0.75,
     ):
-        shape, tick_no = figures.numbers("shape", shape, 2, positive=True), figures.numbers("tick_no", tick_no, 3)
+        tick_no = figures.numbers("tick_no", tick_no, 3)
         labels, types = figures.texts("labels", labels, 3), figures.texts("types", types, 3)
         settings = {
             "title": figures.text("title", title),
             "color scale": figures.HEIGHT_SCALE,
             "font size": _validate.whole("font_size", font_size, minimum=1),
-            "width": shape[0],
-            "height": shape[1],
-            "margin": figures.numbers("margin", margin, 4, least=0),
+            **figures.frame(shape, margin),
             "camera": figures.numbers("camera", camera, 3),
             "colorbar length": _validate.real("colorbarlength", colorbarlength, positive=True),
         }
@@ -907,17 +897,14 @@ class plotshow(_Images):
     ):
         rows, cols = (_validate.integer(name, n, minimum=1) for name, n in (("rows", rows), ("cols", cols)))
         titles, labels = figures.texts("subplot_titles", subplot_titles), figures.texts("labels", labels, 2)
-        shape = figures.numbers("shape", shape, 2, positive=True)
         settings = {
             "subplot titles": titles,
             "color scale": figures.SEQUENTIAL_SCALE,
             "font size": _validate.whole("font_size", font_size, minimum=1),
             "x label": labels[0],
             "y label": labels[1],
-            "margin": figures.numbers("margin", margin, 4, least=0),
+            **figures.frame(shape, margin),
             "colorbar length": _validate.real("colorbarlength", colorbarlength, positive=True),
-            "width": shape[0],
-            "height": shape[1],
             "maximum side": MAXIMUM_SIDE,
         }
         super().__init__(rows, cols, titles[: rows * cols], [], settings)

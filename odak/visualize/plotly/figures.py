@@ -233,13 +233,7 @@ def apply(figure: graph.Figure, settings: dict[Any, Any]) -> None:
         values["font"] = {"size": settings["font size"]}
     figure.update_layout({name: value for name, value in values.items() if value is not None})
     # Merged as dictionaries and assigned as a whole: `update_layout` takes six times as long for a template.
-    figure.layout.template = _merged(figure.layout.template.to_plotly_json(), TEMPLATE)
-
-
-def _merged(base: dict[Any, Any], changes: dict[Any, Any]) -> dict[Any, Any]:
-    """Return a nested dictionary with the entries of another in place of its own."""
-    both = {name: _merged(base[name], changes[name]) for name in base.keys() & changes if isinstance(base[name], dict)}
-    return {**base, **changes, **both}
+    figure.layout.template = page.templates.merge_templates(figure.layout.template, graph.layout.Template(TEMPLATE))
 
 
 def axis_names(trace: Any) -> tuple[str, str]:
@@ -715,6 +709,12 @@ def numbers(name: str, value: Any, count: int, *, positive: bool = False, least:
     return found
 
 
+def frame(shape: Any, margin: Any) -> dict[str, Any]:
+    """Return the settings of the size of a figure and of its margins."""
+    width, height = numbers("shape", shape, 2, positive=True)
+    return {"width": width, "height": height, "margin": numbers("margin", margin, 4, least=0)}
+
+
 def share(name: str, value: float) -> float:
     """Return a number from 0 to 1."""
     return float(_validate.number(name, value, least=0, most=1))
@@ -728,19 +728,15 @@ def mapping(name: str, value: Any, default: Mapping[Any, Any]) -> dict[Any, Any]
 
 def scale(name: str, value: str) -> str:
     """Return a colour scale that Plotly takes: a name, or a list of colours."""
-    try:
+    with _validate.refusing(lambda _: f"{name} must be a colour scale of Plotly, got {value!r:.80}", ValueError):
         graph.Heatmap(colorscale=value)
-    except ValueError as error:
-        raise ValueError(f"{name} must be a colour scale of Plotly, got {value!r:.80}") from error
     return value
 
 
 def colour(name: str, value: str) -> str:
     """Return the name or the code of one colour that Plotly takes."""
-    try:
+    with _validate.refusing(lambda _: f"{name} must be a colour that Plotly takes, got {value!r:.80}", ValueError):
         graph.Scatter(marker={"color": value})
-    except ValueError as error:
-        raise ValueError(f"{name} must be a colour that Plotly takes, got {value!r:.80}") from error
     _validate.instance(name, value, str, "a colour's name or code")
     return value
 

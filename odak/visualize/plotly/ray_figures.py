@@ -263,18 +263,8 @@ class rayshow(SceneFigure):
             opacity, show_legend = self.settings["opacity"], opacity
         places = _arrays.points("point", point)
         marker = {"size": self.settings["marker size"], **colors(color, len(places), self.settings)}
-        self._add(
-            graph.Scatter3d(
-                **dict(zip(AXES, places.T, strict=True)),
-                mode="markers",
-                marker=marker,
-                opacity=figures.share("opacity", opacity),
-                showlegend=_validate.flag("show_legend", show_legend),
-                name=figures.text("label", label),
-            ),
-            row,
-            column,
-        )
+        style = {"mode": "markers", "marker": marker, "opacity": figures.share("opacity", opacity)}
+        self._draw(graph.Scatter3d, places, row, column, show_legend, label, **style)
 
     def add_line(
         self,
@@ -353,16 +343,8 @@ class rayshow(SceneFigure):
         style = {"width": self.settings["line width"], **colors(color, len(lines), self.settings, lines.shape[1] + 1)}
         if dash is not None:
             style["dash"] = _validate.one_of("dash", dash, _DASHES)
-        trace = graph.Scatter3d(
-            **dict(zip(AXES, broken.reshape(-1, 3)[:-1].T, strict=True)),
-            mode="lines",
-            line=style,
-            opacity=float(self.settings["opacity"]),
-            showlegend=_validate.flag("show_legend", show_legend),
-            name=figures.text("label", label),
-            connectgaps=False,
-        )
-        self._add(trace, row, column)
+        style = {"mode": "lines", "line": style, "opacity": float(self.settings["opacity"]), "connectgaps": False}
+        self._draw(graph.Scatter3d, broken.reshape(-1, 3)[:-1], row, column, show_legend, label, **style)
 
     def add_rays(
         self,
@@ -463,18 +445,10 @@ class rayshow(SceneFigure):
         """
         places = _arrays.points("vertices", vertices)
         corners = _arrays.faces("faces", faces, len(places))
-        style = face_colors(color, len(corners), self.settings)
-        trace = graph.Mesh3d(
-            **dict(zip(AXES, places.T, strict=True)),
-            **dict(zip("ijk", corners.T, strict=True)),
-            **style,
-            opacity=self.settings["opacity"] if opacity is None else figures.share("opacity", opacity),
-            flatshading=True,
-            lighting={"ambient": 0.75},
-            showlegend=_validate.flag("show_legend", show_legend),
-            name=figures.text("label", label),
-        )
-        self._add(trace, row, column)
+        style = face_colors(color, len(corners), self.settings) | {"flatshading": True, "lighting": {"ambient": 0.75}}
+        style |= dict(zip("ijk", corners.T, strict=True))
+        style["opacity"] = self.settings["opacity"] if opacity is None else figures.share("opacity", opacity)
+        self._draw(graph.Mesh3d, places, row, column, show_legend, label, **style)
 
     def add_sphere(
         self,
@@ -611,6 +585,13 @@ class rayshow(SceneFigure):
             colorscale=self.settings["color scale"],
         )
         self._add(trace, row, column)
+
+    def _draw(
+        self, kind: Any, places: np.ndarray, row: int, column: int, show_legend: bool, label: str | None, **style: Any
+    ) -> None:
+        """Add a trace of points ``[m, 3]``."""
+        legend = {"showlegend": _validate.flag("show_legend", show_legend), "name": figures.text("label", label)}
+        self._add(kind(**dict(zip(AXES, places.T, strict=True)), **legend, **style), row, column)
 
 
 def colors(color: Any, count: int, settings: dict[str, Any], repeat: int = 1) -> dict[str, Any]:
