@@ -645,15 +645,19 @@ def air_index(
     26824.4
     """
     scale = MICROMETRES[_validate.one_of("unit", unit, MICROMETRES)]
-    wavelength = in_unit("wavelength", wavelength, unit)
+    wavelength = _in_unit("wavelength", wavelength, unit)
     carbon_dioxide = _validate.constant("carbon_dioxide", carbon_dioxide, least=0)
     check_weather(temperature, pressure, humidity)
-    if isinstance(wavelength, (list, tuple)):
-        wavelength = _validate.array("wavelength", wavelength)
     wide = _in_double(wavelength) * scale
     _check_range(material("air"), wide, True)
     found = _ciddor(wide, temperature, pressure, humidity, carbon_dioxide)
     return _array.cast(found, wavelength, _array.real_dtype(wavelength)) if _array.is_array(wavelength) else found
+
+
+def _in_unit(name: str, value: Any, unit: str) -> Any:
+    """Return a length, or an array of lengths for a list of them, in a unit."""
+    value = in_unit(name, value, unit)
+    return _validate.array(name, value) if isinstance(value, (list, tuple)) else value
 
 
 def check_weather(
@@ -783,11 +787,9 @@ def refractive_index(
     """
     found = name if isinstance(name, OpticalMaterial) else material(name)
     scale = MICROMETRES[_validate.one_of("unit", unit, MICROMETRES)]
-    wavelength = in_unit("wavelength", wavelength, unit)
+    wavelength = _in_unit("wavelength", wavelength, unit)
     medium = None if medium is None else _validate.one_of("medium", medium, MEDIA)
     extrapolate = _validate.flag("extrapolate", extrapolate)
-    if isinstance(wavelength, (list, tuple)):
-        wavelength = _validate.array("wavelength", wavelength)
     wide = _in_double(wavelength) * scale
     _check_range(found, wide, extrapolate)
     index = found.index(wide)
@@ -900,9 +902,7 @@ def internal_transmittance(
     if extinction_of(found) is None:
         raise ValueError(f"name {found.name!r} is a material whose absorption is not known")
     _validate.one_of("unit", unit, MICROMETRES)
-    wavelength, thickness = in_unit("wavelength", wavelength, unit), in_unit("thickness", thickness, unit)
-    if isinstance(wavelength, (list, tuple)):
-        wavelength = _validate.array("wavelength", wavelength)
+    wavelength, thickness = _in_unit("wavelength", wavelength, unit), in_unit("thickness", thickness, unit)
     _validate.real("thickness", thickness)
     coefficient = absorption_coefficient(found, wavelength, unit)
     if not _array.is_array(coefficient) and not _array.is_array(thickness):

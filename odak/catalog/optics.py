@@ -175,12 +175,9 @@ class plane_detector(_Sheet):
     def _amplitude(field, rays: int, channels: int) -> np.ndarray:
         field = np.asarray(_validate.given("field", field))
         wide = field if field.ndim == 2 else field[..., None]
-        try:
+        told = f"field must be a number, [{rays}] or [{rays}, {channels}] for {rays} rays in ray; got {field.shape}"
+        with _validate.refusing(lambda _: told, ValueError):
             return np.broadcast_to(wide, (rays, channels))
-        except ValueError:
-            raise ValueError(
-                f"field must be a number, [{rays}] or [{rays}, {channels}] for {rays} rays in ray; got {field.shape}"
-            ) from None
 
     def clear_detector(self) -> None:
         """Set the field to zero."""

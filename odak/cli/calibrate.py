@@ -64,17 +64,16 @@ def parse_lens(text: str) -> Lens:
     first, *others = text.split(",")
     given = [("focal_length", first), *((name.strip(), value) for name, _, value in (o.partition("=") for o in others))]
     names = [name for name, _ in given]
-    try:
+    told = (
+        "--lens must be a focal length, such as 200mm, or one with distances and the radius of a block, such as "
+        f"200mm,before=150mm,after=201mm,block=0.5mm; got {text!r}: "
+    )
+    with refusing(told, ValueError):
         if len(set(names)) < len(names) or not {*names} <= {"focal_length", "before", "after", "block"}:
             raise ValueError("what follows the focal length is before=, after= or block=, each once")
         if any(not is_length(value) for _, value in given):
             raise ValueError("lengths have a unit, such as 200mm")
         return Lens(**{name: parse_length(value) for name, value in given})
-    except ValueError as error:
-        raise InputError(
-            f"--lens must be a focal length, such as 200mm, or one with distances and the radius of a block, such as "
-            f"200mm,before=150mm,after=201mm,block=0.5mm; got {text!r}: {error}"
-        ) from None
 
 
 def faults_of(step: str, faults: str) -> dict[str, Any]:

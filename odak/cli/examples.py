@@ -3,7 +3,7 @@
 import ast
 import shutil
 from importlib.metadata import PackageNotFoundError, distribution
-from pathlib import Path, PurePath
+from pathlib import Path
 
 import odak
 from odak._call_forms import did_you_mean
@@ -26,11 +26,8 @@ def _installed() -> list[Path]:
     except PackageNotFoundError:
         return []
     # The metadata knows the folder of data of each kind of installation: of an environment, of a user, of a target.
-    return [Path(str(file.locate())) for file in files if _is_script(file)]
-
-
-def _is_script(file: PurePath) -> bool:
-    return file.suffix == ".py" and file.parts[-5:-2] == INSTALLED
+    found = (file for file in files if file.suffix == ".py" and file.parts[-5:-2] == INSTALLED)
+    return [Path(str(file.locate())) for file in found]
 
 
 def title(path: Path) -> str:

@@ -8,7 +8,7 @@ from tqdm import tqdm
 
 from odak.cli import files, report
 from odak.cli.job import image_path
-from odak.cli.options import InputError
+from odak.cli.options import refusing
 from odak.cli.report import about, decibels, find_device
 from odak.cli.settings import MetamerSettings
 from odak.cli.target import read_picture
@@ -69,17 +69,16 @@ def run(job: MetamerSettings, notices: files.Notices = files.SILENT) -> dict[str
     with tqdm(total=STAGES + evaluations, desc="metamer", unit="step", disable=job.quiet) as bar:
         pooling = make_pooling_size_map_pixels(None, picture.shape[-2:], **view)
         bar.update()
-        try:
+        rows, columns = picture.shape[-2:]
+        told = (
+            f"IMAGE of {rows} x {columns} pixels is too small for --levels {job.levels}: each level halves the size, "
+            "and the last one must be larger than a neighbourhood of its statistics; use fewer levels"
+        )
+        with refusing(lambda _: told, ValueError):
             maker = MetamerMSELoss(device, **view, **bands)
             metamer = maker.gen_metamer(picture, None, job.seed, job.iterations, bar.update)
-        except ValueError:
-            rows, columns = picture.shape[-2:]
-            raise InputError(
-                f"IMAGE of {rows} x {columns} pixels is too small for --levels {job.levels}: each level halves the "
-                "size, and the last one must be larger than a neighbourhood of its statistics; use fewer levels"
-            ) from None
         bar.update()
-        metamer = _quantised(metamer.clamp(0, 1))
+        metamer = torch.round(metamer.clamp(0, 1) * 255) / 255
         error = float(((metamer - picture).double() ** 2).mean())
         noise = torch.randn(picture.shape, generator=torch.Generator().manual_seed(job.seed)).to(picture)
         loss = MetamericLoss(device, **view, **bands, use_l2_foveal_loss=False)
@@ -109,11 +108,6 @@ def _texture_distance(shown, picture, pooling):
         for whole in (shown.clamp(0, 1), picture)
     )
     return sum(float((one[name] - two[name]).square().mean()) for name in one)
-
-
-def _quantised(picture):
-    """Return a picture rounded to the levels of an 8-bit file."""
-    return torch.round(picture * 255) / 255
 
 
 def _write(folder, picture, metamer, pooling, width) -> None:

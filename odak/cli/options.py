@@ -101,16 +101,12 @@ def positive(name: str, value: Any) -> None:
 
 def at_least(least: int) -> Callable[[str, Any], Any]:
     """Return a check for integers from the least one."""
-    return lambda name, value: _validate.integer(name, value, minimum=least)
+    return partial(_validate.integer, minimum=least)
 
 
 def between(least: int, most: int) -> Callable[[str, Any], Any]:
     """Return a check for integers from the least to the largest one."""
-
-    def check(name: str, value: Any) -> None:
-        _validate.integer(name, value, minimum=least, most=most)
-
-    return check
+    return partial(_validate.integer, minimum=least, most=most)
 
 
 def up_to(largest: float) -> Callable[[str, Any], Any]:
@@ -262,10 +258,8 @@ def _usage_errors(parse: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """Return a parser whose errors typer reports as usage errors."""
 
     def parsed(text: Any) -> Any:
-        try:
+        with _validate.refusing("", ValueError, raised=typer.BadParameter):
             return parse(text) if isinstance(text, str) else text
-        except ValueError as error:
-            raise typer.BadParameter(str(error)) from None
 
     return parsed
 

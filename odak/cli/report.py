@@ -27,7 +27,7 @@ from tqdm import tqdm
 from odak._warnings import OdakWarning
 from odak.cli.files import response_of
 from odak.cli.job import Job
-from odak.cli.options import InputError
+from odak.cli.options import refusing
 from odak.cli.target import Target
 from odak.tools.file import file_depth
 
@@ -229,13 +229,11 @@ def find_device(name: str) -> torch.device:
 
     if name == "auto":
         return torch.device(get_device("auto"))
-    try:
+    told = f"--device must be a device of this machine ({', '.join(['auto', *map(str, devices())])}); got {name!r}"
+    with refusing(lambda _: told, RuntimeError, AssertionError):
         device = torch.device(name)
         torch.empty(1, device=device)
-    except (RuntimeError, AssertionError, NotImplementedError):
-        here = ", ".join(["auto", *map(str, devices())])
-        raise InputError(f"--device must be a device of this machine ({here}); got {name!r}") from None
-    return device
+        return device
 
 
 def describe_machine() -> list[tuple[str, str]]:

@@ -171,9 +171,7 @@ def checked_number(name: str, value: Any, least: float, most: float, unit: str =
         Whether it must be a whole number.
     """
     number = _validate.whole(name, value, minimum=-math.inf) if whole else float(_validate.number(name, value))
-    if not least <= number <= most:
-        raise ValueError(f"{name} must be from {least:g} to {most:g}{' ' * bool(unit)}{unit}, got {number!r}")
-    return number
+    return _validate.within(name, number, unit, least=least, most=most)
 
 
 def checked_array(

@@ -170,14 +170,8 @@ def _checked(values: Mapping[str, Any]) -> Calibration:
         _checked_registration(values, doubts.get("registration", 0.0)),
         regional,
         doubts,
-        _checked_unmodulated(values.get("unmodulated", (0.0, 0.0))),
+        complex(*checked_array("unmodulated", values.get("unmodulated", (0.0, 0.0)), (2,), -1, 1)),
     )
-
-
-def _checked_unmodulated(parts: Any) -> complex:
-    """Return the unmodulated light, of which files of earlier versions know nothing."""
-    real, imaginary = checked_array("unmodulated", parts, (2,), -1, 1)
-    return complex(real, imaginary)
 
 
 def _checked_path(values: Mapping[str, Any]) -> float | Lens:

@@ -34,14 +34,12 @@ class RemoteInstrument:
     def _ask(self, what: str, *given: Any) -> Any:
         """Return what the holder of the instrument answers."""
         place = f"the instrument {self.driver!r} at {self.address}"
-        try:
+        ended = f"{place} is closed, or its worker has ended"
+        late = f"{place} has not answered within {self._timeout:g} s"
+        with _validate.refusing(lambda _: ended, RuntimeError, raised=ConnectionError):
             asked = getattr(self._held, what)
-        except RuntimeError as error:
-            raise ConnectionError(f"{place} is closed, or its worker has ended") from error
-        try:
+        with _validate.refusing(lambda _: late, TimeoutError, raised=TimeoutError):
             return asked(*given).result(timeout=self._timeout)
-        except TimeoutError as error:
-            raise TimeoutError(f"{place} has not answered within {self._timeout:g} s") from error
 
     def close(self) -> None:
         """Close the instrument and the connection."""

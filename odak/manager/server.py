@@ -387,9 +387,8 @@ def make_certificates(folder: str | os.PathLike[str], days: int = 365) -> Path:
     existing = [name for name in _CERTIFICATES if (folder / name).exists()]
     if existing:
         raise ValueError(f"folder {str(folder)!r} holds {', '.join(existing)} already; certificates are not replaced")
-    if importlib.util.find_spec("cryptography") is None:
-        raise ImportError("make_certificates needs the package cryptography: pip install cryptography")
-    from cryptography import x509
+    told = "make_certificates needs the package cryptography: pip install cryptography"
+    x509 = _validate.optional("cryptography.x509", told)
     from cryptography.hazmat.primitives import hashes, serialization
     from cryptography.hazmat.primitives.asymmetric import ec
     from cryptography.x509.oid import NameOID

@@ -210,10 +210,8 @@ def write_mesh(filename: str, vertices: np.ndarray, faces: np.ndarray, text: boo
     for i, axis in enumerate("xyz"):
         corners[axis] = vertices[:, i]
     colours = [(name, "u1") for name in ("red", "green", "blue")]
-    sides = np.empty(len(faces), dtype=[("vertex_indices", "i4", (3,)), *colours])
+    sides = np.full(len(faces), 255, dtype=[("vertex_indices", "i4", (3,)), *colours])
     sides["vertex_indices"] = faces
-    for name, _ in colours:
-        sides[name] = 255
     write_elements(os.path.expanduser(filename), corners, sides, text)
 
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from odak import _validate
+
 _HEADER, _ENTRY = 128, 12
 
 
@@ -60,11 +62,10 @@ def profile_of(content: bytes) -> MatrixProfile | None:
     """
     from PIL import ImageCms
 
-    try:
+    broken = (ImageCms.PyCMSError, OSError, struct.error, ValueError)
+    with _validate.refusing("the colour profile in the file cannot be used: ", *broken):
         opened = ImageCms.ImageCmsProfile(io.BytesIO(content)).profile
         return _parsed(content, opened.profile_description or "unnamed")
-    except (ImageCms.PyCMSError, OSError, struct.error, ValueError) as error:
-        raise ValueError(f"the colour profile in the file cannot be used ({error})") from error
 
 
 def _parsed(content: bytes, description: str) -> MatrixProfile | None:

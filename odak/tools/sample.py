@@ -387,16 +387,8 @@ def circular_uniform_sample(
     counts = rim * np.arange(rings) // rings
     ring = np.repeat(np.arange(rings), counts)
     step = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    return _placed(
-        _on_disc(ring / rings, step * rings / (rim * ring)),
-        radius,
-        1,
-        center,
-        angles,
-        xp=xp,
-        device=device,
-        dtype=dtype,
-    )
+    points = _on_disc(ring / rings, step * rings / (rim * ring))
+    return _placed(points, radius, 1, center, angles, xp=xp, device=device, dtype=dtype)
 
 
 def grid_sample(

@@ -345,7 +345,7 @@ def _reason(error: Exception) -> str:
         return f"it calls for {found[1]}, and no code of a file is run"
     if isinstance(error, pickle.UnpicklingError):
         return "it is not one of torch's, or its pickle is broken"
-    return (str(error) or type(error).__name__).splitlines()[0]
+    return first_line(error)
 
 
 def _refuse_odd_content(value, limit: int, meta: bool) -> None:

@@ -358,10 +358,8 @@ def read_checkpoint(path: str | os.PathLike[str], about: dict[str, Any], kind: s
         If the file is broken, would run code, or is not of such a run.
     """
     name = repr(os.fspath(path))
-    try:
+    with _validate.refusing(lambda text: f"checkpoint {name} cannot be read: {text.splitlines()[0]}", Exception):
         state = read_torch_file(path, torch.device("cpu"))
-    except Exception as error:
-        raise ValueError(f"checkpoint {name} cannot be read: {first_line(error)}") from error
     if not isinstance(state, dict) or not {"about", *_PARTS} <= set(state):
         raise ValueError(f"checkpoint {name} is not one of {kind}")
     before = state["about"]

@@ -9,8 +9,7 @@ from odak import _validate
 from odak._bars import tqdm
 from odak._torch_private import differentiates
 from odak.learn._tensors import floating, trainable
-from odak.learn.tools.file import torch_load
-from odak.tools.paths import replacing, validate_path
+from odak.learn.tools.file import save_torch_tensor, torch_load
 
 
 def freeze(model: torch.nn.Module) -> None:
@@ -60,9 +59,6 @@ def unfreeze(model: torch.nn.Module) -> None:
 def _module(model):
     _validate.instance("model", model, torch.nn.Module, "a torch.nn.Module")
     return model
-
-
-_EXTENSIONS = (".pt", ".pth", ".pkl")
 
 
 class multi_layer_perceptron(torch.nn.Module):
@@ -194,8 +190,7 @@ class multi_layer_perceptron(torch.nn.Module):
         filename : str or path-like
             Path of the file, default "./weights.pt".
         """
-        with replacing(validate_path(filename, _EXTENSIONS)) as stream:
-            torch.save(self.state_dict(), stream)
+        save_torch_tensor(filename, self.state_dict())
 
     def load_weights(self, filename: str | os.PathLike[str] = "./weights.pt") -> None:
         """Read the weights from a file of :meth:`save_weights`; a file that would run code is refused.
