@@ -888,7 +888,7 @@ def test_distances_jitter_as_in_the_older_display(random):
 
 def test_a_hologram_that_bears_misplacement(disc, tmp_path):
     """By a seed the same each time, also by a run that is taken up and in parts; off its plane it loses less."""
-    panel, run = Modulator(disc.shape, PITCH), Run(iterations=12, progress=False, seed=3)
+    panel, run = Modulator(disc.shape, PITCH), Run(iterations=8, progress=False, seed=3)
     bearing, plain = (Display(panel, WAVELENGTH, Free(6e-3, jitter=j)) for j in (4e-4, 0.0))
     found, again, other = (optimise(d, disc, solver="adam", run=run) for d in (bearing, bearing, plain))
     assert torch.equal(found.phases, again.phases) and bearing.fingerprint() != plain.fingerprint()
@@ -898,7 +898,7 @@ def test_a_hologram_that_bears_misplacement(disc, tmp_path):
         image = off.judge(hologram.phases)[0][0, 0]
         errors.append((image * ((image * disc).sum() / image.square().sum()) - disc).square().mean())
     assert errors[0] < 0.8 * errors[1]
-    kept = replace(run, checkpoint=tmp_path / "run.pt", callback=lambda i, _: i == 5)
+    kept = replace(run, checkpoint=tmp_path / "run.pt", callback=lambda i, _: i == 3)
     optimise(bearing, disc, solver="adam", run=kept)
     assert torch.equal(optimise(bearing, disc, solver="adam", run=replace(kept, callback=None)).phases, found.phases)
     few = replace(run, iterations=3)

@@ -667,6 +667,7 @@ def test_rays_that_cannot_be_aimed_are_not_looked_for_again(monkeypatch):
     traced = []
     monkeypatch.setattr(pupils, "trace", lambda *a, **b: (traced.append(1), trace(*a, **b))[1])
     lens, points = wide("160"), pupil_samples("y", 5) * 40
+    lens.fields = ((0.0, 50.0),)
     pupils._CHIEF_RAYS.clear()
     first = launch(lens, points, aim="real")
     counted = len(traced)
