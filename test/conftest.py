@@ -1,5 +1,6 @@
 import functools
 import gc
+import logging
 import os
 import time
 from pathlib import Path
@@ -112,6 +113,31 @@ def _fresh_state():
     yield
     if torch.get_num_threads() != threads:
         torch.set_num_threads(threads)
+
+
+class Logged(logging.Handler):
+    """Keeps what is logged."""
+
+    def __init__(self):
+        super().__init__()
+        self.records = []
+        self.emit = self.records.append
+
+    @property
+    def text(self):
+        return "\n".join(record.getMessage() for record in self.records)
+
+
+@pytest.fixture
+def logged():
+    """Records of the package, at all levels; the plugin of pytest, which is off, seeks all loggers each time."""
+    logger, handler = logging.getLogger("odak"), Logged()
+    before = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.DEBUG)
+    yield handler
+    logger.setLevel(before)
+    logger.removeHandler(handler)
 
 
 @pytest.fixture

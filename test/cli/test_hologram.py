@@ -198,7 +198,7 @@ def drawn_areas(phase, samples, fill):
         for n, count in zip(samples, phase.shape, strict=True)
     ]
     drawn = np.kron(np.exp(1j * phase), np.ones(samples)) * line[0][:, None] * line[1]
-    fy, fx = (np.fft.fftfreq(4 * n, 0.8e-6) for n in drawn.shape)
+    fy, fx = (np.fft.fftfreq(2 * n, 0.8e-6) for n in drawn.shape)
     kernel = np.exp(2j * np.pi * 3e-3 * np.sqrt(1 / 532e-9**2 - fx**2 - fy[:, None] ** 2))
     for frequency, count in ((fy[:, None], samples[0]), (fx, samples[1])):
         kernel = kernel * order(frequency, count * 0.8e-6)

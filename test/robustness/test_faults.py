@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import torch
 from faults import STAGES, WRITERS
+from PIL import Image
 
 from odak import ConvergenceWarning, instruments, tools
 from odak.cli import main
@@ -208,9 +209,12 @@ class TestInterrupted:
         resumed = faults.RUNS[run](path)
         assert all(torch.equal(one, other) for one, other in zip(unbroken, resumed, strict=True))
 
+    @pytest.mark.usefixtures("small_judge")
     def test_the_command_says_so_and_writes_the_best_so_far(self, tmp_path, monkeypatch):
         from odak.cli.report import Clock
 
+        picture = tmp_path / "picture.png"
+        Image.fromarray(np.tile(np.arange(48, dtype=np.uint8), (32, 1)) * 5).save(picture)
         tick = Clock.tick
 
         def interrupted(clock, *arguments):
@@ -222,7 +226,7 @@ class TestInterrupted:
         options = ["--resolution", "32", "48", "--distance", "3e-3", "--iterations", "5", "--device", "cpu", "--quiet"]
         for method in ("sgd", "gs", "multi-color"):
             place = tmp_path / method
-            assert main(["hologram", "photo", *options, "--method", method, "--output", str(place)]) == 130
+            assert main(["hologram", str(picture), *options, "--method", method, "--output", str(place)]) == 130
             report = json.loads((place / "report.json").read_text())
             assert report["interrupted"] and report["fingerprint"] == ""
             assert all((place / name).is_file() for name in report["pattern"]["files"])

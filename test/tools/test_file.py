@@ -83,7 +83,7 @@ class TestPaths:
 
 
 class TestCommands:
-    def test_known_and_unknown_programs_pass(self, caplog):
+    def test_known_and_unknown_programs_pass(self, logged):
         command = ["blender", "-b", "scene.blend"]
         result = files.validate_shell_command(command)
         assert result == command
@@ -91,7 +91,7 @@ class TestCommands:
         files.validate_shell_command(["custom_tool", "--help"])
         files.validate_shell_command(["/opt/strange"])
         # The log of odak alone: threads of other packages, which earlier tests started, may write to theirs.
-        said = [record.args[0] for record in caplog.records if record.name.startswith("odak")]
+        said = [record.args[0] for record in logged.records if record.name.startswith("odak")]
         assert said == ["custom_tool", "/opt/strange"]
 
     @pytest.mark.parametrize("character", [";", "|", "&", "`", "$(", "${", ">", "<", "'", '"'])

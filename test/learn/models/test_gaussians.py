@@ -1,6 +1,5 @@
 """Flat Gaussians against their formula, their sum and its gradients, files, and the fit of a picture."""
 
-import logging
 import math
 import os
 import pickle
@@ -181,15 +180,14 @@ def test_memory_does_not_hold_all_pairs():
     assert max(kept) <= 6 * 3000
 
 
-def test_files(tmp_path, caplog):
+def test_files(tmp_path, logged):
     model, other = gaussians_2d(6), gaussians_2d(6)
     assert model.total_params == 36
     assert list(model.state_dict()) == [f"model.{name}" for name in ("widths", "offsets", "rotations", "alphas")]
     path = tmp_path / "weights.pt"
-    with caplog.at_level(logging.INFO, "odak"):
-        model.save_weights(path)
-        other.load_weights(str(path))
-    assert caplog.text.count(str(path)) == 2
+    model.save_weights(path)
+    other.load_weights(str(path))
+    assert logged.text.count(str(path)) == 2
     assert not other.training
     for name, value in model.state_dict().items():
         assert torch.equal(other.state_dict()[name], value)

@@ -89,7 +89,7 @@ def test_a_finished_run_is_not_run_again(start, tmp_path):
     assert calls == []
 
 
-def test_interruption_gives_the_best_so_far(start, caplog):
+def test_interruption_gives_the_best_so_far(start, logged):
     # A loss that rises from the sixth step on: the best parameters are those that gave the sixth loss.
     seen = []
 
@@ -97,11 +97,10 @@ def test_interruption_gives_the_best_so_far(start, caplog):
         seen.append(parameter.detach().clone())
         return parameter.sum() * (1 if iteration < 6 else 0) + (100.0 * iteration if iteration > 5 else 0)
 
-    with caplog.at_level("WARNING", "odak"):
-        best, ended = run(start, loss_of=loss_of, callback=interrupt_at(9))
+    best, ended = run(start, loss_of=loss_of, callback=interrupt_at(9))
     assert not ended
     assert torch.equal(best, seen[5])
-    assert "interrupted after 10 of 20" in caplog.text
+    assert "interrupted after 10 of 20" in logged.text
 
 
 def test_interruption_within_iteration_leaves_whole_parameters(start, tmp_path):

@@ -1,7 +1,6 @@
 """How Blender is found and run, with programs in its place that only pretend; and how the driver reads files."""
 
 import importlib.util
-import logging
 import os
 import re
 import stat
@@ -133,14 +132,14 @@ def test_commands_open_no_window_and_run_nobody_elses_settings(monkeypatch):
     assert blender.Blender("python", sys.executable).environment()["PYTHONPATH"] == "/somewhere"
 
 
-def test_file_appears_whole_and_progress_is_logged(program, picture, tmp_path, caplog):
+def test_file_appears_whole_and_progress_is_logged(program, picture, tmp_path, logged):
     body = 'echo "Mem: 1M | Sample 3/4"; echo "odak: the CPU renders"; printf content > "$last"'
     warns = pytest.warns(DeviceWarning, match="Blender: the CPU renders")
-    with caplog.at_level(logging.DEBUG, logger="odak"), warns:
+    with warns:
         path = picture.render(tmp_path / "a.png", blender=program("blender", body), verbose=False)
     assert (tmp_path / "a.png").read_text() == "content"
     assert path == str(tmp_path / "a.png")
-    levels = {record.getMessage(): record.levelname for record in caplog.records}
+    levels = {record.getMessage(): record.levelname for record in logged.records}
     assert levels["Blender: Mem: 1M | Sample 3/4"] == "DEBUG"
     (called,) = [text for text in levels if "arguments:" in text]
     assert "--background --factory-startup --python-exit-code 1 --python" in called

@@ -1,6 +1,5 @@
 """Choices with a gradient; flat complex Gaussians: parameters, fields against the double sum, files, a hologram."""
 
-import logging
 import math
 import os
 import pickle
@@ -229,14 +228,13 @@ def test_a_gaussian_is_a_gaussian_beam():
 
 
 @pytest.mark.parametrize("extension", ["pth", "pt"])
-def test_files(tmp_path, caplog, extension):
+def test_files(tmp_path, logged, extension):
     model, path = gaussians(5, merge_opacity=True), tmp_path / f"g.{extension}"
     other = gaussians(5, seed=1)
     means = other.means_2d
-    with caplog.at_level(logging.INFO, "odak"):
-        model.save_gaussians(path)
-        other.load_gaussians(path)
-    assert caplog.text.count(str(path)) == 2
+    model.save_gaussians(path)
+    other.load_gaussians(path)
+    assert logged.text.count(str(path)) == 2
     assert other.means_2d is means
     assert other.merge_opacity
     for name in NAMES:
