@@ -207,7 +207,7 @@ def found():
     picture = torch.rand(4, 5, generator=torch.Generator().manual_seed(1)).kron(torch.ones(8, 8))
     depth = torch.full(size, 0.103)
     depth[8:24, 12:28] = 0.098
-    scene, run = DepthScene(0.1 + 0.9 * picture, depth), Run(25, progress=False, seed=0)
+    scene, run = DepthScene(0.1 + 0.9 * picture, depth), Run(16, progress=False, seed=0)
     panel = Modulator(size, PITCH, None)
     eyes = Eyes.within(DISTANCE, 2e-3, 9, 2e-3)
     # What the judge states of them is not looked at.
