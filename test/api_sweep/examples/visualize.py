@@ -91,7 +91,7 @@ BY_NAME = {
         "host": "127.0.0.1",
         "trusted_network": False,
     },
-    "odak.visualize.Exploration": {"values": {"x": (1, 2)}, "frames": [b"one", b"two"]},
+    "odak.visualize.Exploration": {"values": {"x": (1, 2)}, "frames": [b"\x89PNG".ljust(24, b"\1")] * 2},
     "odak.visualize.PLY_object": {"color": [255, 0, 0]},
     "odak.visualize.blender": {
         "center": [0.0, 1.0, 2.0],
