@@ -27,7 +27,7 @@ from odak.catalog.materials import (  # noqa: F401
 )
 from odak.learn.raytracing.system.films import PolarizingFilm
 from odak.learn.raytracing.system.paraxial import entrance_pupil, first_order
-from odak.learn.raytracing.system.pupils import at_stop, through_places, trace_fields
+from odak.learn.raytracing.system.pupils import _continuation, _solve, at_stop, through_places, trace_fields
 from odak.learn.raytracing.system.specification import AIR, PARTS, SystemAperture, plain
 from odak.learn.raytracing.system.surfaces import (
     Coating,
@@ -418,8 +418,6 @@ def _known(where: str, entry, keys) -> None:
 
 # Distance in millimetres beyond which an object given by angles is treated as infinitely far.
 FAR = 1e8
-# Steps of Newton's method, in radians and in radii of the pupil, after which a chief ray is found.
-ON_THE_WAY, AT_THE_END = 1e-3, 1e-6
 # How far beyond the range of a glass a file may use it.
 MAXIMUM_STRETCH = 1.5
 _MARKS = ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"), (codecs.BOM_UTF8, "utf-8-sig"))
@@ -834,19 +832,14 @@ def fields_of_image_heights(
         return tuple((0.0, 0.0) for _ in points)
     found = size / abs(scale)
     unit = wanted / torch.where(size > 0, size, 1.0)[:, None]
-    if real:
-        with torch.no_grad():
-            met = torch.zeros_like(size, dtype=torch.bool)
-            if aim == "paraxial":
-                found, met = _by_secants(system, found, size, unit, scale)
-            found = found * math.copysign(1.0, scale)
-            ways: dict[tuple, Any] = {}
-            for i in sorted((~met & (size > 0)).nonzero().flatten().tolist(), key=lambda i: float(size[i])):
-                # Fields of one direction go on from the one before.
-                direction = tuple(unit[i].tolist())
-                found[i], ways[direction] = _from_axis(system, float(size[i]), unit[i], ways.get(direction), notes)
-    else:
+    met = torch.full_like(size, not real, dtype=torch.bool) | (size == 0)
+    with torch.no_grad():
+        if real and aim == "paraxial":
+            found, arrived = _by_secants(system, found, size, unit, scale)
+            met = met | arrived
         found = found * math.copysign(1.0, scale)
+        if not bool(met.all()):
+            found[~met] = _from_axis(system, size[~met], unit[~met], scale, notes)
     return tuple((float(a) + 0.0, float(b) + 0.0) for a, b in _as_fields(system, found[:, None] * unit))
 
 
@@ -871,74 +864,60 @@ def _by_secants(system, found, size, unit, scale: float) -> tuple[torch.Tensor, 
     return torch.where(met | (size == 0), found.nan_to_num(), 0.0), met
 
 
-def _from_axis(system, size: float, unit, way: Any, notes: list | None) -> tuple[float, tuple]:
-    """Return the tangent or height of the field whose chief ray lands at a distance from the axis, and the way to it.
+def _from_axis(system, size, unit, scale: float, notes: list | None) -> torch.Tensor:
+    """Return the tangents or heights of fields whose chief rays land at real heights.
 
-    Fields are continued from the axis in steps of adaptive length: for each, Newton's method finds the field and the
-    place in the entrance pupil at which a ray passes the centre of the stop and lands at the distance. The farthest
-    field is taken, and noted, where the distance is out of reach.
+    Field and place in the pupil are solved for together, so that the ray meets both its height and the centre of the
+    stop: from the paraxial field, or followed from the axis outwards. A height out of reach becomes the farthest field
+    from which a ray arrives, which the notes say.
     """
+    # Fields by the paraxial one: as angles, which stay finite, where the object is at infinity.
+    whole = (torch.atan(size / abs(scale)) if system.at_infinity else size / abs(scale))[:, None]
+    start, step, one = torch.zeros_like(whole), torch.full((), 1e-6).to(whole), torch.ones(()).to(whole)
+    errors = _misses_of_heights(system, size, unit, whole)
+    share, _, met = _solve(errors, start + math.copysign(1.0, scale), start, step, one, *_goals(1 + start))
+    for i in (~met).nonzero()[:, 0].tolist():
+        row = slice(i, i + 1)
+        errors = _misses_of_heights(system, size[row], unit[row], whole[row])
+        share[row], _, met, there = _continuation(errors, start[row], start[row], step, one, _goals)
+        if notes is not None and not bool(met):
+            far = float(whole[i, 0] * share[i, 0])
+            where = f"{math.degrees(far):.4g} degrees" if system.at_infinity else f"{far:.4g} mm"
+            notes.append(
+                f"a field by real image height, {float(size[i]):g} mm, is out of reach: chief rays arrive up to "
+                f"{float(there * size[i]):.4g} mm, from {where}, which is taken"
+            )
+    field = (whole * share)[:, 0]
+    return torch.tan(field) if system.at_infinity else field
+
+
+def _goals(share: torch.Tensor) -> tuple[torch.Tensor]:
+    """Return where rays are to meet, as shares of the heights and of the radius of the stop: at its centre."""
+    return (torch.stack([share, 0 * share], -1),)
+
+
+def _misses_of_heights(system, size, unit, whole) -> Callable[..., Any]:
+    """Return the function that gives how far chief rays miss their goals, of shares of fields and of places."""
     numbers = system.prescription().at(system.reference)
     pupil = entrance_pupil(system, prescription=numbers)
-    reach, radius = float(pupil.reach), float(pupil.stop_radius)
 
-    def errors(field, place, distance):
-        """Return the misses at the stop and in the image of rays of fields, angles or heights, through the pupil."""
-        points = (torch.rad2deg(field) if system.at_infinity else field)[:, None] * unit
-        across = (pupil.middle[i] + reach * place[:, None] * unit[i] for i in range(2))
-        rays = through_places(system, points[:, None], pupil, *across)
-        x, y, kept = at_stop(system, numbers, rays)
+    def errors(share, place, goals):
+        field = whole * share
+        exists = field.abs() < (1.56 if system.at_infinity else math.inf)
+        field = torch.where(exists, torch.rad2deg(field) if system.at_infinity else field, 0.0).reshape(-1, 1)
+        ways = unit[:, None].expand(*share.shape, 2).reshape(-1, 2)
+        across = (pupil.middle[i] + pupil.reach * place.reshape(-1, 1) * ways[:, i, None] for i in range(2))
+        rays = through_places(system, (field * ways)[:, None], pupil, *across)
+        *stop, kept = at_stop(system, numbers, rays)
         image = trace(system, rays, prescription=numbers, vignetting=False)
-        stop = (x * unit[0] + y * unit[1]) / radius
-        miss = (image.x * unit[0] + image.y * unit[1] - distance) / size
-        held = kept.reshape(-1) & image.arrived.reshape(-1)
-        return torch.stack([torch.where(held, value.reshape(-1), torch.nan) for value in (stop, miss)])
-
-    def solved(start, distance, close):
-        """Return the field and the place in the pupil, None where rays are lost on the way.
-
-        A step shorter than `close` is the last one: what it leaves is of the order of its square, and of a millionth of
-        it by the differences that the Jacobian is taken from.
-        """
-        here = start
-        for _ in range(8):
-            if system.at_infinity and not float(here[0].abs()) < 1.56:
-                return None
-            width = 1e-6 * torch.stack([here[0].abs().clamp(min=1e-3), torch.ones_like(here[1])])
-            found = errors(*(here[:, None] + torch.nn.functional.pad(torch.diag(width), (1, 0))), distance)
-            jacobian = (found[:, 1:] - found[:, :1]) / width
-            if not bool(torch.isfinite(jacobian).all()) or not bool(torch.linalg.det(jacobian)):
-                return None
-            change = torch.linalg.solve(jacobian, found[:, 0])
-            if not float(change.abs().max()) < 10:
-                return None
-            here = here - change
-            if float(change.abs().max()) < close:
-                return here
-        return None
-
-    here, share, step = torch.zeros(2, dtype=torch.float64), 0.0, 1.0
-    if way is None:
-        near = solved(here, 1e-3 * size, ON_THE_WAY)
-        way = here, 0.0, None if near is None else near / (1e-3 * size)
-    here, share, rate = way[0], way[1] / size, None if way[2] is None else way[2] * size
-    while rate is not None and share < 1 and step > 2e-3:
-        target = min(1.0, share + step)
-        found = solved(here + rate * (target - share), target * size, ON_THE_WAY if target < 1 else AT_THE_END)
-        outwards = found is not None and float(found[0].abs()) > float(here[0].abs())
-        if found is None or not outwards:
-            step = (target - share) / 2
-            continue
-        rate = (found - here) / (target - share)
-        here, share, step = found, target, 1.3 * step
-    if notes is not None and share < 1:
-        where = f"{math.degrees(float(here[0])):.4g} degrees" if system.at_infinity else f"{float(here[0]):.4g} mm"
-        notes.append(
-            f"a field by real image height, {size:g} mm, is out of reach: chief rays arrive up to "
-            f"{share * size:.4g} mm, from {where}, which is taken"
+        height, off = (
+            (torch.stack([v.flatten() for v in met], -1) * ways).sum(-1).reshape(share.shape)
+            for met in ((image.x, image.y), stop)
         )
-    way = here, share * size, None if rate is None else rate / size
-    return math.tan(float(here[0])) if system.at_infinity else float(here[0]), way
+        held = exists & (kept & image.arrived).reshape(share.shape)
+        return height / size[:, None] - goals[..., 0], off / float(pupil.stop_radius) - goals[..., 1], held
+
+    return errors
 
 
 def _as_fields(system, tangents: torch.Tensor) -> torch.Tensor:
