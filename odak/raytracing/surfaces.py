@@ -298,8 +298,18 @@ class Toroid(Shape):
     coefficients: Numbers = ()
 
     def sag(self, x: Array, y: Array) -> Sag:
-        """Return height and derivatives at x, y; see :func:`toroid_sag`."""
-        return toroid_sag(x, y, self.curvature_x, self.curvature_y, self.conic, self.coefficients)
+        """Return height and derivatives at x, y."""
+        xp, bend = namespace(x, y), self.curvature_x
+        profile = even_asphere_sag(0 * x, y, self.curvature_y, self.conic, self.coefficients)
+        arm = 1 - bend * profile.height
+        inside = arm * arm - (bend * x) ** 2
+        defined = profile.defined & (inside > 0) & (arm > 0)
+        root = xp.where(defined, inside, 1.0) ** 0.5
+        # (1 − root)/c_x in a form that holds for c_x = 0.
+        rise = 2 * profile.height - bend * (profile.height * profile.height - x * x)
+        height = xp.where(defined, rise / (1 + root), 0.0)
+        slope_y = arm * profile.slope_y / root
+        return Sag(height, xp.where(defined, bend * x / root, 0.0), xp.where(defined, slope_y, 0.0), defined)
 
     def base(self) -> tuple[Any, ...]:
         """Return the mean curvature and the constant of a sphere."""
@@ -325,6 +335,11 @@ class SplineFreeform(Shape):
         Vertex curvature of the conic.
     conic : float or array
         Conic constant of the conic.
+
+    Notes
+    -----
+    The control points of the boundary are repeated outside it. de Boor, A Practical Guide to Splines (1978), chapter
+    IX.
 
     Examples
     --------
@@ -376,8 +391,25 @@ class SplineFreeform(Shape):
         return cls(values, [float(v) for v in _validate.several("size", size, 2)], curvature, conic)
 
     def sag(self, x: Array, y: Array) -> Sag:
-        """Return height and derivatives at x, y; see :func:`spline_sag`."""
-        return spline_sag(x, y, self.heights, self.size, self.curvature, self.conic)
+        """Return height and derivatives at x, y."""
+        xp: Any = namespace(x, y)
+        heights: Any = self.heights
+        base = conic_sag(x, y, self.curvature, self.conic)
+        n0, n1 = heights.shape[-2:]
+        (i, weight_x, slope_x), (j, weight_y, slope_y) = (
+            _spline_weights(value, extent, n)
+            for value, extent, n in zip((x, y), terms(self.size), (n0, n1), strict=True)
+        )
+        take = grid_reader(heights, x)
+        value = along_x = along_y = 0.0 * x
+        for a in range(4):
+            for b in range(4):
+                index = xp.clip(i + (a - 1), 0, n0 - 1) * n1 + xp.clip(j + (b - 1), 0, n1 - 1)
+                control = take(index)
+                value = value + control * weight_x[a] * weight_y[b]
+                along_x = along_x + control * slope_x[a] * weight_y[b]
+                along_y = along_y + control * weight_x[a] * slope_y[b]
+        return Sag(base.height + value, base.slope_x + along_x, base.slope_y + along_y, base.defined)
 
     def base(self) -> tuple[Any, ...]:
         """Return curvature and conic constant."""
@@ -793,31 +825,6 @@ def even_asphere_sag(
     return Sag(height, 2 * x * slope, 2 * y * slope, defined)
 
 
-def toroid_sag(
-    x: Array,
-    y: Array,
-    curvature_x: Amount = 0.0,
-    curvature_y: Amount = 0.0,
-    conic: Amount = 0.0,
-    coefficients: Numbers = (),
-) -> Sag:
-    """Return the height of a profile in y rotated about an axis parallel to y at z = 1/c_x.
-
-    The profile is a conic of curvature c_y and constant `conic` plus a1·y² + a2·y⁴ + …; c_x = 0 gives a cylinder.
-    """
-    xp = namespace(x, y)
-    profile = even_asphere_sag(0 * x, y, curvature_y, conic, coefficients)
-    arm = 1 - curvature_x * profile.height
-    inside = arm * arm - (curvature_x * x) ** 2
-    defined = profile.defined & (inside > 0) & (arm > 0)
-    root = xp.where(defined, inside, 1.0) ** 0.5
-    # (1 − root)/c_x in a form that holds for c_x = 0.
-    rise = 2 * profile.height - curvature_x * (profile.height * profile.height - x * x)
-    height = xp.where(defined, rise / (1 + root), 0.0)
-    slope_y = arm * profile.slope_y / root
-    return Sag(height, xp.where(defined, curvature_x * x / root, 0.0), xp.where(defined, slope_y, 0.0), defined)
-
-
 def zernike_sag(
     x: Array, y: Array, curvature: Amount = 0.0, conic: Amount = 0.0, coefficients: Numbers = (), radius: Amount = 1.0
 ) -> Sag:
@@ -835,31 +842,6 @@ def zernike_sag(
         slope_x = slope_x + coefficient * along_u / radius
         slope_y = slope_y + coefficient * along_v / radius
     return Sag(height, slope_x, slope_y, base.defined)
-
-
-def spline_sag(x: Any, y: Any, heights: Any, size: Any, curvature: Any = 0.0, conic: Any = 0.0) -> Sag:
-    """Return the conic's height plus a uniform cubic B-spline.
-
-    `heights` ``[..., n0, n1]`` are its control points, at x and y from −size/2 to size/2 (first axis x); the control
-    points of the boundary are repeated outside it. ``size`` holds the two extents. de Boor, A Practical Guide to
-    Splines (1978), chapter IX.
-    """
-    xp = namespace(x, y)
-    base = conic_sag(x, y, curvature, conic)
-    n0, n1 = heights.shape[-2:]
-    (i, weight_x, slope_x), (j, weight_y, slope_y) = (
-        _spline_weights(value, extent, n) for value, extent, n in zip((x, y), terms(size), (n0, n1), strict=True)
-    )
-    take = grid_reader(heights, x)
-    value = along_x = along_y = 0.0 * x
-    for a in range(4):
-        for b in range(4):
-            index = xp.clip(i + (a - 1), 0, n0 - 1) * n1 + xp.clip(j + (b - 1), 0, n1 - 1)
-            control = take(index)
-            value = value + control * weight_x[a] * weight_y[b]
-            along_x = along_x + control * slope_x[a] * weight_y[b]
-            along_y = along_y + control * weight_x[a] * slope_y[b]
-    return Sag(base.height + value, base.slope_x + along_x, base.slope_y + along_y, base.defined)
 
 
 def grid_reader(grid: Array, places: Array) -> Callable[..., Any]:

@@ -249,13 +249,13 @@ def test_spline_sag_is_scipys(random):
         place = (value / extent + 0.5) * (n - 1)
         basis.append(BSpline(knots, np.eye(n + 2), 3, extrapolate=False)(place))
     expected = np.einsum("ki,ij,kj->k", basis[0], padded, basis[1])
-    np.testing.assert_allclose(surfaces.spline_sag(x, y, control, (2.0, 4.0)).height, expected, atol=1e-13)
+    np.testing.assert_allclose(surfaces.SplineFreeform(control, (2.0, 4.0)).sag(x, y).height, expected, atol=1e-13)
 
 
 def test_toroid_contains_the_torus(random):
     # A circle of radius 4 in y about z = 4, turned about the axis z = 10.
     x, y = random.uniform(-2, 2, (2, 20))
-    z = surfaces.toroid_sag(x, y, 0.1, 0.25).height
+    z = surfaces.Toroid(0.1, 0.25).sag(x, y).height
     across = np.hypot(x, 10 - z) - 6
     np.testing.assert_allclose(np.hypot(across, y), 4, rtol=1e-13)
 

@@ -235,10 +235,10 @@ def _pupil_width(value):
     return _validate.constant("pupil_diameter", value, least=0.5, most=9, unit="millimetres")
 
 
-def _numbers(name, values):
+def _numbers(name, values, positive=False):
     """Return a sequence of numbers as floats."""
     try:
-        given = [_validate.constant(name, one) for one in values]
+        given = [_validate.constant(name, one, positive=positive) for one in values]
     except TypeError as error:
         raise TypeError(f"{name} must be a number or a sequence of numbers, got {values!r:.80}") from error
     if not given:
@@ -247,12 +247,8 @@ def _numbers(name, values):
 
 
 def _wavelengths(values):
-    values = [values] if isinstance(values, (int, float)) else values
-    try:
-        given = [_validate.constant("wavelengths", value, positive=True) for value in values]
-    except TypeError as error:
-        raise TypeError(f"wavelengths must be numbers in metres, got {values!r:.80}") from error
-    if not given or any(not RANGE[0] * 1e-6 <= value <= RANGE[1] * 1e-6 for value in given):
+    given = _numbers("wavelengths", [values] if isinstance(values, (int, float)) else values, positive=True)
+    if any(not RANGE[0] * 1e-6 <= value <= RANGE[1] * 1e-6 for value in given):
         raise ValueError(f"wavelengths must be 365e-9 to 1014e-9 metres, got {given}")
     return given
 

@@ -531,10 +531,7 @@ def sensitivity(
     >>> found.names[2:], tuple(found.merit.shape)
     (('tilt of surface 2 about x', 'tilt of surface 2 about y'), (2, 4, 3))
     """
-    nominal = checked_system(system).prescription()
-    merit = rms_spot if merit is None else _validate.function("merit", merit)
-    _validate.integer("iterations", iterations, minimum=1)
-    compensators = _checked_compensators(compensators)
+    nominal, evaluated = _evaluation(system, merit, compensators, iterations)
     items = _checked_perturbations(perturbations, len(system.surfaces))
     names, cells = [], []
     for number, (item, places) in enumerate(items):
@@ -553,13 +550,7 @@ def sensitivity(
     for row, (number, held, axis) in enumerate(cells):
         size = float(items[number][0].size)
         draws[number][row, held, axis], draws[number][row + len(names), held, axis] = size, -size
-    numbers = _deviated(system, nominal, items, draws, samples)
-    if len(compensators):
-        one = perturbed(system, nominal, [], 1, 0)
-        found, _ = _after_compensation(system, numbers, compensators, merit, iterations)
-        drawn = _after_compensation(system, one, compensators, merit, iterations)[0][0]
-    else:
-        found, drawn = merit(system, prescription=numbers), merit(system, prescription=nominal)
+    found, drawn, _ = evaluated(_deviated(system, nominal, items, draws, samples))
     return Sensitivity(tuple(names), found.reshape(2, len(names), *found.shape[1:]), drawn)
 
 
@@ -620,17 +611,8 @@ def tolerance(
     (10, 3)
     """
     samples = _validate.integer("samples", samples, minimum=1)
-    nominal = checked_system(system).prescription()
-    merit = rms_spot if merit is None else _validate.function("merit", merit)
-    _validate.integer("iterations", iterations, minimum=1)
-    compensators = _checked_compensators(compensators)
-    numbers = perturbed(system, nominal, perturbations, samples, seed)
-    if len(compensators):
-        one = perturbed(system, nominal, [], 1, seed)
-        drawn = _after_compensation(system, one, compensators, merit, iterations)[0][0]
-        found, numbers = _after_compensation(system, numbers, compensators, merit, iterations)
-        return ToleranceResult(found, drawn, numbers)
-    return ToleranceResult(merit(system, prescription=numbers), merit(system, prescription=nominal), numbers)
+    nominal, evaluated = _evaluation(system, merit, compensators, iterations)
+    return ToleranceResult(*evaluated(perturbed(system, nominal, perturbations, samples, seed)))
 
 
 @takes_constants("limit")
@@ -796,12 +778,30 @@ def iso_10110_tolerances(system: optical_system) -> list[Perturbation]:
     return found
 
 
-def _after_compensation(system, numbers: Prescription, compensators, merit: Callable, iterations: int) -> tuple:
-    """Return the merits ``[N, …]`` and the prescriptions of a batch of systems, each after its compensation."""
-    if merit is rms_spot:
-        return _linearly_compensated(system, numbers, _entries(system, compensators), iterations)
-    numbers = compensated(system, numbers, compensators, merit, iterations)
-    return merit(system, prescription=numbers), numbers
+def _evaluation(system, merit: Any, compensators: Any, iterations: int) -> tuple[Prescription, Callable[..., Any]]:
+    """Return the system's numbers, and the function that evaluates deviating ones after what compensates them.
+
+    It returns the merit of each system, that of the system as drawn, and the numbers after compensation.
+    """
+    nominal = checked_system(system).prescription()
+    merit = rms_spot if merit is None else _validate.function("merit", merit)
+    _validate.integer("iterations", iterations, minimum=1)
+    _validate.listed("compensators", compensators, "a sequence of pairs (name, surface)")
+    compensators = list(compensators)
+
+    def after(numbers: Prescription) -> tuple[Any, Prescription]:
+        if merit is rms_spot:
+            return _linearly_compensated(system, numbers, _entries(system, compensators), iterations)
+        numbers = compensated(system, numbers, compensators, merit, iterations)
+        return merit(system, prescription=numbers), numbers
+
+    def evaluated(numbers: Prescription) -> tuple[Any, Any, Prescription]:
+        if not compensators:
+            return merit(system, prescription=numbers), merit(system, prescription=nominal), numbers
+        found, numbers = after(numbers)
+        return found, after(perturbed(system, nominal, [], 1, 0))[0][0], numbers
+
+    return nominal, evaluated
 
 
 @torch.no_grad()
@@ -937,11 +937,6 @@ def _checked_perturbations(perturbations, count: int) -> list[tuple[Perturbation
         places = list(item.surfaces) if isinstance(item.surfaces, Iterable) else [item.surfaces]
         found.append((item, [_validate.place_in("surfaces of a perturbation", place, count) for place in places]))
     return found
-
-
-def _checked_compensators(compensators) -> list[Any]:
-    _validate.listed("compensators", compensators, "a sequence of pairs (name, surface)")
-    return list(compensators)
 
 
 def _axes_of(item: Perturbation) -> int:
