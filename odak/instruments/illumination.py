@@ -26,8 +26,9 @@ DEPTH, EVEN = 0.7, 0.013
 # Bits of cameras below which each pattern is captured at a second exposure, longer by a factor, because most speckles
 # are much darker than the brightest; and electrons of a full pixel, from which the weights follow.
 FEW_BITS, LONGER, WELL = 10, 8, 20_000.0
-# Root mean square of eight independent errors, about, that two of three are below, in units of their deviation.
-LARGER = 1.08
+# Root mean square of eight independent errors, about, that two of three are below, in units of their deviation: 1.08,
+# and as much again as patterns of one point have errors of the model in common, on independent tables.
+LARGER = 1.25
 # Half the width of the places that are evaluated, as a share of the width of a cell's light, and pixels of it at most.
 VIEW, WIDEST = 0.7, 24
 # Distance of the outermost points of a wide modulator from its edges, and of its points from one another, in units of
@@ -77,9 +78,9 @@ def measure_illumination(
     AccuracyWarning
         If parts of the modulator that send light to all points are darker than the polynomial, for example because of
         dust; or if the deviations of the captures from the model give an uncertainty of more than 0.013. The message
-        contains it: the root mean square over the pixels, by the scatter of the captures. The error exceeds it by up to
-        one half where a beam differs from the polynomial by as much as the scatter. Small specks of dust are not
-        detected (one of five simulated tables with three specks, with an error of 2 %).
+        contains it: the root mean square over the pixels, by the scatter of the captures. It does not contain how far a
+        beam is from the polynomial. Small specks of dust are not detected (one of five simulated tables with three
+        specks, with an error of 2 %).
 
     Examples
     --------
@@ -135,7 +136,7 @@ def illumination_with_uncertainty(
         surface = np.stack(
             [x**i * y**j for i, j in powers] + [squares, along**4 + across**4, np.sqrt(squares + 0.01)], axis=-1
         )
-        return parameters[0] / 2 + surface @ parameters[3:] + 1j * (parameters[1] * x + parameters[2] * y)
+        return parameters[0] / 2 + surface @ parameters[4:] + 1j * (parameters[1] * x + parameters[2] * y)
 
     def waves_of(part: _Speckles, parameters: np.ndarray) -> np.ndarray:
         return part.sizes * np.exp(logarithm(part, parameters, part.places)) * part.tilts
@@ -149,17 +150,21 @@ def illumination_with_uncertainty(
             )
             slopes.append(high - low)
             mean = mean * (1 + (low + high - 2 * middle) / 6)
-        tilts = _tilts(part.away, part.places, part.widths, np.stack(slopes, axis=-1))
+        tilts = _tilts(part.away, part.places, part.widths, modulator.pitch, np.stack(slopes, axis=-1))
         return part._replace(tilts=mean * part.envelope * tilts)
 
     def fields(part: _Speckles, parameters: np.ndarray) -> np.ndarray:
         return np.tensordot(1j**part.steps, waves_of(part, parameters), axes=(1, 2))
 
     def misfit(parameters: np.ndarray) -> np.ndarray:
-        seen = [(np.abs(fields(part, parameters)) ** 2).mean(-1) - part.seen for part in parts]
+        # What was taken for no light was little light.
+        darkest = parameters[3]
+        seen = [
+            (np.abs(fields(part, parameters)) ** 2).mean(-1) - darkest * part.seen.mean() - part.seen for part in parts
+        ]
         return np.concatenate([(s / part.noise).ravel() for s, part in zip(seen, parts, strict=True)])
 
-    start = np.zeros(3 + len(powers) + 3)
+    start = np.zeros(4 + len(powers) + 3)
     start[0] = math.log(
         sum(part.seen.mean() for part in parts) / sum((np.abs(fields(part, start)) ** 2).mean() for part in parts)
     )
@@ -185,7 +190,7 @@ def illumination_with_uncertainty(
     dark = np.where(whole & (deviation < -4 * sigma), -deviation, 0)
     y, x = (np.broadcast_to(axis / half, modulator.shape) for axis in pixel_axes(modulator))
     terms = np.stack([x**i * y**j for i, j in powers], axis=-1)
-    surface = terms @ fitted[3:-3]
+    surface = terms @ fitted[4:-3]
     largest = np.unravel_index(surface.argmax(), surface.shape)
     amplitude = np.exp(surface - surface[largest])
     # Errors of a pattern are correlated among the pixels of the camera: the scatter of fits that each leave out one
@@ -197,7 +202,7 @@ def illumination_with_uncertainty(
             np.linalg.pinv(normal - rows_of.T @ rows_of) @ (rows_of.T @ missed)
             for rows_of, missed in zip(np.split(fit.jac, ends), np.split(fit.fun, ends), strict=True)
         ]
-    )[:, 3:-3]
+    )[:, 4:-3]
     variance = (((terms - terms[largest]) @ changes.T) ** 2).sum(-1) * (1 - 1 / len(changes))
     uncertainty = LARGER * math.sqrt((amplitude**2 * variance).mean())
     reason = ""
@@ -256,10 +261,16 @@ class _Speckles(NamedTuple):
     """Wave of each cell at these points ``[pixels, 4, cells]``."""
 
 
-def _tilts(away: np.ndarray, places: np.ndarray, widths: np.ndarray, slopes: np.ndarray | float = 0.0) -> np.ndarray:
-    """Return the waves of cells whose amplitude changes by factors exp(slopes) along their widths."""
+def _tilts(
+    away: np.ndarray, places: np.ndarray, widths: np.ndarray, pitch: float, slopes: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """Return the waves of cells whose amplitude changes by factors exp(slopes) along their widths.
+
+    The mean wave of n points a pitch p apart is sinc(npf)/sinc(pf) at a frequency f.
+    """
     turns = away[..., None, :] * widths + 1j * slopes / (2 * np.pi)
-    return np.exp(-2j * np.pi * (away @ places.T)) * np.sinc(turns).prod(-1)
+    waves = np.exp(-2j * np.pi * (away @ places.T)) * np.sinc(turns).prod(-1)
+    return waves / np.sinc(pitch * away).prod(-1)[..., None]
 
 
 def _expose(table: OpticalTable, point: np.ndarray) -> None:
@@ -284,10 +295,9 @@ def _speckles(table: OpticalTable, point: np.ndarray, cell: np.ndarray, steps: n
         reaches = (np.abs(x - point[0]) < farthest) & (np.abs(y - point[1]) < farthest)
     rows, columns = np.indices(modulator.shape)
     lens = lens_phase(modulator, wavelength, distance, point) - table.wavefront
-    # The light of the other pixels is deflected by the largest angle.
-    shown = np.stack(
-        [nearest_levels(np.where(reaches, lens + turn, np.pi * (rows + columns)), phases) for turn in QUARTERS]
-    )
+    # The light of the other pixels is deflected by the largest angle, along the axis on which it would not come nearer.
+    others = np.pi * np.where(np.abs(x - point[0]) < farthest, columns, rows)
+    shown = np.stack([nearest_levels(np.where(reaches, lens + turn, others), phases) for turn in QUARTERS])
     # Within a part of the width of the light of a cell.
     size = max(rows_of * modulator.pitch for rows_of in modulator.shape) / math.sqrt(steps.shape[1])
     reach = int(np.clip(VIEW * wavelength * abs(b) / (size * camera.pitch), 2, WIDEST))
@@ -316,7 +326,10 @@ def _speckles(table: OpticalTable, point: np.ndarray, cell: np.ndarray, steps: n
     # The minimum over many speckles is zero intensity.
     offsets = np.quantile(seen, 0.005, axis=(1, 2), keepdims=True)
     noise = (top / (WELL * captures), 1 / (12 * captures))
-    seen = combined(seen - offsets, seen < 0.95 * top, np.asarray(times), noise)[fine]
+    usable, seen = seen < 0.95 * top, seen - offsets
+    # A short exposure has few counts, and its offset is found to a count: longer ones have the same light.
+    seen = [short - (short - seen[-1] * t / times[-1])[usable[-1]].mean() for short, t in zip(seen, times, strict=True)]
+    seen = combined(np.stack(seen), usable, np.asarray(times), noise)[fine]
     row, column, high, wide = camera.region or (0, 0, *camera.shape)
     camera.region = None
     v, u = np.meshgrid(np.arange(row, row + high), np.arange(column, column + wide), indexing="ij")
@@ -337,5 +350,5 @@ def _speckles(table: OpticalTable, point: np.ndarray, cell: np.ndarray, steps: n
     turns = (modulator.pitch / (wavelength * b)) * (points[..., None, :] - angles)
     at_point = (modulator.pitch / (wavelength * b)) * (point - angles)
     envelope = np.sinc(turns).prod(-1) / np.sinc(at_point).prod(-1)
-    tilts = envelope * _tilts(away, places, widths)
+    tilts = envelope * _tilts(away, places, widths, modulator.pitch)
     return _Speckles(point, steps[fine], seen, noise, places, count, widths, away, envelope, tilts)

@@ -29,6 +29,9 @@ NOISE = 6.5e-4
 # Largest of the errors of about 14 levels, with those of the fit of the ellipse and of the spline, in standard
 # deviations of one: two of three are below the first, nearly all below the second.
 LARGEST, RARELY = 2.9, 4.0
+# Largest error of phases whose levels scatter, in standard deviations of one from a smooth response, on independent
+# tables that flicker; and at most, as a share of what captures deviate from one phase at all pixels.
+ROUGH, MOST = 3.8, 8.0
 # Deviation of captures from one phase at all pixels, as a share of the interference, that is a warning.
 DEVIATING = 0.1
 # Rounds in which displacements of captures are found, of which each leaves about a third; times that captures are
@@ -279,7 +282,20 @@ def phases_with_uncertainty(
     # What the results of the halves differ by more than their noise is no noise.
     of_both = math.hypot(*noise, *more_noise)
     apart = math.sqrt(max(float(np.abs(one - other).max()) ** 2 - (RARELY * of_both) ** 2, 0))
-    return phases, math.hypot(LARGEST / 2 * of_both, apart / 2, 0.005 * interpolation, 0.4 * spread), spread
+    # Where captures deviate, by flicker as a rule, phases of single levels do so from a smooth response, too.
+    flicker = min(ROUGH * _roughness(levels, mean, top), MOST * spread)
+    return phases, math.hypot(LARGEST / 2 * of_both, apart / 2, 0.005 * interpolation, 0.4 * spread, flicker), spread
+
+
+def _roughness(levels: np.ndarray, phases: np.ndarray, top: int) -> float:
+    """Return the standard deviation of the phases of some levels from a smooth response.
+
+    It is a sum of two thirds as many cosines of the angle of :func:`_of_all_levels` as there are levels.
+    """
+    terms = 2 * len(levels) // 3
+    system = np.cos(np.outer(np.arccos(1 - 2 * levels / top), np.arange(terms)))
+    left = phases - system @ np.linalg.lstsq(system, phases, rcond=None)[0]
+    return math.sqrt((left**2).sum() / (len(levels) - terms))
 
 
 @_validate.takes_fields("modulator camera wavelength distance phases", table=OpticalTable)
@@ -528,12 +544,6 @@ def _halved(frames: np.ndarray) -> list[np.ndarray]:
     return [part.reshape(len(part), -1) for part in (frames[:, :row], frames[:, row:])]
 
 
-def _changes(frames: np.ndarray) -> np.ndarray:
-    """Return frames ``[n, pixels]`` less their mean, without pixels that are saturated (NaN) in one."""
-    frames = frames[:, np.isfinite(frames).all(0)]
-    return frames - frames.mean(0)
-
-
 def _phases_of_interference(frames: np.ndarray) -> tuple[np.ndarray, float, float]:
     """Return the phase of each of the frames ``[n, pixels]``, whose pixels are a + b·cos φ + c·sin φ.
 
@@ -541,12 +551,19 @@ def _phases_of_interference(frames: np.ndarray) -> tuple[np.ndarray, float, floa
     the third one beyond noise, which all components have in steps of about one size. The third is the standard
     deviation of a phase by the noise of the frames.
     """
-    frames = _changes(frames)
+    frames = frames[:, np.isfinite(frames).all(0)]
+    changes = frames - frames.mean(0)
+    values = np.clip(np.linalg.eigvalsh(changes @ changes.T), 0, None)
+    noise, least = values[-4], values[1]
+    other = math.sqrt(max(values[-3] - noise - RARELY * (noise - least) / (len(frames) - 5), 0) / values[-2])
+    # Where the light varies, the constant image is not constant: the sum of three images that is nearest to one at all
+    # frames is the light of each.
+    three = np.linalg.eigh(frames @ frames.T)[1][:, -3:]
+    frames = frames / (three @ three.sum(0))[:, None]
+    frames -= frames.mean(0)
     values, vectors = np.linalg.eigh(frames @ frames.T)
     values = np.clip(values, 0, None)
     x, y = vectors[:, -1] * len(frames) ** 0.5, vectors[:, -2] * len(frames) ** 0.5
-    noise, least = values[-4], values[1]
-    other = math.sqrt(max(values[-3] - noise - RARELY * (noise - least) / (len(frames) - 5), 0) / values[-2])
     # Bright pixels have more noise, and more of the interference.
     components = vectors[:, -3:].T @ frames
     of_pixels = ((frames - vectors[:, -3:] @ components) ** 2).sum(0) / (len(frames) - 4)
@@ -556,11 +573,11 @@ def _phases_of_interference(frames: np.ndarray) -> tuple[np.ndarray, float, floa
     (xx, xy, yy, *linear), *_ = np.linalg.lstsq(system, np.ones(len(x)), rcond=None)
     form = np.array([[xx, xy / 2], [xy / 2, yy]])
     sizes, axes = np.linalg.eigh(form)
-    if sizes[0] <= 0 or values[-2] < 9 * least:
+    if sizes[0] <= 0 or values[-2] < 9 * values[1]:
         raise RuntimeError(
             "the camera must observe how the interference of the two halves of the modulator depends on the level; the "
             f"first two principal components of its captures are {values[-1] ** 0.5:.3g} and {values[-2] ** 0.5:.3g}, "
-            f"the noise {least**0.5:.3g}"
+            f"the noise {values[1] ** 0.5:.3g}"
         )
     centre = -np.linalg.solve(2 * form, np.array(linear))
     circle = axes * np.sqrt(sizes) @ axes.T @ (np.stack([x, y]) - centre[:, None])

@@ -43,7 +43,7 @@ CLEAR = 5.0
 # moved back, which leaves an error of second order. Those of the illumination are in what its captures deviate from
 # their model.
 ERRORS = {
-    "phases": (3.8, 0.55, 0.0, 0.45),
+    "phases": (0.0, 0.2, 0.0, 0.33),
     "regional_phases": (8.4, 1.1, 0.14, 0.0),
     "registration": (8.0, 0.0, 0.85, 0.0),
     "wavefront": (1.3, 0.0, 0.0, 0.0),

@@ -8,18 +8,29 @@ from laboratory import Laboratory, random_table
 from tables import fresh_seed, instruments_of, rms
 
 from odak import AccuracyWarning, instruments
+from odak.instruments import illumination
 from odak.instruments.illumination import illumination_with_uncertainty
 
 
+def test_waves_of_cells_are_sums_over_their_pixels():
+    """Of 7 x 9 pixels at frequencies where a cell that is not made of pixels differs by 2 %."""
+    draw, pitch = np.random.default_rng(0), 8e-6
+    y, x = np.meshgrid((np.arange(7) - 3) * pitch, (np.arange(9) - 4) * pitch, indexing="ij")
+    away, middle = draw.uniform(-1e4, 1e4, (20, 4, 2)), np.array([[3e-4, -2e-4]])
+    waves = illumination._tilts(away, middle, pitch * np.array([[9, 7]]), pitch)[..., 0]
+    points = np.stack([x, y], axis=-1) + middle
+    assert np.abs(waves - np.exp(-2j * np.pi * np.tensordot(away, points, axes=(-1, -1))).mean((-2, -1))).max() < 1e-12
+
+
 def test_a_narrow_beam_varies_within_cells():
-    """Cells with an even amplitude would make the error 1 %."""
+    """Cells with an even amplitude would make the error 1 %, the light of pixels beyond reach 0.3 %."""
     y, x = np.ogrid[-1:1:48j, -1:1:48j]
     beam = np.exp(-((x - 0.1) ** 2 + (y + 0.05) ** 2) / 0.3)
     table = Laboratory((48, 48), distance=6.8e-3, camera_shape=(142, 148), camera_pitch=4e-6, amplitude=beam)
     known = instruments.Registration(np.diag([4e-6, 4e-6, 1.0]), 0.0, table.camera.shape)
     there = instruments.OpticalTable(*instruments_of(table), 532e-9, 6.8e-3, table.phases, known)
     found, uncertainty = illumination_with_uncertainty(there, patterns=16)
-    assert rms(found - beam / beam.max()) < 0.004 and 0.001 < uncertainty < 0.003
+    assert rms(found - beam / beam.max()) < 0.002 and 4e-4 < uncertainty < 1.2e-3
 
 
 @pytest.mark.slow
@@ -85,3 +96,22 @@ def test_illumination_by_cameras_of_8_bits(exposures, monkeypatch):
     true = np.abs(table.illumination)
     error = rms(found - true / true.max())
     assert error < 0.01 if exposures == 2 else error > 0.011
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.filterwarnings("ignore:the illumination is uncertain:odak.AccuracyWarning")
+def test_two_of_three_errors_lie_within_one_sigma():
+    """Of 40 errors 20 to 34 do so in 98 of 100 cases where it is 68 % of all; their root mean square is 0.3 %."""
+    within, errors = 0, []
+    for seed in range(500, 540):
+        table, _ = random_table(seed)
+        mapping = np.diag([*(table.camera.pitch * np.array(table.signs)), 1.0])
+        mapping[:2, 2] = table.offset
+        known = instruments.Registration(mapping, 0.0, table.camera.shape)
+        there = (*instruments_of(table), table.wavelength, table.distance, table.phases, known, table.wavefront)
+        found, sigma = illumination_with_uncertainty(instruments.OpticalTable(*there), patterns=16)
+        true = np.abs(table.illumination)
+        errors.append(rms(found - true / true.max()))
+        within += errors[-1] < sigma
+    assert 20 <= within <= 34 and rms(errors) < 0.004

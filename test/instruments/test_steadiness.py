@@ -10,6 +10,7 @@ from tables import instruments_of
 
 from odak import AccuracyWarning, instruments
 from odak.instruments import OpticalTable, calibration
+from odak.instruments.phase_response import phases_with_uncertainty
 
 UNSTEADY = {
     "flicker": r"phases of the modulator flicker by ([\d.]+)%",
@@ -150,3 +151,21 @@ def test_two_of_three_errors_lie_within_one_sigma_where_nothing_is_named(monkeyp
         for key in names:
             within[key] += abs(errors[key]) < found.uncertainty[key]
     assert all(count >= 6 for count in within.values()) and 35 <= sum(within.values()) <= 54, within
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("unsteady", [{"flicker": 0.01}, {"flicker": 0.05}, {"wander": 0.02}, {"vibration": 0.1}])
+def test_two_of_three_errors_of_a_phase_response_lie_within_one_sigma(unsteady):
+    """Of 40 errors 20 to 34 do so in 98 of 100 cases where it is 68 % of all."""
+    within = 0
+    for seed in range(700, 740):
+        table, nominal = random_table(seed)
+        for name, value in unsteady.items():
+            setattr(table, name, value)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AccuracyWarning)
+            there = OpticalTable(*instruments_of(table), table.wavelength, nominal)
+            phases, sigma, _ = phases_with_uncertainty(there)
+        within += np.abs(phases - table.phases).max() < sigma
+    assert 20 <= within <= 34
