@@ -193,8 +193,11 @@ def test_a_stopped_search_goes_on_to_the_same_levels(tmp_path):
     assert seen == list(range(41))
     begun = optimise(display, target, run=quick(60, callback=lambda iteration, loss: iteration == 3))
     assert len(begun.losses) == 4 and float(begun.gain_over_rounding) == 0
+    # Among the sweeps at the end too.
+    sweeping = quick(60, checkpoint=path, callback=lambda iteration, loss: iteration == 55)
+    assert optimise(display, target, run=sweeping).losses[-1] <= min(whole.losses[20:50])
     resumed = optimise(display, target, run=quick(60, checkpoint=path))
-    assert torch.equal(resumed.phases, whole.phases)
+    assert torch.equal(resumed.phases, whole.phases) and resumed.losses[-1] == whole.losses[-1]
     with pytest.raises(ValueError, match=r"of another run: its .*target"):
         optimise(display, picture(16, 16, seed=5), run=quick(60, checkpoint=path))
 
