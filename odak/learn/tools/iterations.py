@@ -143,6 +143,8 @@ def minimise(
         "an optimization",
     )
 
+    begun: list[torch.Tensor] = []
+
     def evaluate():
         loop.torn = False
         for value in values:
@@ -154,6 +156,8 @@ def minimise(
             elif all(value.grad is None for value in values):
                 raise ValueError("loss must depend on what is optimised, got a value without a gradient")
         found = found.detach()
+        if not begun:
+            begun.append(found.clone())
         loop.keep(found)
         loop.torn = True
         return found
@@ -172,13 +176,18 @@ def minimise(
         _log.warning(
             "interrupted after %d of %d iterations: the best hologram so far is returned", loop.done, run.iterations
         )
-    elif rising is not None and loop.loss is not None:
+        return False
+    stays = begun and 0 < float(begun[0]) == float(loop.best_loss)
+    if stays and not any(value.grad is not None and value.grad.any() for value in values):
+        text = f"no descent leaves the start: its gradient is zero, and the loss stays {float(begun[0]):.3g}"
+        warn(f"{text}; take another start", ConvergenceWarning)
+    if rising is not None and loop.loss is not None:
         best, last = float(loop.best_loss), float(loop.loss)
         if rising and last > _RISEN * best:
             text = f"the loss rose from {best:.3g} to {last:.3g}, so that the best state is returned: {rising}"
             warn(text, ConvergenceWarning)
         loop.restore()
-    return ended
+    return True
 
 
 class Loop:

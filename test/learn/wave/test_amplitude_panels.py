@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from odak import ConvergenceWarning
 from odak.learn.wave import AmplitudeResponse, Display, Modulator, Run, optimise
 
 PITCH, WAVELENGTH, DISTANCE = 8e-6, 532e-9, 2e-3
@@ -73,3 +74,11 @@ def test_binary_mirrors_are_searched_for_and_gain_over_rounding():
 def test_what_no_panel_has_is_refused(given):
     with pytest.raises(ValueError, match=next(iter(given))):
         AmplitudeResponse(**given)
+
+
+def test_a_start_that_no_descent_leaves_is_named():
+    display = Display(Modulator.amplitude_only((16, 16), PITCH, bits=8), WAVELENGTH, DISTANCE)
+    target = torch.zeros(16, 16)
+    target[4:9, 4:12] = 1.0
+    with pytest.warns(ConvergenceWarning, match="its gradient is zero, and the loss stays"):
+        optimise(display, target, start="flat", run=Run(iterations=2, progress=False))
