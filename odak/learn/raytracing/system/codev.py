@@ -188,9 +188,9 @@ class _Reader(LensFile):
             raise ValueError(f"line {command.number}: {key} must follow a surface (SO, S, SI)")
         item = self.surfaces[place]
         if key in ("RDY", "RDX"):
-            item.values[f"CU{key[-1]}"] = _reciprocal(command.value())
+            item.values[f"CU{key[-1]}"] = _reciprocal(command.value(0 if key == "RDY" else -1))
         elif re.fullmatch(_NUMBERS, key):
-            item.values[key] = command.value()
+            item.values[key] = command.value(0 if key in ("THI", "CUY") else -1)
         elif key == "SCO" or (key == "HCO" and re.fullmatch(r"C\d+", command.word)):
             item.values[f"{key} {command.word}"] = command.value(1)
         elif re.fullmatch(_LIMITS, key):
@@ -308,7 +308,7 @@ def _built(reader: _Reader) -> optical_system:
     system = reader.maker_of_system(
         items,
         "STO",
-        name=" ".join(word.lstrip("'") for word in head["TIT"].words) if "TIT" in head else "",
+        name=" ".join(word.lstrip("'") for word in head["TIT"].words) or None if "TIT" in head else None,
         reference=int(numbers("REF")[0]) - 1 if numbers("REF") else len(waves) // 2,
         image=image,
         object_distance=distance,

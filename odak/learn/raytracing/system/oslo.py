@@ -174,7 +174,7 @@ def _built(head: dict, entries: list[dict], file: LensFile) -> optical_system:
     defocus = entries[-1].get("TH", 0.0) * scale
     system = file.maker_of_system(
         items,
-        name=head.get("name"),
+        name=head.get("name") or None,
         reference=0,
         object_distance=distance,
         image=image_of(image),

@@ -616,7 +616,7 @@ class LensFile:
         if stop and not any(item.stop for item in items):
             self.notes.append(f"no {stop}: the first surface is taken as the stop")
         own = {"unit": "mm", "source": self.path.name, "wavelengths": self.waves} | names
-        own["name"] = own.get("name") or self.path.stem
+        own["name"] = self.path.stem if own.get("name") is None else own["name"]
 
         def system(size: float, form: str, **others: Any) -> optical_system:
             return optical_system(list(items), SystemAperture(size, form), **(own | others))

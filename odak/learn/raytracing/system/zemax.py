@@ -264,7 +264,7 @@ def _built(file: LensFile, general: list[Line], surfaces: list[list[Line]]) -> o
     system = file.maker_of_system(
         built,
         "STOP",
-        name=" ".join(head["NAME"].words) if "NAME" in head else "",
+        name=" ".join(head["NAME"].words) if "NAME" in head else None,
         object_distance=distance,
         object_material=medium,
         reference=reference,

@@ -1,6 +1,7 @@
 """Contents of Zemax files beyond plain lenses, against closed forms: surfaces, media, apertures, fields, glasses."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -11,11 +12,13 @@ from odak.learn.raytracing.system import (
     coordinate_break,
     first_order,
     launch,
+    load_system,
     optical_system,
     read_zmx,
     surface,
     trace,
     trace_fields,
+    write_zmx,
 )
 
 HEAD = """VERS 140124 258 36214
@@ -363,3 +366,11 @@ def test_what_a_file_says_beyond_the_lens_is_named(tmp_path):
 def test_the_curvature_of_a_distant_object_has_no_effect(tmp_path):
     system, report = read(tmp_path, change=lambda text: text.replace("CURV 0.0\n  DISZ INF", "CURV 0.1\n  DISZ INF"))
     assert system.at_infinity and any("surface 0: CURV 0.1" in line for line in report.ignored)
+
+
+@pytest.mark.parametrize(("name", "expected"), [("NAME", ""), ("NAME Two words", "Two words"), ("", "lens")])
+def test_an_empty_name_stays_empty_and_a_missing_one_is_the_files(tmp_path, name, expected):
+    path = tmp_path / "lens.zmx"
+    write_zmx(load_system("singlet"), path)
+    path.write_text(re.sub(r"NAME.*", name, path.read_text(encoding="utf-8")), encoding="utf-8")
+    assert read_zmx(path)[0].name == expected
