@@ -545,7 +545,7 @@ def strehl_ratio(
     named = isinstance(pupil, str)
     counts = COUNTS if count is None and named else COUNTS[:1] if count is None else (count,)
     for own in counts:
-        found, coarse = _strehl(system, pupil, own, options)
+        found, coarse, _ = _strehl(system, pupil, own, options)
         # NaN where no ray of a field arrives.
         share = float(coarse.nan_to_num().max())
         if share <= COARSE:
@@ -559,8 +559,8 @@ def strehl_ratio(
     return found
 
 
-def _strehl(system, pupil, count: int, options: Mapping[str, Any]) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return Strehl ratios, and the part of the pupil over which the rays are too few to resolve the wavefront."""
+def _strehl(system, pupil, count: int, options: Mapping[str, Any]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return Strehl ratios, the part of the pupil whose wavefront the rays do not resolve, and its RMS."""
     found = wavefront(system, pupil, count, **options)
     numbers = numbers_of(system, options.get("prescription"))
     waves = wavelengths_of(system, numbers)[:, None] / numbers.index[..., -1].abs()[..., None]
@@ -577,7 +577,7 @@ def _strehl(system, pupil, count: int, options: Mapping[str, Any]) -> tuple[torc
         missed = ((spots.x - x).square() + (spots.y - y).square()).sqrt().nan_to_num()
         step = missed * slopes.square().sum(-1).amax(-1, keepdim=True).sqrt() * (math.pi * weight).sqrt()
         coarse = (weight * (step > 0.5)).sum(-1)
-    return _sum_of_waves(wave, slopes, x, y)[..., 0, 0], coarse
+    return _sum_of_waves(wave, slopes, x, y)[..., 0, 0], coarse, found.rms
 
 
 def _sum_of_waves(wave: torch.Tensor, slopes: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
@@ -694,12 +694,8 @@ def field_quality(system: optical_system, aim: str = "paraxial", *, fields: Fiel
         points = pupil_quadrature(system, count, **options)
         passed, options["prescription"] = points.weights.sum(-1), numbers
         spots = _converged_spots(system, count, points, fields, aim)
-        values = [
-            spots,
-            wavefront(system, points, **options).rms[0],
-            _strehl(system, points, count, options)[0][0],
-            passed.expand(spots.shape),
-        ]
+        strehl, _, waves = _strehl(system, points, count, options)
+        values = [spots, waves[0], strehl[0], passed.expand(spots.shape)]
         changes = [(a - b).abs() for a, b in zip(values, before, strict=False)]
         scales = [values[0].clamp_min(1e-12), values[1].clamp_min(1e-2), *map(torch.ones_like, values[2:])]
         change = max(

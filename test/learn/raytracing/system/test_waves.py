@@ -11,6 +11,7 @@ from odak.learn.raytracing import rays_from_field
 from odak.learn.raytracing.system import (
     airy_pattern,
     exit_field,
+    field_quality,
     first_order,
     launch,
     load_system,
@@ -19,10 +20,12 @@ from odak.learn.raytracing.system import (
     optical_system,
     point_spread_function,
     propagated_point_spread_function,
+    pupil_quadrature,
     strehl_ratio,
     surface,
     trace,
     wavefront,
+    waves,
     zernike_fit,
 )
 from odak.learn.wave import propagate_beam
@@ -342,6 +345,23 @@ def test_several_fields_are_each_of_them():
         torch.testing.assert_close(
             several.intensity[:, i : i + 1], one, rtol=rounding, atol=rounding * one.max().item()
         )
+
+
+def test_the_quality_over_the_field_takes_each_wavefront_once(monkeypatch):
+    """Its wavefronts and Strehl ratios are those of separate calls on the same nodes."""
+    lens, counts = singlet(fields=[0.0, 2.0]), []
+
+    def counted(system, pupil, count=12, **options):
+        counts.append(count)
+        return wavefront(system, pupil, count, **options)
+
+    monkeypatch.setattr(waves, "wavefront", counted)
+    found = field_quality(lens)
+    assert len(counts) > 1 and counts == sorted(set(counts)) and counts[-1] == found.count
+    nodes, numbers = pupil_quadrature(lens, found.count), lens.prescription().at(lens.reference)
+    torch.testing.assert_close(found.wavefront_rms, wavefront(lens, nodes).rms[lens.reference], rtol=1e-9, atol=0)
+    alone = strehl_ratio(lens, nodes, prescription=numbers)[0]
+    torch.testing.assert_close(found.strehl, alone, rtol=1e-9, atol=0)
 
 
 def test_strehl_ratios_take_as_many_rays_as_the_wavefront_needs():
