@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
@@ -200,7 +200,7 @@ def _summit(values: np.ndarray) -> tuple[np.ndarray, float]:
     slopes = (DESIGN[:, 0] ** 2).sum()
     free = left.size - system.shape[1]
     # The scatter of few residuals is often too small: Student's distribution.
-    deviation = float(student.ppf(ONE_SIGMA, free)) * math.sqrt((left @ left) / free / slopes)
+    deviation = float(stdtrit(free, ONE_SIGMA)) * math.sqrt((left @ left) / free / slopes)
     return np.clip(-back @ found[1:4], -2, 2), deviation * float(np.linalg.norm(back[0]))
 
 

@@ -8,7 +8,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from scipy.ndimage import convolve1d, shift
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from odak._warnings import AccuracyWarning, warn
 from odak.instruments.mapping import Registration, ray_matrix
@@ -233,7 +233,7 @@ class Watched:
             spread = np.where(clear, about, spread)
         # The spread of a few noisy values may be several times the noise.
         count = len(values) - 1
-        sure = spread**2 > chi2.ppf(1 - RARE, count) / count * noise
+        sure = spread**2 > chdtri(count, RARE) / count * noise
         most = 1 + 3 * math.sqrt(2 / count)
         spread = np.where(spread**2 > most * noise, np.sqrt(np.clip(spread**2 - noise, 0, None)), 0)
         along = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0.5, 0.5]])

@@ -49,7 +49,7 @@ def judge(function: Callable, arguments: dict, name: str, verdict: str) -> str |
 
 
 def compare(function: Callable, arguments: dict, name: str, expected: Any, tolerance: float):
-    """Call a function with another form of a valid argument; return the complaint, if there is one."""
+    """Call a function with another form of a valid argument, and follow its gradients; return the complaint, if any."""
     form = arguments[name]
     before = copied(form)
     try:
@@ -62,14 +62,12 @@ def compare(function: Callable, arguments: dict, name: str, expected: Any, toler
         return "the caller's data was changed"
     if expected is not None and not same(expected, result, tolerance):
         return f"another result: {short(result)} instead of {short(expected)}"
-    return None
+    return slopes(result, form) if isinstance(form, torch.Tensor) and form.requires_grad else None
 
 
-def slopes(function: Callable, build: Callable[[], dict], name: str) -> str | None:
-    """Differentiate a function by one tensor; return a violation if gradients of finite values are not finite."""
-    arguments = build()
-    followed = arguments[name].detach().clone().requires_grad_()
-    found = [value for value in tensors(call(function, arguments | {name: followed})) if value.requires_grad]
+def slopes(result: Any, followed: torch.Tensor) -> str | None:
+    """Differentiate a result by a tensor; return a violation if gradients of finite values are not finite."""
+    found = [value for value in tensors(result) if value.requires_grad]
     parts = [torch.view_as_real(value.resolve_conj()) if value.is_complex() else value for value in found]
     total = sum(part.sum() for part in parts)
     if not parts or not torch.isfinite(total):

@@ -110,28 +110,33 @@ def other_forms(valid: Any) -> Iterator[tuple[str, Any, float]]:
 
 
 def _tensor_forms(valid):
-    yield "not contiguous", torch.stack((valid, valid), -1)[..., 0], 1e-5
+    # Not contiguous, and with signs that change when read: nothing may take the values as they are stored.
+    if valid.is_complex():
+        yield "a conjugate view", torch.conj(_strided(torch.conj(valid).resolve_conj())), 1e-5
+    elif valid.is_floating_point():
+        yield "a negated view", torch._neg_view(_strided(-valid)), 1e-5
+    else:
+        yield "not contiguous", _strided(valid), 1e-5
     if _floating(valid):
         yield "followed by autograd", valid.clone().requires_grad_(), 1e-5
         yield "in double precision", valid.to(torch.complex128 if valid.is_complex() else torch.float64), 1e-3
-    if valid.is_complex():
-        yield "a conjugate view", torch.conj(torch.conj(valid).resolve_conj()), 1e-5
-    elif valid.is_floating_point():
-        yield "a negated view", torch._neg_view(-valid), 1e-5
+    if valid.is_floating_point():
         yield "in half precision", valid.half(), 5e-2
     with torch.inference_mode():
         inference = valid.clone()
     yield "made in inference mode", inference, 1e-5
 
 
+def _strided(valid):
+    return torch.stack((valid, valid), -1)[..., 0]
+
+
 def _array_forms(valid):
-    frozen = valid.copy()
+    frozen = numpy.stack((valid, valid), -1)[..., 0]
     frozen.setflags(write=False)
-    yield "read-only", frozen, 1e-12
-    yield "not contiguous", numpy.stack((valid, valid), -1)[..., 0], 1e-5
-    if valid.ndim:
-        yield "reversed strides", valid[::-1].copy()[::-1], 1e-5
-    yield "in Fortran's order", numpy.asfortranarray(valid), 1e-5
+    yield "read-only and not contiguous", frozen, 1e-5
+    turned = numpy.asfortranarray(valid[::-1] if valid.ndim else valid)
+    yield "in Fortran's order, with reversed strides", turned[::-1] if valid.ndim else turned, 1e-5
     yield "lists", valid.tolist(), 1e-3
     if _floating(valid):
         lower = numpy.complex64 if numpy.iscomplexobj(valid) else numpy.float32

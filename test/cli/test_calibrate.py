@@ -247,6 +247,7 @@ def test_responses_that_cannot_be_used_are_named(tmp_path, capsys):
     assert "must have 256 levels for --bits 8, got 3" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("sheets")
 def test_captures_stand_beside_their_prediction(tmp_path, capsys):
     """The true values of a table predict its captures to the noise and the light of other orders."""
     options = {"shape": (40, 40), "camera_shape": (80, 80), "distance": 5e-3, "reflection": 0.0}

@@ -1,6 +1,7 @@
 """`odak hologram` for many pictures, in this process and on a real cluster."""
 
 import json
+import logging
 import os
 import time
 import types
@@ -14,6 +15,8 @@ from running_cluster import cluster, start_scheduler, start_workers, stop, tls_o
 
 from odak.cli import cluster as many
 from odak.cli import main
+from odak.manager import tasks
+from odak.manager.server import tls_security
 
 
 @pytest.fixture
@@ -80,7 +83,45 @@ def test_workers_are_sent_every_setting(folder):
         assert Job(image=image, **many.parameters(job)).values() == job.values()
 
 
-def test_over_tls(folder, tmp_path):
+def over_tls(folder, address, files):
+    result = run(folder, "--output", folder / "out", *SMALL, "--cluster", address, *files)
+    assert "3 computed, 0 skipped, 0 failed" in result.stdout
+    options = ["--cluster", address, "--timeout", "0.5"]
+    run(folder, "--output", folder / "refused", *SMALL, *options, expect=1)
+
+
+class Here:
+    """Computes the tasks of a worker in its own thread, which takes no new program."""
+
+    def __init__(self, limit):
+        self.alive = lambda: True
+
+    def compute(self, job, code, threads):
+        return tasks.attempt(lambda: tasks.pack(tasks._compute(code, job)))
+
+
+def test_over_tls(folder, tmp_path, monkeypatch):
+    """The scheduler and its worker are threads here, and programs of their own in the slow test."""
+    monkeypatch.setattr(tasks, "_Process", Here)
+    pytest.importorskip("cryptography")
+    distributed = pytest.importorskip("distributed")
+    assert main(["certificates", str(tmp_path / "tls")]) == 0
+    files = tls_options(tmp_path / "tls")
+    with distributed.LocalCluster(
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tls://",
+        security=tls_security(*files[1::2]),
+        dashboard_address=None,
+        silence_logs=logging.ERROR,
+    ) as local:
+        over_tls(folder, local.scheduler_address, files)
+    assert main(["certificates", str(tmp_path / "tls")]) == 2
+
+
+@pytest.mark.slow
+def test_over_tls_to_programs(folder, tmp_path):
     pytest.importorskip("cryptography")
     assert main(["certificates", str(tmp_path / "tls")]) == 0
     files = tls_options(tmp_path / "tls")
@@ -88,13 +129,9 @@ def test_over_tls(folder, tmp_path):
     workers = []
     try:
         workers += start_workers(address, 1, *files)
-        result = run(folder, "--output", tmp_path / "out", *SMALL, "--cluster", address, *files)
-        assert "3 computed, 0 skipped, 0 failed" in result.stdout
-        options = ["--cluster", address, "--timeout", "0.5"]
-        run(folder, "--output", tmp_path / "refused", *SMALL, *options, expect=1)
+        over_tls(folder, address, files)
     finally:
         stop(scheduler, *workers)
-    assert main(["certificates", str(tmp_path / "tls")]) == 2
 
 
 @pytest.mark.slow

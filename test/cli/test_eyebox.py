@@ -88,6 +88,7 @@ def test_a_picture_for_all_places_and_what_was_meant(tmp_path, capsys, views):
         assert not (tmp_path / "b").exists()
 
 
+@pytest.mark.usefixtures("sheets")
 def test_stored_values_are_decoded_to_light(tmp_path):
     """The middle of the stored values is 0.2140 of the light of white, by IEC 61966-2-1."""
     from odak.cli.eyebox_views import _target

@@ -20,18 +20,6 @@ from odak.cli.job import PRESETS, Job, parse_length
 pytestmark = pytest.mark.usefixtures("small_judge")
 
 
-@pytest.fixture
-def sheets():
-    """Let sheets be drawn."""
-
-
-@pytest.fixture(autouse=True)
-def no_sheets(request, monkeypatch):
-    """Write the first picture of a sheet, which takes as long as the patterns here, unless a test looks at it."""
-    if "sheets" not in request.fixturenames:
-        monkeypatch.setattr(report, "sheet", lambda rows, *_: rows[0][0].image)
-
-
 def psnr_of(intensity, target):
     scale = np.sum(intensity * target) / np.sum(intensity**2)
     return 10 * math.log10(1 / np.mean((scale * intensity - target) ** 2))

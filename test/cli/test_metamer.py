@@ -36,6 +36,7 @@ def file(tmp_path_factory):
     return path
 
 
+@pytest.mark.usefixtures("sheets")
 def test_three_pictures(file, tmp_path):
     result = run(file, "--output", tmp_path, *VIEW, "--iterations", 10)
     assert "metameric loss" in result.stdout

@@ -161,6 +161,7 @@ def test_numbers_of_phases_and_differences():
     assert fine.image.size == (960, 2) and set(np.unique(fine.image)) == {np.float32(0.1), np.float32(6.2)}
 
 
+@pytest.mark.usefixtures("sheets")
 def test_sheets_hold_their_panels():
     """Small pictures are enlarged by a whole factor, and stretched where samples are not square."""
     panel = metrics.Panel("a caption", Image.new("RGB", (100, 50), (1, 2, 3)))
@@ -182,6 +183,7 @@ def test_sheets_hold_their_panels():
         assert 0 <= ink[:, 1].min() - left < 4 and ink[:, 0].max() > top - 12
 
 
+@pytest.mark.usefixtures("sheets")
 def test_captions_are_as_wide_as_their_panels_at_most():
     """A long one is set smaller: it fills the width of its panel, and nothing beyond."""
     sheet = np.array(
@@ -191,6 +193,7 @@ def test_captions_are_as_wide_as_their_panels_at_most():
     assert ink.min() >= metrics.MARGIN and metrics.MARGIN + 240 < ink.max() <= metrics.MARGIN + 300
 
 
+@pytest.mark.usefixtures("sheets")
 def test_scales_and_lengths_below_panels():
     """A bar as wide as the panel has the colours of its numbers from left to right; ticks are multiples of 5 mm."""
     values = torch.linspace(0, 2 * torch.pi * 0.999, 100).repeat(10, 1)

@@ -40,6 +40,7 @@ def axis():
     return (np.arange(SIDE) - SIDE // 2) * PITCH
 
 
+@pytest.mark.usefixtures("sheets")
 def test_a_lens_makes_an_airy_pattern(tmp_path, capsys):
     diameter, focal = 1.2e-3, 0.1
     report = simulate(

@@ -42,6 +42,7 @@ def psnr(image, target, mask=True):
         ("network", []),
     ],
 )
+@pytest.mark.usefixtures("sheets")
 def test_report_states_what_the_saved_patterns_show(method, options, files, tmp_path):
     picture, depth = files
     iterations = [] if method == "network" else ["--iterations", 30]
