@@ -66,7 +66,8 @@ def is_transformed(*tensors: torch.Tensor) -> bool:
 
     Operators with a custom autograd.Function, and cached values, cannot be used there.
     """
-    return (has_compiler() and torch.compiler.is_compiling()) or in_forward_mode() or is_wrapped(*tensors)
+    compiled = has_compiler() and torch.compiler.is_compiling()
+    return compiled or in_forward_mode() or (bool(tensors) and is_wrapped(*tensors))
 
 
 def operator(function: type[torch.autograd.Function]) -> Callable[..., Any]:
@@ -129,12 +130,47 @@ def linear_operator(compute: Callable[..., torch.Tensor]) -> Callable[..., torch
     return apply
 
 
+class _Linear(torch.autograd.Function):
+    """A linear map or its adjoint, of tensors of which some may be None; each is the other's gradient."""
+
+    @staticmethod
+    def forward(kind, adjoint, *values):
+        return kind.adjoint(*values) if adjoint else kind.forward(*values)
+
+    @staticmethod
+    def setup_context(context, inputs, output):
+        context.kind, context.adjoint = inputs[:2]
+        context.set_materialize_grads(False)
+
+    @staticmethod
+    def backward(context, *gradients):
+        if all(one is None for one in gradients):
+            return (None,) * len(context.needs_input_grad)
+        found = linear(context.kind, not context.adjoint, *gradients)
+        found = found if isinstance(found, tuple) else (found,)
+        wanted = context.needs_input_grad[2:]
+        return None, None, *(one if needed else None for one, needed in zip(found, wanted, strict=True))
+
+    @staticmethod
+    def jvp(context, _, __, *tangents):
+        return linear(context.kind, context.adjoint, *tangents)
+
+    @staticmethod
+    def vmap(info, in_dims, kind, adjoint, values):
+        values = values.movedim(in_dims[2], 0)
+        return linear(kind, adjoint, values.flatten(0, 1)).unflatten(0, values.shape[:2]), 0
+
+
+mirrored = torch._C._nn.reflection_pad2d
+
+# linear(kind, adjoint, *tensors): kind.forward, or kind.adjoint, of tensors; differentiable any number of times.
+linear = operator(_Linear)
+
+
 def is_plain_on_cpu(tensor: torch.Tensor) -> bool:
     """Return whether a tensor is on a CPU, without a transform, forward-mode derivative or compiler."""
-    if tensor.device.type != "cpu" or is_transformed():
-        return False
     # Not the tensor alone: those beside one that is vmapped take part in the same operations.
-    return not in_functional_transform()
+    return tensor.is_cpu and not (is_transformed() or in_functional_transform())
 
 
 def takes_operators(*tensors: torch.Tensor) -> bool:

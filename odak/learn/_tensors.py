@@ -226,6 +226,9 @@ def check_loss_inputs(loss_name: str, image: torch.Tensor, target: torch.Tensor)
     for name, picture in (("image", image), ("target", target)):
         if not isinstance(picture, torch.Tensor):
             raise TypeError(f"{loss_name} ERROR: {name} must be a tensor, got {type(picture).__name__}")
+    alike = image.shape == target.shape and image.device == target.device
+    if alike and image.ndim == 4 and image.shape[1] in (1, 3) and 0 not in image.shape:
+        return
     shapes = f"got {tuple(image.shape)} and {tuple(target.shape)}"
     order = _validate.in_order("image", image.shape)
     if image.shape != target.shape:
@@ -239,13 +242,15 @@ def check_loss_inputs(loss_name: str, image: torch.Tensor, target: torch.Tensor)
     _validate.one_device(image=image, target=target)
 
 
-def check_values(peak: float = 1.0, **pictures: torch.Tensor) -> None:
+def check_values(peak: float = 1.0, remedy: str | None = None, **pictures: torch.Tensor) -> None:
     """Raise ValueError if a picture holds NaN, infinities or values far outside 0 … peak.
 
     Parameters
     ----------
     peak : float
         Largest value that a picture should have.
+    remedy : str, optional
+        What to do about values of 0 … 255, of which a warning then tells.
     **pictures : torch.Tensor
         Pictures by the names that a message gives them. Values on a GPU, or held by a transform, are not read.
 
@@ -260,9 +265,12 @@ def check_values(peak: float = 1.0, **pictures: torch.Tensor) -> None:
             raise TypeError(f"{name} must be real, got {picture.dtype}")
         if not picture.numel() or not _array.is_readable(picture):
             continue
-        low, high = (float(value) for value in torch.aminmax(picture.detach()))
+        least, most = torch.aminmax(picture.detach())
+        low, high = float(least), float(most)
         if not (low >= -FARTHEST * peak and high <= FARTHEST * peak):
             raise ValueError(f"{name} must hold finite values of about 0 to {peak:g}, got {low:.4g} to {high:.4g}")
+        if remedy is not None and max(high, -low) > peak:
+            _validate.check_white(name.rpartition(" ")[2], max(high, -low), peak, remedy)
 
 
 def checked_pair(
@@ -325,6 +333,8 @@ def in_float64(values: torch.Tensor) -> torch.Tensor:
 
 def in_float32(values: torch.Tensor) -> torch.Tensor:
     """Return values of half precision in float32, others as they are."""
+    if values.dtype in (torch.float32, torch.float64):
+        return values
     return values.to(torch.promote_types(values.dtype, torch.float32))
 
 

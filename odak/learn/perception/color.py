@@ -432,7 +432,7 @@ def _checked_space(primaries, white):
 
 
 LUMA = (0.299, 0.587, 0.114)
-_DIVIDED = "divide values of 0 … 255 by 255"
+DIVIDED = "divide values of 0 … 255 by 255"
 _RGB_TO_YCRCB = rows(np.array([LUMA, (0.713, 0, 0), (0, 0, 0.564)]) - np.outer((0, 0.713, 0.564), LUMA))
 _YCRCB_TO_RGB = ((1.0, 1.403, 0.0), (1.0, -0.714, -0.344), (1.0, 0.0, 1.773))
 _25_TO_7 = 25.0**7
@@ -476,7 +476,12 @@ def rgb_2_ycrcb(image: torch.Tensor) -> torch.Tensor:
     >>> [round(value, 4) for value in result.flatten().tolist()]
     [0.5, 0.5, 0.5]
     """
-    return mix(_RGB_TO_YCRCB, _of_one("image", image), offset=_CHROMA_OFFSET)
+    return ycrcb_of(_of_one("image", image))
+
+
+def ycrcb_of(image: torch.Tensor) -> torch.Tensor:
+    """Return :func:`rgb_2_ycrcb` of pictures ``[..., 3, H, W]`` that have been checked."""
+    return mix(_RGB_TO_YCRCB, image, offset=_CHROMA_OFFSET)
 
 
 def ycrcb_2_rgb(image: torch.Tensor) -> torch.Tensor:
@@ -771,7 +776,7 @@ def srgb_to_lab(image: torch.Tensor) -> torch.Tensor:
     [53.24, 80.09, 67.2]
     """
     image = _single("image", image)
-    tell_scale("image", image, _DIVIDED)
+    tell_scale("image", image, DIVIDED)
     return by_pixels(_to_lab, image, _to_lab_gradient)
 
 
@@ -895,7 +900,7 @@ def rgb_to_gray(image: torch.Tensor) -> torch.Tensor:
 def _of_one(name, image):
     """Return pictures ``[..., 3, H, W]`` whose white is 1."""
     pictures = as_pictures(name, image)
-    tell_scale(name, pictures, _DIVIDED)
+    tell_scale(name, pictures, DIVIDED)
     return pictures
 
 

@@ -20,7 +20,7 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _array, _torch_private, _validate
-from odak._torch_private import is_plain_on_cpu, linear_operator
+from odak._torch_private import is_plain_on_cpu, linear
 from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, checked_device, checked_dtype
 from odak.learn.perception.sight import (
     Gaze,
@@ -43,7 +43,7 @@ MODES = ("quadratic", "linear")
 STEEPEST = math.pi / 2 - 1e-3
 # Columns of a block, values of one plane in a strip and of all planes for one thread: small enough for a cache, large
 # enough that calls cost little.
-COLUMNS, STRIP, CHUNK = 16, 1 << 12, 1 << 18
+COLUMNS, STRIP, CHUNK = 16, 1 << 12, 1 << 17
 
 
 def make_3d_location_map(
@@ -583,7 +583,32 @@ class Sampler:
         """Return the sampled pictures ``[B, C, H, W]``; differentiable any number of times."""
         if not self.levels or not is_plain_on_cpu(image):
             return self.plainly(image)
-        return _sampled(image.flatten(0, 1).movedim(0, 1), self, False).movedim(1, 0).reshape(image.shape)
+        return linear(self, False, image.flatten(0, 1).movedim(0, 1)).movedim(1, 0).reshape(image.shape)
+
+    def forward(self, planes: torch.Tensor) -> torch.Tensor:
+        """Return sampled planes ``[H, P, W]``, in strips."""
+        result = torch.empty_like(planes)
+        for chunk in plane_chunks(self, planes):
+            part, target = planes[:, chunk], result[:, chunk]
+            memory, coarse = strip_memory(self, part), self.coarse(self.levels[0].halve(part))
+            for strip in self.strips:
+                total = torch.mul(part[strip.rows], strip.fine, out=target[strip.rows])
+                strip.add(total[:, None], coarse, memory[: len(total), None])
+        return result
+
+    def adjoint(self, planes: torch.Tensor) -> torch.Tensor:
+        """Return the adjoint of :meth:`forward`."""
+        result = torch.empty_like(planes)
+        for chunk in plane_chunks(self, planes):
+            part, target = planes[:, chunk], result[:, chunk]
+            memory = strip_memory(self, part)
+            totals = [part.new_zeros(level.enlarged.shape[1], *part.shape[1:]) for level in self.levels]
+            for strip in self.strips:
+                rows = part[strip.rows]
+                torch.mul(rows, strip.fine, out=target[strip.rows])
+                strip.add_adjoint(rows[:, None], totals, memory[: len(rows), None])
+            self.levels[0].halve_adjoint(self.coarse_adjoint(totals), target)
+        return result
 
     def plainly(self, image: torch.Tensor) -> torch.Tensor:
         """Return the sampled pictures by differentiable operations of torch."""
@@ -693,7 +718,7 @@ class Level(NamedTuple):
         """Return the means of rows."""
         if self.rows is not None:
             return self.rows.on_rows(planes)
-        return torch.add(planes[::2], planes[1::2]).mul_(0.5)
+        return (planes[::2] + planes[1::2]).mul_(0.5)
 
     def halve_adjoint(self, gradient: torch.Tensor, total: torch.Tensor) -> None:
         """Add the adjoint of :meth:`halve` to `total`, in place."""
@@ -741,37 +766,18 @@ def level_weights(lod: torch.Tensor) -> torch.Tensor:
     return (1 - (lod - levels[:, None, None]).abs()).clamp_min(0)
 
 
-def strip_memory(sampler: Sampler, planes: torch.Tensor, count: int) -> torch.Tensor:
-    """Return memory for one strip of `count` planes as wide as `planes` ``[H, P, W]``."""
-    return planes.new_empty(sampler.strips[0].fine.shape[0], count, planes.shape[-1])
+def strip_memory(sampler: Sampler, planes: torch.Tensor) -> torch.Tensor:
+    """Return memory for one strip of planes ``[H, P, W]``."""
+    return planes.new_empty(sampler.strips[0].fine.shape[0], *planes.shape[1:])
 
 
 def plane_chunks(sampler: Sampler, planes: torch.Tensor) -> list[slice]:
     """Return which planes ``[H, P, W]`` to take at a time, so that a strip of them stays in each thread's cache."""
-    count = max(1, torch.get_num_threads() * CHUNK // sampler.strips[0].fine.numel())
-    return [slice(start, min(start + count, planes.shape[1])) for start in range(0, planes.shape[1], count)]
-
-
-@linear_operator
-def _sampled(planes, sampler, adjoint):
-    """Return the linear map of a sampler on planes ``[H, P, W]``, or its adjoint."""
-    result = torch.empty_like(planes)
-    for chunk in plane_chunks(sampler, planes):
-        part, target = planes[:, chunk], result[:, chunk]
-        memory = strip_memory(sampler, part, part.shape[1])
-        if adjoint:
-            totals = [part.new_zeros(level.enlarged.shape[1], *part.shape[1:]) for level in sampler.levels]
-            for strip in sampler.strips:
-                rows = part[strip.rows]
-                torch.mul(rows, strip.fine, out=target[strip.rows])
-                strip.add_adjoint(rows[:, None], totals, memory[: len(rows), None])
-            sampler.levels[0].halve_adjoint(sampler.coarse_adjoint(totals), target)
-        else:
-            coarse = sampler.coarse(sampler.levels[0].halve(part))
-            for strip in sampler.strips:
-                total = torch.mul(part[strip.rows], strip.fine, out=target[strip.rows])
-                strip.add(total[:, None], coarse, memory[: len(total), None])
-    return result
+    rows, _, columns = sampler.strips[0].fine.shape
+    planes_at_once, count = torch.get_num_threads() * CHUNK // (rows * columns) or 1, planes.shape[1]
+    # Chunks of about one size: a last one of a single plane would take as many calls as the others.
+    step = -(-count // -(-count // planes_at_once))
+    return [slice(start, start + step) for start in range(0, count, step)]
 
 
 def _halved(size):

@@ -12,7 +12,7 @@ from torch.nn import functional
 from odak import _array, _torch_private, _validate
 from odak._warnings import SamplingWarning, warn
 from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, checked_device, in_float32, kind_of
-from odak.learn.perception.color import rgb_2_ycrcb, ycrcb_2_rgb
+from odak.learn.perception.color import DIVIDED, ycrcb_2_rgb, ycrcb_of
 from odak.learn.perception.foveation import (
     RadiallyVaryingBlur,
     UniformSampler,
@@ -40,10 +40,12 @@ from odak.learn.perception.metamers import (
     rescaled,
 )
 from odak.learn.perception.pooled_statistics import (
+    Pooling,
     as_maps,
     checked_statistics,
     local_statistics,
     mean_distance,
+    mean_square,
     squared_distance,
     statistics_maps,
 )
@@ -72,12 +74,12 @@ FINEST = 1 / 64
 class _StatisticsLoss(nn.Module):
     """Base of the losses that compare the pooled statistics of two pictures' steerable pyramids.
 
-    A subclass defines in `_parts(picture, where, pairs)` which bands are pooled, and how; `where` holds its parameters.
+    A subclass defines in `_pooling_of(picture, sizes, where)` how bands are pooled; `where` holds its parameters.
     """
 
     _place: torch.Tensor
 
-    use_radial_weight = False
+    use_radial_weight = use_fullres_l0 = False
 
     def __init__(self, device, n_pyramid_levels, n_orientations, trust_target, nominal_width, joint) -> None:
         super().__init__()
@@ -89,7 +91,8 @@ class _StatisticsLoss(nn.Module):
         self.pyramid_maker: SpatialSteerablePyramid | None = None
         self.target_stats: Any = None
         self.loss_map: torch.Tensor | None = None
-        self._kept = TargetCache(trust_target)
+        self._kept, self._poolings = TargetCache(trust_target), Kept()
+        self._pooling: Pooling | None = None
 
     @property
     def device(self) -> torch.device:
@@ -107,29 +110,44 @@ class _StatisticsLoss(nn.Module):
         self.loss_map = torch.stack(enlarged).sum(0)[:, 0]
 
     def _parts(self, picture, where, pairs=True):
-        """Return groups of bands, the pooling of each, its mask or None, and the maps that are compared directly.
+        """Return bands of each level, the high-pass residual first, their pooling, and maps compared without it.
 
         The first of these is the last low-pass; statistics of pairs follow if the loss has them and `pairs` is set.
         """
-        raise NotImplementedError(f"{type(self).__name__} must define _parts(picture, where, pairs)")
+        groups, low = self._maker(picture.shape[1]).levels(picture, self.n_pyramid_levels)
+        key = (picture.shape, where, self._options(), picture.dtype, picture.device)
+        pooling = self._poolings.get(key, lambda: self._pooling_of(picture, [one.shape[-2:] for one in low], where))
+        if pooling is not self._pooling:
+            self._pooling = pooling
+        rest = pooling.samplers[0](picture) if self.use_fullres_l0 else low[-1]
+        others = [rest if pooling.last is None else pooling.last * rest]
+        if self.joint and pairs:
+            maps = joint_maps([groups[0][:, :, 1:], *groups[1:]], low, pooling.samplers, self._maker(low[0].shape[1]))
+            for found, mask in zip(maps, pooling.masks, strict=True):
+                others += found if mask is None else [mask * one for one in found]
+        return groups, pooling, others
 
-    def _pairs(self, groups, low, samplers, masks):
-        """Return the statistics of pairs of bands of each level, times its mask."""
-        levels = joint_maps(groups[1:], low, samplers, self._maker(low[0].shape[1]))
-        return [
-            one if mask is None else mask * one for found, mask in zip(levels, masks, strict=False) for one in found
-        ]
+    def _pooling_of(self, picture, sizes, where):
+        """Return the :class:`Pooling` of pictures like one, with levels of these sizes."""
+        raise NotImplementedError(f"{type(self).__name__} must define _pooling_of(picture, sizes, where)")
+
+    def _statistics(self, picture, where):
+        """Return the statistics of a picture after checking that it fits the pyramid."""
+        self._maker(_validate.image("image", picture, axes=4).shape[1])._check(picture, self.n_pyramid_levels)
+        return statistics_maps(*self._parts(picture, where))
 
     def _apply(self, function, recurse=True):
         self._kept.clear()
+        self._poolings.clear()
         return super()._apply(function, recurse)
 
     def _converted(self, picture, colourspace):
         """Return a picture padded for the pyramid and, if it is RGB, converted to Y′CrCb."""
-        _validate.instance("image_colorspace", colourspace, str, "a string")
+        if any(side % (1 << self.n_pyramid_levels) for side in picture.shape[-2:]):
+            picture = pad_image_for_pyramid(picture, self.n_pyramid_levels)
         # Half precision would lose the digits of deviations, which are differences of means.
-        picture = in_float32(pad_image_for_pyramid(picture, self.n_pyramid_levels))
-        return rgb_2_ycrcb(picture) if picture.shape[1] == 3 and colourspace.upper() == "RGB" else picture
+        picture = in_float32(picture)
+        return ycrcb_of(picture) if picture.shape[1] == 3 and colourspace.upper() == "RGB" else picture
 
     def _options(self):
         """Return all that the statistics of a picture depend on besides the place."""
@@ -137,12 +155,12 @@ class _StatisticsLoss(nn.Module):
 
     def _against(self, image, target, where, colourspace, visualise, index=0, *gaze):
         """Return the loss of the part `index` of a batch, its picture as it was compared, and its target."""
-        reference, self.target_stats, kept = self._kept.get(
-            target,
-            (where, self._options(), colourspace),
-            lambda: self._target_statistics(target, colourspace, where),
-            index,
-        )
+        _validate.instance("image_colorspace", colourspace, str, "a string")
+        parameters = where, self._options(), colourspace
+        found = self._kept.get(target, parameters, lambda: self._target_statistics(target, colourspace, where), index)
+        reference, statistics, kept = found
+        if self.target_stats is not statistics:
+            self.target_stats = statistics
         image = self._converted(image, colourspace)
         if kept is not None and not (visualise or self.use_radial_weight) and is_blocked(image):
             return self._distance(image, kept, where), image, reference
@@ -156,24 +174,25 @@ class _StatisticsLoss(nn.Module):
 
         The last is None where they are not computed in strips; otherwise both share their memory.
         """
+        check_range(type(self).__name__, "target", picture)
         picture = self._converted(picture, colourspace)
-        groups, samplers, masks, others = self._parts(picture, where)
+        groups, pooling, others = self._parts(picture, where)
         if not is_blocked(picture) or picture.requires_grad:
-            return picture, statistics_maps(groups, samplers, masks, others), None
-        values = [local_statistics(bands, sampler) for bands, sampler in zip(groups, samplers, strict=True)]
-        for value, mask in zip(values, masks, strict=True):
+            return picture, statistics_maps(groups, pooling, others), None
+        values = [local_statistics(bands, sampler) for bands, sampler in zip(groups, pooling.samplers, strict=True)]
+        for value, mask in zip(values, pooling.masks, strict=True):
             if mask is not None:
                 value.mul_(mask[:, None, None])
         maps = [one for value, bands in zip(values, groups, strict=True) for one in as_maps(value, bands.shape)]
-        return picture, [*maps, *others], [*values, *others]
+        return picture, [*maps, *others], (values, others)
 
     def _distance(self, picture, kept, where, pairs=True):
         """Return the mean distance of a picture's statistics from a target's, computed in strips."""
-        groups, samplers, masks, others = self._parts(picture, where, pairs)
-        compared = zip(others, kept[len(groups) :][: len(others)], strict=True)
-        total = torch.stack([functional.mse_loss(one, two.expand_as(one)) for one, two in compared]).sum()
-        for values, bands, sampler, mask in zip(kept[: len(groups)], groups, samplers, masks, strict=True):
-            total = total + squared_distance(bands, sampler, mask, values) / bands[:, :, 0].numel()
+        groups, pooling, others = self._parts(picture, where, pairs)
+        values, wanted = kept
+        total = squared_distance(groups, pooling, values)
+        for one, two in zip(others, wanted, strict=False):
+            total = total + mean_square(one - two)
         return total / (2 * sum(bands.shape[2] for bands in groups) + len(others))
 
     def _maker(self, channels):
@@ -314,8 +333,6 @@ class MetamericLoss(_StatisticsLoss, Seen):
 
     alpha: float
     mode: str
-    fovea_mask: torch.Tensor | None
-    periphery_mask: torch.Tensor | None
 
     def __init__(
         self,
@@ -348,8 +365,16 @@ class MetamericLoss(_StatisticsLoss, Seen):
         self.use_radial_weight: bool = _validate.flag("use_radial_weight", use_radial_weight)
         self.equi: bool = _validate.flag("equi", equi)
         self.blurs: nn.ModuleList | None = None
-        self.fovea_mask = self.periphery_mask = None
-        self._pooling = Kept()
+
+    @property
+    def fovea_mask(self) -> torch.Tensor | None:
+        """Weight of each pixel near the gaze of the last call ``[B, C, H, W]``."""
+        return None if self._pooling is None else self._pooling.fovea
+
+    @property
+    def periphery_mask(self) -> torch.Tensor | None:
+        """Weight of each other pixel of the last call ``[B, C, H, W]``."""
+        return None if self._pooling is None else self._pooling.periphery
 
     def forward(
         self,
@@ -387,7 +412,7 @@ class MetamericLoss(_StatisticsLoss, Seen):
         checked_pictures("MetamericLoss", image, target, self.n_pyramid_levels)
         visualise_loss = _validate.flag("visualise_loss", visualise_loss)
         gazes = each_of(self._gaze(gaze, len(image)))
-        self._pooling.room = len(gazes)
+        self._poolings.room = len(gazes)
         pairs = zip(parts_of(image, gazes), parts_of(target, gazes), strict=True)
         values = [
             self._compared(one, two, place, index, image_colorspace, visualise_loss)
@@ -402,7 +427,7 @@ class MetamericLoss(_StatisticsLoss, Seen):
         where = self._where(gaze)
         loss, image, reference = self._against(image, target, where, image_colorspace, visualise_loss, index, gaze)
         if self.use_l2_foveal_loss:
-            loss = loss + self.fovea_weight * ((self.fovea_mask * (image - reference)) ** 2).mean()
+            loss = loss + self.fovea_weight * mean_square(self.fovea_mask * (image - reference))
         return loss, self.loss_map
 
     def calc_statsmaps(
@@ -450,13 +475,12 @@ class MetamericLoss(_StatisticsLoss, Seen):
             If the picture does not fit the pyramid, or an argument makes no map.
         """
         equi = _validate.flag("equi", equi) or self.equi
-        _validate.image("image", image, axes=4)
         gaze = gaze_at(viewing, gaze)
         gaze = point("gaze", ((0.0, 0.0) if equi else (0.5, 0.5)) if gaze is None else gaze)
         view = _validate.constants(real_image_width=real_image_width, real_viewing_distance=real_viewing_distance)
         view = map(float, geometry(viewing, *view))
         where = (_validate.constant("alpha", alpha), *view, gaze, mode, equi)
-        return statistics_maps(*self._parts(image, where))
+        return self._statistics(image, where)
 
     def metameric_loss_stats(
         self, statsmap_a: list[torch.Tensor], statsmap_b: list[torch.Tensor], gaze: Sequence[float]
@@ -489,53 +513,32 @@ class MetamericLoss(_StatisticsLoss, Seen):
             )
         return mean_distance(statsmap_a, statsmap_b)
 
-    def _apply(self, function, recurse=True):
-        self._pooling.clear()
-        return super()._apply(function, recurse)
-
     def _options(self):
         return *super()._options(), self.use_l2_foveal_loss, self.use_fullres_l0
 
     def _where(self, gaze: Point):
-        view = self.viewing.real_image_width, self.viewing.real_viewing_distance
-        return _validate.constant("alpha", self.alpha), *view, gaze, self.mode, self.equi
+        alpha = self.alpha if type(self.alpha) is float else _validate.constant("alpha", self.alpha)
+        return alpha, self.viewing.real_image_width, self.viewing.real_viewing_distance, gaze, self.mode, self.equi
 
-    def _parts(self, picture, where, pairs=True):
-        groups, low = self._maker(picture.shape[1]).stacked_bands(picture, self.n_pyramid_levels)
-        key = (tuple(picture.shape), where, self._options(), picture.dtype, picture.device)
-        samplers, masks, self.fovea_mask, self.periphery_mask = self._pooling.get(
-            key, lambda: self._pooled_by(picture, where, groups, [one.shape[-2:] for one in low])
-        )
-        rest = samplers[0](picture) if self.use_fullres_l0 else low[-1]
-        *level_masks, last = masks
-        others = [rest if last is None else last * rest]
-        if self.joint and pairs:
-            others += self._pairs(groups, low, samplers, level_masks)
-        return groups, [samplers[0], *samplers], [level_masks[0], *level_masks], others
-
-    def _pooled_by(self, picture, where, groups, sizes):
-        """Return samplers and masks of the levels of pictures, and the masks of fovea and periphery or None."""
+    def _pooling_of(self, picture, sizes, where):
         kept = self.blurs
         if kept is None or len(kept) != self.n_pyramid_levels or kept[0].nominal_width != self.nominal_width:
-            blurs = (RadiallyVaryingBlur(self.nominal_width) for _ in range(self.n_pyramid_levels))
-            self.blurs = nn.ModuleList(blurs)
-        samplers = [blur.sampler(bands, *where) for blur, bands in zip(self.blurs, groups[1:], strict=False)]
-        return samplers, *self._level_masks(picture, sizes)
-
-    def _level_masks(self, image, sizes):
-        """Return the weight of each pixel's statistics for each size, None where all are 1; and the masks of gaze."""
+            self.blurs = nn.ModuleList(RadiallyVaryingBlur(self.nominal_width) for _ in sizes)
+        levels = zip(self.blurs, sizes[:-1], strict=False)
+        samplers = [blur.sampler(picture[..., : size[0], : size[1]], *where) for blur, size in levels]
         if not (self.use_l2_foveal_loss or self.use_fullres_l0):
-            return [None] * len(sizes), None, None
+            return Pooling(samplers, [None] * len(samplers))
         with _torch_private.keeping(), torch.no_grad():
-            levels = [blur.lod_map for blur in self.blurs[:-1]]
+            maps = [blur.lod_map for blur in self.blurs[:-1]]
             if self.use_fullres_l0:
-                return [*[(level > RESOLVED).to(image.dtype) for level in levels], None], None, None
-            fovea = (1 - levels[0] / levels[0].max().clamp_min(RESOLVED)) ** FOVEA_SHARPNESS
-            fovea = torch.where(levels[0] < RESOLVED, 1.0, fovea)
+                return Pooling(samplers, [(level > RESOLVED).to(picture.dtype) for level in maps])
+            fovea = (1 - maps[0] / maps[0].max().clamp_min(RESOLVED)) ** FOVEA_SHARPNESS
+            fovea = torch.where(maps[0] < RESOLVED, 1.0, fovea)
             masks = [1 - fovea]
             for size in sizes[1:]:
                 masks.append(functional.adaptive_avg_pool2d(masks[-1][None], size)[0])
-            return masks, fovea.expand(image.shape), (1 - fovea).expand(image.shape)
+            around = [mask.expand(picture.shape) for mask in (fovea, masks[0])]
+            return Pooling(samplers, masks[:-1], masks[-1], *around)
 
 
 class MetamericLossUniform(_StatisticsLoss):
@@ -650,10 +653,8 @@ class MetamericLossUniform(_StatisticsLoss):
         ValueError, TypeError
             If the picture does not fit the pyramid, or the size is below 1/64.
         """
-        (pooling_size,) = _validate.constants(pooling_size=pooling_size)
-        _validate.image("image", image, axes=4)
-        _validate.number("pooling_size", pooling_size, positive=True, least=FINEST)
-        return statistics_maps(*self._parts(image, pooling_size))
+        size = _validate.constant("pooling_size", pooling_size, positive=True, least=FINEST)
+        return self._statistics(image, size)
 
     def metameric_loss_stats(self, statsmap_a: list[torch.Tensor], statsmap_b: list[torch.Tensor]) -> torch.Tensor:
         """Return the mean squared difference of two lists of statistics, averaged over the list.
@@ -729,14 +730,12 @@ class MetamericLossUniform(_StatisticsLoss):
         maker = MetamericLossUniform(self.device, self.pooling_size, self.n_pyramid_levels, count, *options)
         return maker._metamer(image, self.pooling_size, levels, seed, iterations, progress)
 
-    def _parts(self, picture, where, pairs=True):
-        groups, low = self._maker(picture.shape[1]).stacked_bands(picture, self.n_pyramid_levels)
+    def _pooling_of(self, picture, sizes, where):
         samplers = [
-            _uniform_sampler(bands, where / 2**level, self.nominal_width) for level, bands in enumerate(groups[1:])
+            _uniform_sampler(picture[..., :rows, :columns], where / 2**level, self.nominal_width)
+            for level, (rows, columns) in enumerate(sizes[:-1])
         ]
-        masks = [None] * len(groups)
-        others = [low[-1], *(self._pairs(groups, low, samplers, masks) if self.joint and pairs else [])]
-        return groups, [samplers[0], *samplers], masks, others
+        return Pooling(samplers, [None] * len(samplers))
 
 
 def uniform_blur(image: torch.Tensor, pooling_size: float, nominal_width: bool = False) -> torch.Tensor:
@@ -987,6 +986,7 @@ class MetamerMSELoss(Seen):
 
     def _drawn(self, inner, earlier, image, gaze, seed=0, iterations=None, progress=None):
         """Return a metamer by the statistics of a loss."""
+        check_range("MetamerMSELoss", "target", image)
         where = inner._where(gaze)
         kind = {"nominal_width": inner.nominal_width, "dtype": torch.float64, "device": image.device}
 
@@ -1027,7 +1027,7 @@ class MetamerMSELoss(Seen):
 
     def _metamers_of(self, target, gazes):
         inner = self.metameric_loss
-        inner._pooling.room, made = len(gazes), []
+        inner._poolings.room, made = len(gazes), []
         constant = _torch_private.as_constant(target)
         with _torch_private.outside_functional_transforms(constant):
             self.target = constant.detach()
@@ -1042,7 +1042,9 @@ class MetamerMSELoss(Seen):
 
 
 def checked_pictures(name: str, image: torch.Tensor, target: torch.Tensor, n_levels: int) -> None:
-    """Raise unless two pictures can be compared: one shape, finite, about 0 … 1, large enough for the pyramid.
+    """Raise unless two pictures can be compared: one shape, the image finite and about 0 … 1, the pyramid not too high.
+
+    Values of a target are checked where what is kept of it is computed.
 
     Parameters
     ----------
@@ -1070,8 +1072,12 @@ def checked_pictures(name: str, image: torch.Tensor, target: torch.Tensor, n_lev
             f"{name} ERROR: image and target are too small: sides must be at least 2 and fill {n_levels} pyramid "
             f"levels, got {tuple(image.shape)}"
         )
-    pictures: dict[str, Any] = {f"{name} ERROR: image": image, f"{name} ERROR: target": target}
-    check_values(**pictures)
+    check_range(name, "image", image)
+
+
+def check_range(loss: str, name: str, picture: torch.Tensor) -> None:
+    """Raise where a picture has values that none of 0 … 1 has, and warn of values of 0 … 255; a GPU is not read."""
+    check_values(remedy=DIVIDED, **{f"{loss} ERROR: {name}": picture})
 
 
 Result = TypeVar("Result")

@@ -103,7 +103,7 @@ def matched_noise(
     """
     generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
     noise = torch.rand(1, *image.shape[1:], dtype=torch.float64, generator=generator).to(image)
-    groups, _ = maker.stacked_bands(noise, n_levels)
+    groups, _ = maker.levels(noise, n_levels)
     found = []
     for band in (band for bands in groups for band in bands.unbind(2)):
         mean = band.mean((2, 3), keepdim=True)
@@ -197,7 +197,7 @@ def rescaled(
     Parameters
     ----------
     groups : list of torch.Tensor
-        High-pass residual and bands ``[B, C, K, H, W]`` of each level.
+        Bands ``[B, C, K, H, W]`` of each level, the high-pass residual in front of the first ones.
     found : sequence of torch.Tensor
         Mean and deviation of each band in turn, for each pixel or for the whole band; further maps are ignored.
     wanted : sequence of torch.Tensor

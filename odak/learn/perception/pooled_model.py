@@ -204,7 +204,7 @@ class PooledModel:
         ValueError, TypeError
             If the picture does not fit the pyramid.
         """
-        found = [weight * value for weight, value in self._pooled(picture)]
+        found = [weight * value for weight, value in self._statistics(picture)]
         return found if self._units is None else [a / unit.to(a) for a, unit in zip(found, self._units, strict=True)]
 
     def over_deviations(self, pictures: torch.Tensor) -> "PooledModel":
@@ -241,7 +241,7 @@ class PooledModel:
             raise ValueError(f"pictures must be two or more, got {len(pictures)}")
         scaled = copy.copy(self)
         with torch.no_grad():
-            values = [value.transpose(0, 1).flatten(1) for _, value in self._pooled(pictures)]
+            values = [value.transpose(0, 1).flatten(1) for _, value in self._statistics(pictures)]
         floor = math.sqrt(POWER_FLOOR)
         # No pixel may lie around the gaze.
         deviations = [one.std(1) if one.numel() else one.new_ones(len(one)) for one in values]
@@ -249,7 +249,7 @@ class PooledModel:
         scaled._units[0] = scaled._units[0][..., 0]
         return scaled
 
-    def _pooled(self, picture):
+    def _statistics(self, picture):
         """Return the statistics, each with the weights of its windows."""
         whole = self.pool(picture)
         picture = rgb_2_ycrcb(picture) if picture.shape[1] == 3 else picture
@@ -338,14 +338,20 @@ class Windows:
 
     def __call__(self, values: torch.Tensor) -> torch.Tensor:
         """Return the means ``[B, N, K, 1]`` of values ``[B, N, H, W]``."""
-        found = _pooled(values.flatten(2).flatten(0, 1), self._tables, False)
+        found = _torch_private.linear(self, False, values.flatten(2).flatten(0, 1))
         return found.reshape(*values.shape[:2], -1, 1)
 
+    def forward(self, planes: torch.Tensor) -> torch.Tensor:
+        """Return the means of planes ``[N, H·W]``, ten times as fast as sparse tensors."""
+        return _summed(planes, *self._tables[0])
 
-@_torch_private.linear_operator
-def _pooled(planes, tables, adjoint):
-    """Return means of planes ``[N, H·W]`` over windows, or the adjoint; ten times as fast as sparse tensors."""
-    columns, starts, weights = tables[adjoint]
+    def adjoint(self, values: torch.Tensor) -> torch.Tensor:
+        """Return the adjoint of :meth:`forward`."""
+        return _summed(values, *self._tables[1])
+
+
+def _summed(planes, columns, starts, weights):
+    """Return the sums of planes by a table of :func:`_table`."""
     result = planes.new_empty(len(planes), len(starts))
     for part, target in zip(planes.split(_PLANES), result.split(_PLANES), strict=True):
         rows = part.T.contiguous()

@@ -1,14 +1,36 @@
 """Pooled statistics of a pyramid's bands and the distance between them, computed in strips on a CPU."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch.nn import functional
 
-from odak.learn.perception.foveation import Sampler, is_blocked, plane_chunks, strip_memory
+from odak.learn.perception.foveation import Sampler, is_blocked, plane_chunks
 
 VARIANCE_FLOOR = 1e-7
+
+
+class Pooling(NamedTuple):
+    """What the statistics of pictures of one size and one gaze are pooled by, made once.
+
+    Attributes
+    ----------
+    samplers : list of Sampler
+        Those that compute the local means of each level that has bands.
+    masks : list of torch.Tensor or None
+        How much each pixel ``[H, W]`` of each of these levels counts; None where all count alike.
+    last : torch.Tensor or None
+        The same of the last low-pass.
+    fovea, periphery : torch.Tensor or None
+        Weights of the pixels near the gaze and of the others, in the shape of the pictures.
+    """
+
+    samplers: list[Sampler]
+    masks: list[torch.Tensor | None]
+    last: torch.Tensor | None = None
+    fovea: torch.Tensor | None = None
+    periphery: torch.Tensor | None = None
 
 
 def checked_statistics(**lists: Sequence[torch.Tensor]) -> list[list[torch.Tensor]]:
@@ -42,7 +64,7 @@ def local_statistics(bands: torch.Tensor, sampler: Sampler) -> torch.Tensor:
     result = planes.new_empty(planes.shape[0], 2, *planes.shape[1:])
     for chunk in plane_chunks(sampler, planes):
         part = planes[:, chunk]
-        coarse, memory = _coarse(part, sampler), _memory(sampler, part)
+        coarse, memory = _coarse(part, sampler), _memory(sampler, part)[0]
         for strip in sampler.strips:
             found = result[strip.rows, :, chunk]
             _moments(strip, part, coarse, found, memory[: len(found)])
@@ -56,63 +78,77 @@ def as_maps(statistics: torch.Tensor, shape: torch.Size) -> list[torch.Tensor]:
     return [maps[:, :, band, kind] for band in range(shape[2]) for kind in range(2)]
 
 
-def squared_distance(
-    bands: torch.Tensor, sampler: Sampler, mask: torch.Tensor | None, target: torch.Tensor
-) -> torch.Tensor:
-    """Return Σ(mask·statistic − target)² over all statistics and pixels of bands.
+def squared_distance(groups: Sequence[torch.Tensor], pooling: Pooling, targets: Sequence[torch.Tensor]) -> torch.Tensor:
+    """Return Σ(mask·statistic − target)² over all statistics and pixels of bands, over the pixels of a band.
 
     Parameters
     ----------
-    bands : torch.Tensor
-        ``[B, C, K, H, W]`` on a CPU.
-    sampler : Sampler
-        Makes the local means of pictures of this size.
-    mask : torch.Tensor or None
-        How much each pixel counts ``[H, W]``.
-    target : torch.Tensor
-        Statistics of the target as :func:`local_statistics` returns them, times the mask.
+    groups : sequence of torch.Tensor
+        Bands ``[B, C, K, H, W]`` of each level, on a CPU.
+    pooling : Pooling
+        That of pictures of this size.
+    targets : sequence of torch.Tensor
+        Statistics of the target as :func:`local_statistics` returns them for each level, times the mask.
 
     Returns
     -------
     torch.Tensor
         Without axes; differentiable any number of times in the bands. The first gradient is computed on the way.
     """
-    return _Distance.apply(bands, sampler, mask, target)
+    return _Distance.apply(pooling, targets, *groups)
 
 
 class _Distance(torch.autograd.Function):
     @staticmethod
-    def forward(context, bands, sampler, mask, target):
-        context.rest = (sampler, mask, target)
-        planes, weights = _planes(bands), None if mask is None else mask[:, None, None]
-        gradient = torch.empty_like(planes) if context.needs_input_grad[0] else None
-        values = []
-        for chunk in plane_chunks(sampler, planes):
-            part = None if gradient is None else gradient[:, chunk]
-            values += _compare(planes[:, chunk], sampler, weights, target[:, :, chunk], part)
-        if gradient is not None:
-            context.save_for_backward(bands, gradient.unflatten(1, bands.shape[:3]).permute(1, 2, 3, 0, 4))
-        return torch.stack(values).sum()
+    def forward(context, pooling, targets, *groups):
+        context.rest, total, gradients = (pooling, targets), 0.0, []
+        for level, bands in enumerate(groups):
+            planes, sampler, target, mask = (
+                _planes(bands),
+                pooling.samplers[level],
+                targets[level],
+                pooling.masks[level],
+            )
+            weights = None if mask is None else mask[:, None, None]
+            gradient = torch.empty_like(planes) if context.needs_input_grad[2] else None
+            for chunk in plane_chunks(sampler, planes):
+                part = None if gradient is None else gradient[:, chunk]
+                value = _compare(planes[:, chunk], sampler, weights, target[:, :, chunk], part)
+                total = total + value / (bands.shape[0] * bands.shape[1] * bands.shape[3] * bands.shape[4])
+            gradients += [] if gradient is None else [_as_bands(gradient, bands.shape)]
+        if gradients:
+            context.save_for_backward(*groups, *gradients)
+        return total
 
     @staticmethod
     def backward(context, outer):
-        bands, gradient = context.saved_tensors
+        pooling, targets = context.rest
+        groups, gradients = context.saved_tensors[: len(targets)], context.saved_tensors[len(targets) :]
+        scales = [outer / bands[:, :, 0].numel() for bands in groups]
         if torch.is_grad_enabled():
             # The gradient is differentiated: it is computed again by differentiable operations.
-            sampler, mask, target = context.rest
-            found = torch.stack([_planes(statistic) for statistic in pooled(bands, sampler)], 1)
-            found = found if mask is None else found * mask[:, None, None]
-            (gradient,) = torch.autograd.grad(((found - target) ** 2).sum(), bands, create_graph=True)
-        return outer * gradient, None, None, None
+            total = groups[0].new_zeros(())
+            for bands, sampler, mask, target in zip(groups, pooling.samplers, pooling.masks, targets, strict=True):
+                found = torch.stack([_planes(statistic) for statistic in pooled(bands, sampler)], 1)
+                found = found if mask is None else found * mask[:, None, None]
+                total = total + ((found - target) ** 2).sum()
+            gradients = torch.autograd.grad(total, groups, create_graph=True)
+        return None, None, *(scale * one for scale, one in zip(scales, gradients, strict=True))
+
+
+def _as_bands(planes, shape):
+    return planes.view(shape[3], *shape[:3], shape[4]).permute(1, 2, 3, 0, 4)
 
 
 def _planes(bands):
     """Return bands ``[B, C, K, H, W]`` as planes ``[H, P, W]``, without a copy where the memory layout permits."""
-    return bands.permute(3, 0, 1, 2, 4).flatten(1, 3).contiguous()
+    return bands.permute(3, 0, 1, 2, 4).reshape(bands.shape[3], -1, bands.shape[4])
 
 
-def _memory(sampler, planes):
-    return strip_memory(sampler, planes, 2 * planes.shape[1]).unflatten(1, (2, -1))
+def _memory(sampler, planes, count=1):
+    """Return memory for so many times the means and powers of a strip."""
+    rows, (_, number, columns) = sampler.strips[0].fine.shape[0], planes.shape
+    return planes.new_empty(count, rows, 2, number, columns)
 
 
 def _coarse(planes, sampler):
@@ -126,13 +162,13 @@ def _coarse(planes, sampler):
     halved = planes.new_empty(even.shape[0], 2, *planes.shape[1:])
     torch.add(even, odd, out=halved[:, 0])
     torch.mul(even, even, out=halved[:, 1]).addcmul_(odd, odd)
-    return sampler.coarse(halved.mul_(0.5))
+    halved *= 0.5
+    return sampler.coarse(halved)
 
 
 def _moments(strip, planes, coarse, result, memory):
     """Write local means and variances of a strip to `result` ``[rows, 2, P, W]``."""
-    part = planes[strip.rows]
-    mean, variance = result.unbind(1)
+    part, mean, variance = planes[strip.rows], result[:, 0], result[:, 1]
     torch.mul(part, strip.fine, out=mean)
     torch.mul(mean, part, out=variance)
     strip.add(result, coarse, memory)
@@ -140,35 +176,39 @@ def _moments(strip, planes, coarse, result, memory):
 
 
 def _compare(planes, sampler, weights, target, gradient):
-    """Return the distances of each strip of some planes; write the gradient where memory for it is given."""
-    moments, errors, memory = (_memory(sampler, planes) for _ in range(3))
-    coarse, values = _coarse(planes, sampler), []
+    """Return the distance of some planes; write the gradient where memory for it is given."""
+    memory = _memory(sampler, planes, 3)
+    coarse, total = _coarse(planes, sampler), 0.0
     totals = [] if gradient is None else [torch.zeros_like(level) for level in coarse]
     for strip in sampler.strips:
-        length = strip.rows.stop - strip.rows.start
-        found, error, rest = moments[:length], errors[:length], memory[:length]
+        rows = strip.rows
+        length = rows.stop - rows.start
+        found, error, rest = memory[0, :length], memory[1, :length], memory[2, :length]
         _moments(strip, planes, coarse, found, rest)
-        varies = None if gradient is None else found[:, 1] > VARIANCE_FLOOR
-        found[:, 1].clamp_min_(VARIANCE_FLOOR).sqrt_()
-        weight = None if weights is None else weights[strip.rows]
+        mean, deviation = found[:, 0], found[:, 1]
+        varies = None if gradient is None else deviation > VARIANCE_FLOOR
+        deviation.clamp_min_(VARIANCE_FLOOR).sqrt_()
+        weight = None if weights is None else weights[rows]
         counted = found if weight is None else torch.mul(found, weight, out=error)
-        torch.sub(counted, target[strip.rows], out=error)
-        values.append(torch.dot(error.flatten(), error.flatten()))
+        torch.sub(counted, target[rows], out=error)
+        flat = error.flatten()
+        total = total + torch.dot(flat, flat)
         if gradient is not None:
             # Errors become gradients by the means of planes and of their squares: d(e²) = 2e·dσ and
             # dσ = d(power)/2σ − mean·d(mean)/σ; 0 where the variance is clipped.
             if weight is not None:
-                error.mul_(weight)
-            by_mean, by_power = error.unbind(1)
-            mean, deviation = found.unbind(1)
-            by_power.div_(deviation).mul_(varies)
-            by_mean.addcmul_(mean, by_power, value=-1).mul_(2)
-            torch.addcmul(by_mean, planes[strip.rows], by_power, value=2, out=gradient[strip.rows])
-            gradient[strip.rows].mul_(strip.fine)
+                error *= weight
+            by_mean, by_power = error[:, 0], error[:, 1]
+            by_power /= deviation
+            by_power *= varies
+            by_mean.addcmul_(mean, by_power, value=-1)
+            by_mean *= 2
+            part = torch.addcmul(by_mean, planes[rows], by_power, value=2, out=gradient[rows])
+            part *= strip.fine
             strip.add_adjoint(error, totals, rest)
     if totals:
         _add_coarse(gradient, planes, sampler, totals)
-    return values
+    return total
 
 
 def _add_coarse(gradient, planes, sampler, totals):
@@ -205,21 +245,16 @@ def pooled(bands: torch.Tensor, sampler: Sampler) -> tuple[torch.Tensor, torch.T
 
 
 def statistics_maps(
-    groups: list[torch.Tensor],
-    samplers: Sequence[Sampler],
-    masks: Sequence[torch.Tensor | None],
-    others: Sequence[torch.Tensor],
+    groups: Sequence[torch.Tensor], pooling: Pooling, others: Sequence[torch.Tensor]
 ) -> list[torch.Tensor]:
     """Return mean and standard deviation of a pyramid's bands, each over a pixel's pooling region.
 
     Parameters
     ----------
-    groups : list of torch.Tensor
-        Bands ``[B, C, K, H, W]`` as :meth:`SpatialSteerablePyramid.stacked_bands` returns them.
-    samplers : sequence of Sampler
-        Those that compute the local means of each group.
-    masks : sequence of torch.Tensor or None
-        How much each pixel counts ``[H, W]``, for each group.
+    groups : sequence of torch.Tensor
+        Bands ``[B, C, K, H, W]`` of each level as :meth:`SpatialSteerablePyramid.levels` returns them.
+    pooling : Pooling
+        That of pictures of this size.
     others : sequence of torch.Tensor
         Maps that are compared without pooling, times their own masks, first of all the last low-pass.
 
@@ -230,7 +265,7 @@ def statistics_maps(
         ``[B, C, H, W]``, and `others`.
     """
     maps: list[torch.Tensor] = []
-    for bands, sampler, mask in zip(groups, samplers, masks, strict=True):
+    for bands, sampler, mask in zip(groups, pooling.samplers, pooling.masks, strict=True):
         if is_blocked(bands) and not (bands.requires_grad and torch.is_grad_enabled()):
             found = as_maps(local_statistics(bands, sampler), bands.shape)
         else:
@@ -243,3 +278,8 @@ def statistics_maps(
 def mean_distance(one: list[torch.Tensor], two: list[torch.Tensor]) -> torch.Tensor:
     """Return the mean over pairs of maps of their mean squared differences."""
     return torch.stack([functional.mse_loss(a, b) for a, b in zip(one, two, strict=True)]).mean()
+
+
+def mean_square(values: torch.Tensor) -> torch.Tensor:
+    """Return the mean of the squares of values."""
+    return (values * values).mean()

@@ -8,9 +8,11 @@ numbers are unknown and the bank is exactly steerable.
 import functools
 import json
 import math
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -18,9 +20,10 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _torch_private, _validate
-from odak._torch_private import in_own_precision, is_plain_on_cpu, linear_operator
+from odak._torch_private import in_own_precision, linear, linear_operator
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import checked_device, checked_dtype, floating_tensor, in_float64, kind_of
+from odak.learn.perception.foveation import is_blocked
 
 FILTER_TYPES = ("full", "cropped", "trained")
 # Sizes of l, l0, h0 and the bands of the full bank.
@@ -330,11 +333,11 @@ class SpatialSteerablePyramid(nn.Module):
         """
         multiple_highpass = _validate.flag("multiple_highpass", multiple_highpass)
         groups, low = self.stacked_bands(image, n_levels)
-        pyramid: Pyramid = [{"h": groups[0].flatten(1, 2), "l": low[0], "b": list(groups[1].unbind(2))}]
+        pyramid: Pyramid = [{"h": groups[0][:, :, 0], "l": low[0], "b": list(groups[1].unbind(2))}]
         for bands, level in zip(groups[2:], low[1:], strict=False):
             pyramid.append({"l": level, "b": list(bands.unbind(2))})
             if multiple_highpass:
-                pyramid[-1]["h"] = self._filter(level, self.filt_h0)
+                pyramid[-1]["h"] = self._filters[0](level)[:, :, 0]
         return [*pyramid, {"l": low[-1]}]
 
     def stacked_bands(self, image: torch.Tensor, n_levels: int) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
@@ -360,14 +363,28 @@ class SpatialSteerablePyramid(nn.Module):
         """
         _validate.integer("n_levels", n_levels, minimum=2)
         self._check(image, n_levels)
-        self._follow(image)
-        low = [self._filter(image, self.filt_l0)]
-        groups = [correlate(image, self.filt_h0[:1, 0]), self._split(low[0])]
-        for level in range(1, n_levels):
-            low.append(self._halve(low[-1]))
-            if level < n_levels - 1:
-                groups.append(self._split(low[-1]))
-        return groups, low
+        groups, low = self.levels(image, n_levels)
+        return [groups[0][:, :, :1], groups[0][:, :, 1:], *groups[1:]], low
+
+    @in_own_precision
+    def levels(self, image: torch.Tensor, n_levels: int) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
+        """Return what :meth:`stacked_bands` does, the residual in front of the first level's bands, without checks.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            Real floats ``[B, C, H, W]``, large enough for the levels.
+        n_levels : int
+            At least 2.
+        """
+        levels = self._map(image, n_levels)
+        found = linear(levels, False, image) if is_blocked(image) else levels.forward(image, _plainly)
+        return list(found[: n_levels - 1]), list(found[n_levels - 1 :])
+
+    def _map(self, like, n_levels, weight=1):
+        """Return the linear map from pictures like one to their pyramid."""
+        self._follow(like)
+        return _Levels(*self._filters, n_levels, like.shape[-2:], weight)
 
     def quadrature(self, low: torch.Tensor) -> torch.Tensor:
         """Return bands a quarter of a cycle behind the bands of a level: the imaginary parts of complex bands.
@@ -406,7 +423,7 @@ class SpatialSteerablePyramid(nn.Module):
             smallest = QUADRATURE_SIZE // 2 + 1
             raise ValueError(f"low must be [B, C, H, W] with sides of {smallest} or more, got {tuple(low.shape)}")
         self._follow(low)
-        return correlate(low, _quadrature_taps(*self._bank(), low.dtype, low.device))
+        return _quadrature_filters(*self._bank(), low.dtype, low.device)(low)
 
     def reconstruct_from_pyramid(self, pyramid: Pyramid) -> torch.Tensor:
         """Return the picture whose pyramid is nearest to a given one, which is not modified; differentiable.
@@ -440,7 +457,8 @@ class SpatialSteerablePyramid(nn.Module):
         """
         checked_pyramid(pyramid, self.n_orientations)
         last = in_float64(pyramid[-1]["l"])
-        groups = [pyramid[0]["h"][:, :, None], *(torch.stack(tuple(level["b"]), 2) for level in pyramid[:-1])]
+        first, *others = [tuple(level["b"]) for level in pyramid[:-1]]
+        groups = [torch.stack(bands, 2) for bands in ((pyramid[0]["h"], *first), *others)]
         # Convolutions in single precision take a tenth of the time; double precision tells what is left of the error.
         fast, exact = (
             SpatialSteerablePyramid(self.use_bilinear_downup, self.n_channels, *self._bank()[:3]) for _ in "ab"
@@ -451,8 +469,8 @@ class SpatialSteerablePyramid(nn.Module):
         def inverted(right):
             image, error = torch.zeros_like(right), math.inf
             for _ in range(MOST_ROUNDS):
-                rest = right - exact._normal(image, len(groups)) if math.isfinite(error) else right
-                step = fast._descended(rest.float(), len(groups), ROUND).to(right)
+                rest = right - exact._normal(image, len(pyramid)) if math.isfinite(error) else right
+                step = fast._descended(rest.float(), len(pyramid), ROUND).to(right)
                 image = image + step
                 error = _largest_share(step, image)
                 # NaN is not worked on.
@@ -471,7 +489,7 @@ class SpatialSteerablePyramid(nn.Module):
 
     def _normal(self, image, n_levels):
         """Return the adjoint of the pyramid of a picture."""
-        groups, low = self.stacked_bands(image, n_levels)
+        groups, low = self.levels(image, n_levels)
         return self._gathered(groups, low[-1])
 
     @in_own_precision
@@ -494,10 +512,11 @@ class SpatialSteerablePyramid(nn.Module):
 
         The samples of a level that 2 × 2 means have halved stand for four pixels of the level above each.
         """
-        for bands in reversed(groups[1:]):
-            last = self._enlarge(last, bands.shape[-2:]) + spread(bands, self._bands[: self.n_orientations, 0])
-        first = spread(last[:, :, None], self.filt_l0[:1, 0])
-        return first + spread(groups[0], self.filt_h0[:1, 0])
+        levels = self._map(groups[0], len(groups) + 1, weight=4)
+        values = (*groups, *[None] * len(groups), last)
+        return (
+            linear(levels, True, *values) if is_blocked(last) else levels.adjoint(*values, spread=Filters.plain_adjoint)
+        )
 
     def _build(self, dtype, device) -> None:
         options: dict[str, Any] = {"dtype": dtype, "device": device}
@@ -509,6 +528,8 @@ class SpatialSteerablePyramid(nn.Module):
                 self._set(f"filt_{name}", filters[name].repeat(self.n_channels, 1, 1, 1))
             bands = torch.cat(filters["b"])
             self._set("_bands", bands.repeat(self.n_channels, 1, 1, 1))
+        low = None if self.use_bilinear_downup else Filters(filters["l"][0], 2)
+        self._filters = (Filters(filters["h0"][0]), Filters(filters["l0"][0]), Filters(bands[:, 0]), low)
 
     def _bank(self):
         return self.filter_size, self.n_orientations, self.filter_type, self.use_bilinear_downup
@@ -523,7 +544,8 @@ class SpatialSteerablePyramid(nn.Module):
         return self
 
     def _follow(self, image) -> None:
-        if (image.dtype, image.device) != (self.filt_h0.dtype, self.filt_h0.device):
+        taps = self._filters[0].taps
+        if (image.dtype, image.device) != (taps.dtype, taps.device):
             self._build(image.dtype, image.device)
 
     def _check(self, image, n_levels) -> None:
@@ -545,23 +567,6 @@ class SpatialSteerablePyramid(nn.Module):
         others += [] if self.use_bilinear_downup else [self.filt_l]
         needed = [max(taps.shape[-1] // 2 + 1 for taps in some) for some in (first, others)]
         return max(needed[0], needed[1] << (n_levels - 2))
-
-    def _filter(self, image, taps, stride=1):
-        return correlate(image, taps[:1, 0], stride).flatten(1, 2)
-
-    def _split(self, low):
-        return correlate(low, self._bands[: self.n_orientations, 0])
-
-    def _halve(self, low):
-        if self.use_bilinear_downup:
-            return functional.adaptive_avg_pool2d(low, [max(1, side // 2) for side in low.shape[-2:]])
-        return self._filter(low, self.filt_l, stride=2)
-
-    def _enlarge(self, low, size):
-        """Return the adjoint of :meth:`_halve`, times the four pixels of a mean."""
-        if self.use_bilinear_downup:
-            return 4 * _torch_private.spread_means(low, size)
-        return spread(low[:, :, None], self.filt_l[:1, 0], 2, size)
 
 
 # Iterations of the inversion of a pyramid at most, and rounds of them, each to this accuracy; usual are 5 to 20 and 3.
@@ -596,7 +601,7 @@ def nearest_picture(
     maker : SpatialSteerablePyramid
         The pyramid.
     groups : list of torch.Tensor
-        High-pass residual ``[B, C, 1, H, W]`` and each level's bands ``[B, C, K, H, W]``.
+        Bands ``[B, C, K, H, W]`` of each level, the high-pass residual in front of the first ones.
     last : torch.Tensor
         Last low-pass ``[B, C, H, W]``.
     tolerance : float
@@ -608,16 +613,16 @@ def nearest_picture(
         ``[B, C, H, W]``.
     """
     maker._follow(last)
-    inverted = functools.partial(maker._descended, n_levels=len(groups), tolerance=tolerance)
-    return _solved(maker._gathered(groups, last), inverted, False)
+    inverted = functools.partial(maker._descended, n_levels=len(groups) + 1, tolerance=tolerance)
+    return _solved(maker._gathered(groups, last), inverted)
 
 
 @functools.lru_cache(maxsize=16)
-def _quadrature_taps(size, count, kind, bilinear, dtype, device):
+def _quadrature_filters(size, count, kind, bilinear, dtype, device):
     bands = get_steerable_pyramid_filters(size, count, kind, bilinear=bilinear, dtype=torch.float64)["b"]
     taps = quadrature(torch.cat(bands)[:, 0].cpu().numpy(), QUADRATURE_SIZE)
     with _torch_private.keeping():
-        return torch.tensor(taps, dtype=dtype, device=device)
+        return Filters(torch.tensor(taps, dtype=dtype, device=device))
 
 
 class FrequencySteerablePyramid(nn.Module):
@@ -823,9 +828,186 @@ def _spread(spectrum, size):
 
 # Number of output channels, whose results fill one vector register.
 LANES = 16
+# Values of the results of several filters that are computed together at most: those of more do not stay in a cache.
+TOGETHER = 1 << 20
 
 
-@in_own_precision
+class Filters:
+    """Filters that are applied to planes mirrored at their borders, and the forms in which a processor takes them.
+
+    Convolutions compute output channels side by side, and a plane has one. Sixteen copies of a filter, each shifted by
+    one column more, are sixteen channels of a convolution that takes sixteen columns at a step: more products, and
+    several times less time.
+
+    Parameters
+    ----------
+    taps : torch.Tensor
+        ``[K, k, k]`` of odd k.
+    stride : int
+        Every so many rows and columns, from the first on.
+    """
+
+    def __init__(self, taps: torch.Tensor, stride: int = 1) -> None:
+        self.taps: torch.Tensor = taps
+        self.stride: int = stride
+        self.count, self.side = taps.shape[0], taps.shape[-1]
+
+    @functools.cached_property
+    def _shifted(self) -> torch.Tensor:
+        return self._kept([_shifted(filt[None], LANES, self.stride) for filt in self.taps])
+
+    @functools.cached_property
+    def _reversed(self) -> torch.Tensor:
+        """Each filter's parts for each of the stride² phases into which pixels fall."""
+        return self._kept([_shifted(_phases(filt, self.stride), self._lanes, 1) for filt in self.taps])
+
+    @property
+    def _lanes(self) -> int:
+        return LANES // self.stride**2
+
+    def _kept(self, filters: list[torch.Tensor]) -> torch.Tensor:
+        with _torch_private.keeping(), torch.no_grad():
+            return torch.cat(filters).contiguous(memory_format=torch.channels_last)
+
+    @in_own_precision
+    def __call__(self, image: torch.Tensor) -> torch.Tensor:
+        """Return the correlations of pictures; see :func:`correlate`."""
+        if is_blocked(image) and not self.taps.requires_grad:
+            adjoint = functools.partial(self.spread, size=image.shape[-2:])
+            return linear(SimpleNamespace(forward=self.forward, adjoint=adjoint), False, image)
+        return self.plainly(image)
+
+    def size(self, size: Sequence[int]) -> tuple[int, int]:
+        """Return rows and columns of the results of pictures of a size."""
+        return -(-size[0] // self.stride), -(-size[1] // self.stride)
+
+    def plainly(self, image: torch.Tensor) -> torch.Tensor:
+        """Return the correlations ``[B, C, K, h, w]`` of pictures by differentiable operations of torch."""
+        padded = functional.pad(image, (self.side // 2,) * 4, mode="reflect")
+        planes = functional.conv2d(padded.flatten(0, 1)[:, None], self.taps[:, None], stride=self.stride)
+        return planes.unflatten(0, image.shape[:2])
+
+    def plain_adjoint(self, values: torch.Tensor, size: Sequence[int]) -> torch.Tensor:
+        """Return the adjoint of :meth:`plainly` for pictures of a size, ``[B, C, *size]``."""
+        reach = self.side // 2
+        planes = functional.conv_transpose2d(values.flatten(0, 1), self.taps[:, None], stride=self.stride)
+        beyond = [length + 2 * reach - found for length, found in zip(size, planes.shape[-2:], strict=True)]
+        planes = functional.pad(planes, (0, beyond[1], 0, beyond[0]))
+        above = planes[..., reach : reach + size[0], reach : reach + size[1]]
+        folded = torch.ops.aten.reflection_pad2d_backward(planes, above, (reach,) * 4)
+        return folded[:, 0].unflatten(0, values.shape[:2])
+
+    def write(self, image: torch.Tensor, result: torch.Tensor) -> None:
+        """Write the correlations of pictures ``[B, C, H, W]`` to `result` ``[h, B, C, K, w]``, on a CPU."""
+        reach, (rows, batch, channels, _, columns) = self.side // 2, result.shape
+        planes = _torch_private.mirrored(image.flatten(0, 1), (reach,) * 4)
+        # Whole steps of the lanes; results from the zeros added are dropped.
+        beyond = (-(-columns // LANES) * LANES - 1) * self.stride + self.side - planes.shape[-1]
+        planes = _as_channels_last(torch.constant_pad_nd(planes, (0, beyond)) if beyond > 0 else planes)
+        step = TOGETHER // (rows * batch * channels * columns) or 1
+        for first in range(0, self.count, step):
+            taps = self._shifted[first * LANES : (first + step) * LANES]
+            lanes = functional.conv2d(planes, taps, stride=(self.stride, self.stride * LANES))
+            lanes = lanes.view(batch, channels, -1, LANES, *lanes.shape[-2:]).permute(4, 0, 1, 2, 5, 3)
+            result[:, :, :, first : first + step] = lanes.flatten(4)[..., :columns]
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        """Return the correlations of pictures on a CPU; see :meth:`plainly`."""
+        return _written((self, image))
+
+    def spread(self, values: torch.Tensor, size: Sequence[int]) -> torch.Tensor:
+        """Return the adjoint of :meth:`forward` for pictures of a size, ``[B, C, *size]``."""
+        stride, lanes = self.stride, self._lanes
+        padded = [length + self.side - 1 for length in size]
+        cells = -(-padded[0] // stride), -(-padded[1] // (stride * lanes)) * lanes
+        before = -(-self.side // stride) - 1
+        after = [cell - length for cell, length in zip(cells, values.shape[-2:], strict=True)]
+        total = None
+        for taps, part in zip(self._reversed.chunk(self.count), values.flatten(0, 1).unbind(1), strict=True):
+            planes = _as_channels_last(torch.constant_pad_nd(part, (before, after[1], before, after[0])))
+            spread = functional.conv2d(planes, taps, stride=(1, lanes))
+            total = spread if total is None else total.add_(spread)
+        # [N, cell, cells of lanes, row in the cell, column in the cell, lane] to rows and columns.
+        phases = total.view(total.shape[0], stride, stride, lanes, *total.shape[-2:]).permute(0, 4, 1, 5, 3, 2)
+        pixels = phases.flatten(3).flatten(1, 2)[..., : padded[0], : padded[1]]
+        folded = _folded(_folded(pixels, 1, self.side // 2), 2, self.side // 2)
+        return folded.unflatten(0, values.shape[:2])
+
+
+def _written(*pairs):
+    """Return the correlations of filters with a picture each, one after the other, on a CPU."""
+    filters, image = pairs[0]
+    batch, channels, *size = image.shape
+    rows, columns = filters.size(size)
+    count = filters.count if len(pairs) == 1 else sum(filters.count for filters, _ in pairs)
+    result, place = image.new_empty(rows, batch, channels, count, columns), 0
+    for filters, image in pairs:
+        filters.write(image, result[:, :, :, place : place + filters.count])
+        place += filters.count
+    return result.permute(1, 2, 3, 0, 4)
+
+
+def _plainly(*pairs):
+    """Return what :func:`_written` does, by differentiable operations of torch."""
+    found = [filters.plainly(image) for filters, image in pairs]
+    return torch.cat(found, 2) if len(found) > 1 else found[0]
+
+
+class _Levels(NamedTuple):
+    """The linear map from pictures of a size to their pyramid.
+
+    It gives the bands ``[B, C, K, H, W]`` of each level, after the high-pass residual in the first one, and then each
+    level's low-pass ``[B, C, H, W]``. 2 × 2 means count `weight` times.
+    """
+
+    high: Filters
+    first: Filters
+    bands: Filters
+    low: Filters | None
+    count: int
+    size: Sequence[int]
+    weight: int = 1
+
+    def forward(self, image, found=_written):
+        """Return the levels by :func:`_written`, or by another function of filters and pictures."""
+        groups, passed = [], [found((self.first, image))[:, :, 0]]
+        for level in range(self.count - 1):
+            low = passed[-1]
+            more = [] if level else [(self.high, image)]
+            groups.append(found(*more, (self.bands, low)))
+            passed.append(self._halved(low) if self.low is None else found((self.low, low))[:, :, 0])
+        return (*groups, *passed)
+
+    def _halved(self, low):
+        return self.weight * functional.adaptive_avg_pool2d(low, _halved_size(low.shape[-2:]))
+
+    def adjoint(self, *values, spread=Filters.spread):
+        """Return the adjoint for values of which some are None."""
+        sizes = [tuple(self.size)]
+        for _ in range(self.count - 1):
+            sizes.append(_halved_size(sizes[-1]) if self.low is None else self.low.size(sizes[-1]))
+        total = values[-1]
+        for level in range(self.count - 2, -1, -1):
+            bands, size = values[level], sizes[level]
+            if total is not None and self.low is None:
+                total = self.weight * _torch_private.spread_means(total, size)
+            elif total is not None:
+                total = spread(self.low, total[:, :, None], size)
+            rest = None if bands is None else spread(self.bands, bands if level else bands[:, :, 1:], size)
+            total = _sum(total, rest, values[self.count - 1 + level])
+        total = None if total is None else spread(self.first, total[:, :, None], self.size)
+        return _sum(total, None if values[0] is None else spread(self.high, values[0][:, :, :1], self.size))
+
+
+def _sum(*parts):
+    parts = [part for part in parts if part is not None]
+    return functools.reduce(torch.add, parts) if parts else None
+
+
+def _halved_size(size):
+    return tuple(max(1, side // 2) for side in size)
+
+
 def correlate(image: torch.Tensor, taps: torch.Tensor, stride: int = 1) -> torch.Tensor:
     """Return the correlations of every plane, mirrored at its borders, with every filter.
 
@@ -844,92 +1026,13 @@ def correlate(image: torch.Tensor, taps: torch.Tensor, stride: int = 1) -> torch
         ``[B, C, K, H / stride, W / stride]``, rounded up; differentiable any number of times in the image. On a CPU its
         memory is laid out as ``[H, B, C, K, W]``, which is what samplers of :mod:`odak.learn.perception.foveation`
         read fastest.
-
-    Notes
-    -----
-    Convolutions compute output channels side by side, and a plane has one. Sixteen copies of the filter, each shifted
-    by one column more, are sixteen channels of a convolution that takes sixteen columns at a step: more products, and
-    several times less time.
     """
-    if is_plain_on_cpu(image) and image.dtype in (torch.float32, torch.float64) and not taps.requires_grad:
-        return _correlated(image, taps, stride, image.shape[-2:], False)
-    padded = functional.pad(image, (taps.shape[-1] // 2,) * 4, mode="reflect")
-    planes = functional.conv2d(padded.flatten(0, 1)[:, None], taps[:, None], stride=stride)
-    return planes.unflatten(0, image.shape[:2])
-
-
-def spread(
-    values: torch.Tensor, taps: torch.Tensor, stride: int = 1, size: tuple[int, int] | None = None
-) -> torch.Tensor:
-    """Return the adjoint of :func:`correlate`: each sample puts its filter into the picture, mirrored at the borders.
-
-    Parameters
-    ----------
-    values : torch.Tensor
-        ``[B, C, K, h, w]``.
-    taps : torch.Tensor
-        Filters ``[K, k, k]``.
-    stride : int
-        Rows and columns from one sample to the next.
-    size : tuple of int, optional
-        Rows and columns of the picture; by default those of the values.
-
-    Returns
-    -------
-    torch.Tensor
-        ``[B, C, *size]``.
-    """
-    size = values.shape[-2:] if size is None else size
-    if is_plain_on_cpu(values) and values.dtype in (torch.float32, torch.float64):
-        return _correlated(values, taps, stride, size, True)
-    reach = taps.shape[-1] // 2
-    planes = functional.conv_transpose2d(values.flatten(0, 1), taps[:, None], stride=stride)
-    beyond = [length + 2 * reach - found for length, found in zip(size, planes.shape[-2:], strict=True)]
-    planes = functional.pad(planes, (0, beyond[1], 0, beyond[0]))
-    above = planes[..., reach : reach + size[0], reach : reach + size[1]]
-    return torch.ops.aten.reflection_pad2d_backward(planes, above, (reach,) * 4)[:, 0].unflatten(0, values.shape[:2])
-
-
-@linear_operator
-def _correlated(image, taps, stride, size, adjoint):
-    """Return the correlations of pictures of a size, or the adjoint."""
-    if adjoint:
-        return _adjoint_of_correlations(image, taps, stride, size)
-    reach = taps.shape[-1] // 2
-    rows, columns = (-(-length // stride) for length in size)
-    planes = functional.pad(image, (reach,) * 4, mode="reflect").flatten(0, 1)
-    # Whole steps of the lanes; results from the zeros added are dropped.
-    beyond = (-(-columns // LANES) * LANES - 1) * stride + taps.shape[-1] - planes.shape[-1]
-    planes = _as_channels_last(functional.pad(planes, (0, beyond)) if beyond > 0 else planes)
-    result = image.new_empty(rows, len(planes), len(taps), columns)
-    for index, filt in enumerate(taps):
-        lanes = functional.conv2d(planes, _shifted(filt[None], LANES, stride), stride=(stride, stride * LANES))
-        result[:, :, index] = lanes.permute(2, 0, 3, 1).flatten(2)[..., :columns]
-    return result.permute(1, 2, 0, 3).unflatten(0, image.shape[:2])
-
-
-def _adjoint_of_correlations(gradient, taps, stride, size):
-    # Pixels fall into stride² phases, each a correlation of its own.
-    lanes, side = LANES // stride**2, taps.shape[-1]
-    padded = [length + side - 1 for length in size]
-    cells = -(-padded[0] // stride), -(-padded[1] // (stride * lanes)) * lanes
-    before = -(-side // stride) - 1
-    after = [cell - length for cell, length in zip(cells, gradient.shape[-2:], strict=True)]
-    total = None
-    for filt, part in zip(taps, gradient.flatten(0, 1).unbind(1), strict=True):
-        planes = _as_channels_last(functional.pad(part, (before, after[1], before, after[0])))
-        spread = functional.conv2d(planes, _shifted(_phases(filt, stride), lanes, 1), stride=(1, lanes))
-        total = spread if total is None else total.add_(spread)
-    phases = total.permute(0, 2, 3, 1).unflatten(-1, (stride, stride, lanes))
-    # [N, cell, cells of lanes, row in the cell, column in the cell, lane] to rows and columns.
-    pixels = phases.permute(0, 1, 3, 2, 5, 4).flatten(3).flatten(1, 2)[..., : padded[0], : padded[1]]
-    folded = _folded(_folded(pixels, 1, side // 2), 2, side // 2)
-    return folded.unflatten(0, gradient.shape[:2])
+    return Filters(taps, stride)(image)
 
 
 def _as_channels_last(planes):
-    """Return planes ``[N, H, W]`` as ``[N, 1, H, W]`` in the layout whose convolution vectorises output channels."""
-    return planes.contiguous()[..., None].permute(0, 3, 1, 2)
+    """Return contiguous planes ``[N, H, W]`` as ``[N, 1, H, W]``, laid out so that output channels are vectorised."""
+    return planes[..., None].permute(0, 3, 1, 2)
 
 
 def _shifted(filters, lanes, step):

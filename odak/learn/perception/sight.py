@@ -250,12 +250,22 @@ class Track(tuple):
 
 def gaze_of(name: str, value: Any, count: int | None = None) -> Any:
     """Return a gaze as a :class:`Point`, or gazes ``[B, 2]`` as a :class:`Track` of `count`; without gradients."""
+    if _is_plain(value):
+        return Point(value)
     if not isinstance(value, (Point, Track)):
         value = Track(point(name, one) for one in value) if _several(value) else point(name, value)
     if isinstance(value, Track) and count is not None and len(value) != count:
         shape = (len(value), 2)
         raise ValueError(f"{name} must be (x, y) or [B, 2] for {count} pictures, got shape {shape}")
     return value
+
+
+def _is_plain(value) -> bool:
+    """Return whether a gaze is two floats near the picture, of which nothing has to be asked."""
+    if type(value) not in (list, tuple) or [*map(type, value)] != [float, float]:
+        return False
+    x, y = value
+    return -_FARTHEST <= x <= _FARTHEST and -_FARTHEST <= y <= _FARTHEST
 
 
 def each_of(gaze: Point | Track) -> Sequence[Point]:

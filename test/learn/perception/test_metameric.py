@@ -1,6 +1,7 @@
 """Metameric losses: statistics, gradients, kept targets; and metamers."""
 
 import math
+import sys
 
 import pytest
 import torch
@@ -393,3 +394,25 @@ loss = loss_func(my_image, gt_image, gaze=[0.7, 0.3])
     assert names["loss"].ndim == 0
     assert float(names["loss"].detach()) > 0
     assert my_image.grad.isfinite().all()
+
+
+@pytest.mark.parametrize(("kind", "most", "both"), [(MetamericLoss, 600, 1200), (MetamericLossUniform, 750, 1350)])
+def test_a_loss_makes_few_calls(kind, most, both):
+    """Of Python and C alike: what does not depend on the image is checked and computed once."""
+    loss, counts, made = kind(), [], 0
+    image, target = torch.rand(1, 3, 64, 64, requires_grad=True), torch.rand(1, 3, 64, 64)
+    loss(image, target).backward()
+
+    def count(frame, event, argument):
+        nonlocal made
+        made += event in ("call", "c_call")
+
+    before = sys.getprofile()
+    sys.setprofile(count)
+    try:
+        value = loss(image, target)
+        counts.append(made)
+        value.backward()
+    finally:
+        sys.setprofile(before)
+    assert counts[0] <= most and made <= both

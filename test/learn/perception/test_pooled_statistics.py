@@ -6,6 +6,7 @@ import torch
 from odak.learn.perception import MetamericLoss, MetamericLossUniform, rgb_2_ycrcb
 from odak.learn.perception.foveation import MipSampler, UniformSampler
 from odak.learn.perception.pooled_statistics import (
+    Pooling,
     as_maps,
     local_statistics,
     pooled,
@@ -49,12 +50,13 @@ def test_against_plain_statistics(kind, masked, rows, columns):
     pool, bands = sampler(kind, rows, columns), noise(2, 2, 3, rows, columns).requires_grad_()
     mask = noise(rows, columns, seed=3) if masked else None
     target = [noise(2, 2, 3, rows, columns, seed=seed) for seed in (4, 5)]
-    fused = squared_distance(bands, pool, mask, laid_out(*target))
+    pooling, count = Pooling([pool], [mask]), bands[:, :, 0].numel()
+    fused = squared_distance([bands], pooling, [laid_out(*target)]) * count
     plain = plainly(bands, pool, mask, target)
     torch.testing.assert_close(fused, plain)
     torch.testing.assert_close(*[torch.autograd.grad(value, bands)[0] for value in (fused, plain)])
     with torch.no_grad():
-        assert float(squared_distance(bands, pool, mask, laid_out(*target))) == pytest.approx(float(plain))
+        assert float(squared_distance([bands], pooling, [laid_out(*target)]) * count) == pytest.approx(float(plain))
     statistics = local_statistics(bands, pool)
     torch.testing.assert_close(statistics, laid_out(*pooled(bands.detach(), pool)))
     for found, wanted in zip(as_maps(statistics, bands.shape)[2:4], pooled(bands.detach(), pool), strict=True):
@@ -65,7 +67,7 @@ def test_nearly_flat_bands_have_no_derivative_of_their_deviation():
     pool, bands = sampler("mip", 8, 8), 0.3 + 1e-5 * noise(1, 1, 1, 8, 8).requires_grad_()
     mean, _ = pooled(bands.detach(), pool)
     target = laid_out(mean, torch.ones_like(mean))
-    (gradient,) = torch.autograd.grad(squared_distance(bands, pool, None, target), bands)
+    (gradient,) = torch.autograd.grad(squared_distance([bands], Pooling([pool], [None]), [target]), bands)
     torch.testing.assert_close(gradient, torch.zeros_like(bands), rtol=0, atol=1e-9)
 
 
@@ -75,7 +77,7 @@ def test_gradients_of_gradients(kind):
     mask, target = noise(6, 6, seed=3), laid_out(*(noise(1, 1, 2, 6, 6, seed=seed) for seed in (4, 5)))
 
     def distance(values):
-        return squared_distance(values, pool, mask, target)
+        return squared_distance([values, 2 * values], Pooling([pool] * 2, [mask, None]), [target] * 2)
 
     assert torch.autograd.gradcheck(distance, bands, fast_mode=True)
     assert torch.autograd.gradgradcheck(distance, bands, fast_mode=True)
