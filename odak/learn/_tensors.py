@@ -242,15 +242,13 @@ def check_loss_inputs(loss_name: str, image: torch.Tensor, target: torch.Tensor)
     _validate.one_device(image=image, target=target)
 
 
-def check_values(peak: float = 1.0, remedy: str | None = None, **pictures: torch.Tensor) -> None:
+def check_values(peak: float = 1.0, **pictures: torch.Tensor) -> None:
     """Raise ValueError if a picture holds NaN, infinities or values far outside 0 … peak.
 
     Parameters
     ----------
     peak : float
         Largest value that a picture should have.
-    remedy : str, optional
-        What to do about values of 0 … 255, of which a warning then tells.
     **pictures : torch.Tensor
         Pictures by the names that a message gives them. Values on a GPU, or held by a transform, are not read.
 
@@ -261,16 +259,21 @@ def check_values(peak: float = 1.0, remedy: str | None = None, **pictures: torch
     """
     _validate.number("peak", peak, positive=True)
     for name, picture in pictures.items():
-        if picture.is_complex():
-            raise TypeError(f"{name} must be real, got {picture.dtype}")
-        if not picture.numel() or not _array.is_readable(picture):
-            continue
-        least, most = torch.aminmax(picture.detach())
-        low, high = float(least), float(most)
-        if not (low >= -FARTHEST * peak and high <= FARTHEST * peak):
-            raise ValueError(f"{name} must hold finite values of about 0 to {peak:g}, got {low:.4g} to {high:.4g}")
-        if remedy is not None and max(high, -low) > peak:
-            _validate.check_white(name.rpartition(" ")[2], max(high, -low), peak, remedy)
+        check_range(name, picture, peak)
+
+
+def check_range(name: str, picture: torch.Tensor, peak: float = 1.0, remedy: str | None = None) -> None:
+    """Raise as :func:`check_values` does for one picture; with a remedy, warn of one of 0 … 255 too."""
+    if picture.is_complex():
+        raise TypeError(f"{name} must be real, got {picture.dtype}")
+    if not picture.numel() or not _array.is_readable(picture):
+        return
+    least, most = torch.aminmax(picture.detach())
+    low, high = float(least), float(most)
+    if not (low >= -FARTHEST * peak and high <= FARTHEST * peak):
+        raise ValueError(f"{name} must hold finite values of about 0 to {peak:g}, got {low:.4g} to {high:.4g}")
+    if remedy is not None:
+        _validate.check_white(name, max(high, -low), peak, remedy)
 
 
 def checked_pair(

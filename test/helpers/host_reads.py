@@ -117,7 +117,7 @@ REASONS = {
         perception/appearance: _planckian_locus
         perception/color: _column rows tone_map
         perception/display_color: _checked _fundamentals read_spectra
-        perception/pyramids: keep _quadrature_taps
+        perception/pyramids: keep _quadrature_filters
         perception/quality: <module>
         wave/displays/paths/free: renew
         wave/holograms/scenery: *

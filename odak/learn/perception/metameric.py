@@ -11,7 +11,7 @@ from torch.nn import functional
 
 from odak import _array, _torch_private, _validate
 from odak._warnings import SamplingWarning, warn
-from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, checked_device, in_float32, kind_of
+from odak.learn._tensors import as_pictures, check_loss_inputs, check_range, checked_device, in_float32, kind_of
 from odak.learn.perception.color import DIVIDED, ycrcb_2_rgb, ycrcb_of
 from odak.learn.perception.foveation import (
     RadiallyVaryingBlur,
@@ -174,7 +174,7 @@ class _StatisticsLoss(nn.Module):
 
         The last is None where they are not computed in strips; otherwise both share their memory.
         """
-        check_range(type(self).__name__, "target", picture)
+        check_range(f"{type(self).__name__} ERROR: target", picture, remedy=DIVIDED)
         picture = self._converted(picture, colourspace)
         groups, pooling, others = self._parts(picture, where)
         if not is_blocked(picture) or picture.requires_grad:
@@ -986,7 +986,7 @@ class MetamerMSELoss(Seen):
 
     def _drawn(self, inner, earlier, image, gaze, seed=0, iterations=None, progress=None):
         """Return a metamer by the statistics of a loss."""
-        check_range("MetamerMSELoss", "target", image)
+        check_range("MetamerMSELoss ERROR: target", image, remedy=DIVIDED)
         where = inner._where(gaze)
         kind = {"nominal_width": inner.nominal_width, "dtype": torch.float64, "device": image.device}
 
@@ -1072,12 +1072,7 @@ def checked_pictures(name: str, image: torch.Tensor, target: torch.Tensor, n_lev
             f"{name} ERROR: image and target are too small: sides must be at least 2 and fill {n_levels} pyramid "
             f"levels, got {tuple(image.shape)}"
         )
-    check_range(name, "image", image)
-
-
-def check_range(loss: str, name: str, picture: torch.Tensor) -> None:
-    """Raise where a picture has values that none of 0 … 1 has, and warn of values of 0 … 255; a GPU is not read."""
-    check_values(remedy=DIVIDED, **{f"{loss} ERROR: {name}": picture})
+    check_range(f"{name} ERROR: image", image, remedy=DIVIDED)
 
 
 Result = TypeVar("Result")

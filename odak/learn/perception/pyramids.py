@@ -614,7 +614,7 @@ def nearest_picture(
     """
     maker._follow(last)
     inverted = functools.partial(maker._descended, n_levels=len(groups) + 1, tolerance=tolerance)
-    return _solved(maker._gathered(groups, last), inverted)
+    return _solved(maker._gathered(groups, last), inverted, False)
 
 
 @functools.lru_cache(maxsize=16)
@@ -922,11 +922,15 @@ class Filters:
         cells = -(-padded[0] // stride), -(-padded[1] // (stride * lanes)) * lanes
         before = -(-self.side // stride) - 1
         after = [cell - length for cell, length in zip(cells, values.shape[-2:], strict=True)]
-        total = None
-        for taps, part in zip(self._reversed.chunk(self.count), values.flatten(0, 1).unbind(1), strict=True):
-            planes = _as_channels_last(torch.constant_pad_nd(part, (before, after[1], before, after[0])))
-            spread = functional.conv2d(planes, taps, stride=(1, lanes))
-            total = spread if total is None else total.add_(spread)
+        room = before, after[1], before, after[0]
+        padded_parts = (torch.constant_pad_nd(part, room) for part in values.flatten(0, 1).unbind(1))
+        spreads = (
+            functional.conv2d(_as_channels_last(part), taps, stride=(1, lanes))
+            for part, taps in zip(padded_parts, self._reversed.chunk(self.count), strict=True)
+        )
+        total = next(spreads)
+        for one in spreads:
+            total += one
         # [N, cell, cells of lanes, row in the cell, column in the cell, lane] to rows and columns.
         phases = total.view(total.shape[0], stride, stride, lanes, *total.shape[-2:]).permute(0, 4, 1, 5, 3, 2)
         pixels = phases.flatten(3).flatten(1, 2)[..., : padded[0], : padded[1]]
@@ -964,14 +968,14 @@ class _Levels(NamedTuple):
     first: Filters
     bands: Filters
     low: Filters | None
-    count: int
+    n_levels: int
     size: Sequence[int]
     weight: int = 1
 
     def forward(self, image, found=_written):
         """Return the levels by :func:`_written`, or by another function of filters and pictures."""
         groups, passed = [], [found((self.first, image))[:, :, 0]]
-        for level in range(self.count - 1):
+        for level in range(self.n_levels - 1):
             low = passed[-1]
             more = [] if level else [(self.high, image)]
             groups.append(found(*more, (self.bands, low)))
@@ -984,17 +988,17 @@ class _Levels(NamedTuple):
     def adjoint(self, *values, spread=Filters.spread):
         """Return the adjoint for values of which some are None."""
         sizes = [tuple(self.size)]
-        for _ in range(self.count - 1):
+        for _ in range(self.n_levels - 1):
             sizes.append(_halved_size(sizes[-1]) if self.low is None else self.low.size(sizes[-1]))
         total = values[-1]
-        for level in range(self.count - 2, -1, -1):
+        for level in range(self.n_levels - 2, -1, -1):
             bands, size = values[level], sizes[level]
             if total is not None and self.low is None:
                 total = self.weight * _torch_private.spread_means(total, size)
             elif total is not None:
                 total = spread(self.low, total[:, :, None], size)
             rest = None if bands is None else spread(self.bands, bands if level else bands[:, :, 1:], size)
-            total = _sum(total, rest, values[self.count - 1 + level])
+            total = _sum(total, rest, values[self.n_levels - 1 + level])
         total = None if total is None else spread(self.first, total[:, :, None], self.size)
         return _sum(total, None if values[0] is None else spread(self.high, values[0][:, :, :1], self.size))
 
