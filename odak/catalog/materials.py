@@ -411,41 +411,23 @@ def read_agf(path: Path) -> list[OpticalMaterial]:
         If a line of a glass is malformed, or the file holds no glass.
     """
     path = Path(os.path.expanduser(path))
-    found: list[OpticalMaterial] = []
-    unknown: list[str] = []
-    head: list[str] = []
-    numbers: list[float] = []
-    limits: list[float] = []
-    passed: list[list[float]] = []
-    heat: dict[str, list[float]] = {}
-
-    def finish() -> None:
-        if not head:
-            return
-        made = _from_agf(path, head, numbers, limits, passed)
-        made = made if made is None else replace(made, **_heat_of(heat))
-        found.append(made) if made is not None else unknown.append(head[0])
-
+    entries: list[dict[str, list[Any]]] = [{"NM": []}]
     for line, text in enumerate(_catalogue_text(path).splitlines(), start=1):
-        words = text.split()
-        if not words:
-            continue
-        if words[0] == "NM":
-            finish()
-            head, numbers, limits, passed, heat = words[1:], [], [], [], {}
+        kind, *words = text.split() or [""]
+        if kind == "NM":
+            entries.append({"NM": words})
         with _validate.refusing(f"{path.name}, line {line}: ", ValueError):
-            if words[0] == "CD":
-                numbers = [float(word) for word in words[1:]]
-            elif words[0] == "LD":
-                limits = [float(word) for word in words[1:3]]
-            elif words[0] in ("TD", "ED"):
-                heat[words[0]] = [0.0 if word in ("-", "_") else float(word) for word in words[1:]]
-            elif words[0] == "IT" and len(words) > 3:
-                passed.append([float(word) for word in words[1:4]])
-    finish()
+            if kind in ("CD", "LD"):
+                entries[-1][kind] = [float(word) for word in words[: 2 if kind == "LD" else None]]
+            elif kind in ("TD", "ED"):
+                entries[-1][kind] = [0.0 if word in ("-", "_") else float(word) for word in words]
+            elif kind == "IT" and len(words) > 2:
+                entries[-1].setdefault("IT", []).append([float(word) for word in words[:3]])
+    made = [(entry["NM"][0], _from_agf(path, entry)) for entry in entries if entry["NM"]]
+    found = [glass for _, glass in made if glass is not None]
     if not found:
         raise ValueError(f"{path.name} contains no glass whose dispersion formula is known")
-    if unknown:
+    if unknown := [name for name, glass in made if glass is None]:
         warn(f"{path.name}: skipped {', '.join(unknown[:8])}, whose dispersion formula is not known", ArgumentWarning)
     return found
 
@@ -475,13 +457,13 @@ def _catalogue_text(path: Path) -> str:
     raise ValueError(f"{path.name}: not a text file")
 
 
-def _from_agf(
-    path: Path, head: list[str], c: list[float], limits: list[float], passed: list[Any]
-) -> OpticalMaterial | None:
+def _from_agf(path: Path, lines: dict[str, list[Any]]) -> OpticalMaterial | None:
     """Return a glass of an AGF file, None for an unknown formula.
 
-    `head` are the words of its line NM, then come coefficients, range, and the lines of internal transmission.
+    Its lines are by their names: NM of the glass, CD of coefficients, LD of the range, TD and ED of heat, and those of
+    internal transmission, IT, in one list.
     """
+    head, c, limits = (lines.get(name, []) for name in ("NM", "CD", "LD"))
     if len(head) < 5 or len(limits) < 2 or not 0 < limits[0] < limits[1] or not all(map(math.isfinite, c)):
         raise ValueError(f"{path.name}: glass {head[0] if head else ''!r} lacks numbers or its range of wavelengths")
     name, kind, nd, vd = head[0], int(float(head[1])), float(head[3]), float(head[4])
@@ -511,8 +493,7 @@ def _from_agf(
     index = _value(glass.index, LINE_D)
     if nd > 1 and limits[0] <= LINE_D <= limits[1] and not abs(index - nd) < 2e-3:
         raise ValueError(f"{path.name}: {name} states nd = {nd} but its formula gives {index:.6g}")
-    extinction = _extinction(passed)
-    return OpticalMaterial(name, formula, made, glass.range, "air", glass.source, nd or None, vd or None, extinction)
+    return replace(glass, nd=nd or None, vd=vd or None, extinction=_extinction(lines.get("IT", [])), **_heat_of(lines))
 
 
 def _extinction(passed: list[Any]) -> tuple[Any, ...] | None:

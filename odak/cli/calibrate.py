@@ -15,7 +15,7 @@ from odak import instruments
 from odak._call_forms import did_you_mean
 from odak._drawn import png
 from odak._lengths import parse_length
-from odak.cli.files import REPORT, SILENT, Notices, announce, claim, claiming, writable_folder, write_json
+from odak.cli import files
 from odak.cli.job import is_length
 from odak.cli.options import InputError, refusing
 from odak.cli.report import about, collected_warnings
@@ -158,8 +158,8 @@ def open_table(job: TableSettings, step: str) -> Table:
     return Table(opened["modulator"], opened["camera"], opened.get("polariser"))
 
 
-@claiming
-def run(job: CalibrateSettings, notices: Notices = SILENT) -> dict[str, Any]:
+@files.claiming
+def run(job: CalibrateSettings, notices: files.Notices = files.SILENT) -> dict[str, Any]:
     """Calibrate a table by one step, and write its results, a picture and a report.
 
     What the file of the results holds, ``calibration.h5`` in the folder by default, is taken as known, and the step
@@ -189,7 +189,7 @@ def run(job: CalibrateSettings, notices: Notices = SILENT) -> dict[str, Any]:
         raise InputError(f"STEP must be one of {', '.join(STEPS)}; got {step!r}.{did_you_mean(step, STEPS)}")
     with refusing("the camera cannot be used: ", TypeError, ValueError):
         table = table._replace(camera=checked_camera(table.camera))
-    folder = writable_folder(job.output)
+    folder = files.writable_folder(job.output)
     path = folder / f"{RESULTS}.h5" if results is None else Path(results).expanduser()
     if path.suffix.lower() not in (".npz", ".h5", ".hdf5"):
         raise InputError(f"--results must end in .h5, or in .npz for results of earlier versions, got {str(path)!r}")
@@ -198,11 +198,11 @@ def run(job: CalibrateSettings, notices: Notices = SILENT) -> dict[str, Any]:
         # Before anything is measured.
         raise InputError("results are HDF5 files, which need h5py: pip install h5py")
     # Steps add to the results: nobody else may write between reading and writing.
-    claim(folder)
-    claim(writable_folder(path.parent, "--results"), "--results")
+    files.claim(folder)
+    files.claim(files.writable_folder(path.parent, "--results"), "--results")
     known = known_table(table, path if path.exists() or not earlier.exists() else earlier, job.wavelength, distance)
     # What a second run of the same step replaces.
-    announce(folder, [f"{step}.png"], notices)
+    files.announce(folder, [f"{step}.png"], notices)
     with collected_warnings() as texts, refusing(f"the step {step} failed: ", RuntimeError, TypeError, ValueError):
         found = STEPS[step](table, known)
     instruments.save_calibration(path, found.calibration)
@@ -218,7 +218,7 @@ def run(job: CalibrateSettings, notices: Notices = SILENT) -> dict[str, Any]:
         "warnings": texts,
         **about("calibrate"),
     }
-    write_json(folder / REPORT, report)
+    files.write_json(folder / files.REPORT, report)
     return report
 
 
@@ -472,8 +472,8 @@ def _spot(table: Table, before: Calibration, after: Calibration) -> Callable[[Fi
     return draw
 
 
-@claiming
-def check_driver(job: InstrumentsSettings, notices: Notices = SILENT) -> dict[str, Any]:
+@files.claiming
+def check_driver(job: InstrumentsSettings, notices: files.Notices = files.SILENT) -> dict[str, Any]:
     """Test a driver, and write a report.
 
     Parameters
@@ -493,9 +493,9 @@ def check_driver(job: InstrumentsSettings, notices: Notices = SILENT) -> dict[st
     InputError
         If an instrument cannot be opened, or is neither a camera nor a modulator.
     """
-    folder = writable_folder(job.output)
-    claim(folder)
-    announce(folder, [REPORT], notices)
+    folder = files.writable_folder(job.output)
+    files.claim(folder)
+    files.announce(folder, [files.REPORT], notices)
     given = options_of(job.option, ("driver", "beside"))
     opened: list[Any] = []
     try:
@@ -526,5 +526,5 @@ def check_driver(job: InstrumentsSettings, notices: Notices = SILENT) -> dict[st
         "warnings": texts,
         **about("instruments"),
     }
-    write_json(folder / REPORT, report)
+    files.write_json(folder / files.REPORT, report)
     return report

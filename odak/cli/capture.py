@@ -9,20 +9,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from odak.cli import files
 from odak.cli import report as sheets
 from odak.cli.calibrate import Table, known_table, open_table, reach_of
-from odak.cli.files import (
-    REPORT,
-    SILENT,
-    Notices,
-    announce,
-    claim,
-    claiming,
-    read_calibration,
-    writable_folder,
-    write_json,
-    write_png,
-)
 from odak.cli.options import InputError, refusing
 from odak.cli.settings import CaptureSettings
 from odak.instruments import Calibration, Lens, record_captures, save_captures, set_exposure
@@ -32,8 +21,8 @@ from odak.tools.file import read_levels
 CAPTURES = "captures.h5"
 
 
-@claiming
-def run(job: CaptureSettings, notices: Notices = SILENT) -> dict[str, Any]:
+@files.claiming
+def run(job: CaptureSettings, notices: files.Notices = files.SILENT) -> dict[str, Any]:
     """Show patterns, capture each, and write the captures beside their predictions.
 
     Of a folder of `odak hologram` all patterns are shown. Written are ``capture_NAME.png`` for each pattern,
@@ -57,13 +46,13 @@ def run(job: CaptureSettings, notices: Notices = SILENT) -> dict[str, Any]:
         If an instrument, a pattern or the calibration cannot be used.
     """
     table, calibration = open_table(job, "capture"), job.calibration
-    folder = writable_folder(job.output)
+    folder = files.writable_folder(job.output)
     paths = pattern_files(job.pattern)
     levels = np.stack([read_pattern(path, table.modulator.shape, table.modulator.bits) for path in paths])
     if calibration is None:
         known = Calibration.nominal(table.modulator, table.camera, job.wavelength, reach_of(job))
     else:
-        known = read_calibration(str(calibration))
+        known = files.read_calibration(str(calibration))
         known = known_table(table, Path(calibration).expanduser(), known.wavelength, known.distance, "--calibration")
         if known.registration.shape != tuple(table.camera.shape):
             raise InputError(
@@ -71,8 +60,8 @@ def run(job: CaptureSettings, notices: Notices = SILENT) -> dict[str, Any]:
                 f"{list(table.camera.shape)}"
             )
     names = [f"capture_{path.stem}.png" for path in paths]
-    claim(folder)
-    announce(folder, [*names, CAPTURES], notices)
+    files.claim(folder)
+    files.announce(folder, [*names, CAPTURES], notices)
     with sheets.collected_warnings() as texts:
         table.modulator.show(levels[0])
         set_exposure(table.camera)
@@ -82,7 +71,7 @@ def run(job: CaptureSettings, notices: Notices = SILENT) -> dict[str, Any]:
         for number, name in enumerate(names):
             predicted = predicted_capture(known, levels[number])
             numbers, picture = _compared(found.frames[number].astype(np.float64), predicted, table)
-            write_png(folder / name, picture)
+            files.write_png(folder / name, picture)
             results.append({"pattern": str(paths[number]), "figure": name, **numbers})
     report = {
         "patterns": results,
@@ -95,7 +84,7 @@ def run(job: CaptureSettings, notices: Notices = SILENT) -> dict[str, Any]:
         "warnings": texts,
         **sheets.about("capture"),
     }
-    write_json(folder / REPORT, report)
+    files.write_json(folder / files.REPORT, report)
     return report
 
 
@@ -113,7 +102,7 @@ def pattern_files(pattern: Path) -> list[Path]:
     if not path.is_dir():
         raise InputError(f"PATTERN not found: {str(path)!r}")
     try:
-        names = json.loads((path / REPORT).read_text(encoding="utf-8"))["pattern"]["files"]
+        names = json.loads((path / files.REPORT).read_text(encoding="utf-8"))["pattern"]["files"]
         found = [path / os.path.basename(name) for name in names]
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(f"PATTERN {str(path)!r} is a folder without a report of odak hologram") from None

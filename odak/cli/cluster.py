@@ -15,20 +15,7 @@ from typing import Any
 
 from odak import _validate
 from odak._warnings import OdakWarning, warn
-from odak.cli.files import (
-    FINGERPRINT,
-    REPORT,
-    SILENT,
-    Notices,
-    claim,
-    claiming,
-    fingerprint_of,
-    finished_report,
-    locked,
-    sources,
-    writable_folder,
-    write_json,
-)
+from odak.cli import files
 from odak.cli.job import SHIPPED_IMAGES, Job, image_path
 from odak.cli.options import InputError, option_name, refusing
 from odak.cli.settings import SpreadSettings, WorkerSettings
@@ -57,8 +44,8 @@ class Frame:
     job: Job
 
 
-@claiming
-def run(spread: SpreadSettings, values: dict[str, Any], notices: Notices = SILENT) -> dict[str, Any]:
+@files.claiming
+def run(spread: SpreadSettings, values: dict[str, Any], notices: files.Notices = files.SILENT) -> dict[str, Any]:
     """Compute the holograms of many pictures.
 
     Parameters
@@ -86,21 +73,21 @@ def run(spread: SpreadSettings, values: dict[str, Any], notices: Notices = SILEN
     start = time.perf_counter()
     security = spread.security()
     frames = find_frames(spread.images, values)
-    folder = writable_folder(Path(values["output"]))
+    folder = files.writable_folder(Path(values["output"]))
     for frame in frames:
         if frame.job.output.exists() and not frame.job.output.is_dir():
             raise InputError(
                 f"IMAGE {frame.name!r} needs a folder {str(frame.job.output)!r}, but a file of that name exists"
             )
-    if (folder / SUMMARY).is_dir():
-        raise InputError(
-            f"--output {str(folder)!r} must not contain a folder named {SUMMARY}, which is the name of a result file"
-        )
-    claim(folder)
+    files.announce(folder, [SUMMARY], files.SILENT)
     waiting = [
-        frame for frame in frames if values["again"] or not finished_report(frame.job.output, fingerprint_of(frame.job))
+        frame
+        for frame in frames
+        if values["again"] or not files.finished_report(frame.job.output, files.fingerprint_of(frame.job))
     ]
-    replaced = [f"{frame.job.output.name}/{REPORT}" for frame in waiting if (frame.job.output / REPORT).exists()]
+    replaced = [
+        f"{frame.job.output.name}/{files.REPORT}" for frame in waiting if (frame.job.output / files.REPORT).exists()
+    ]
     if replaced:
         notices.replaces(folder, replaced)
     failed: dict[str, str] = {}
@@ -115,7 +102,7 @@ def run(spread: SpreadSettings, values: dict[str, Any], notices: Notices = SILEN
         "seconds": time.perf_counter() - start,
         "workers": len(busy),
     }
-    write_json(folder / SUMMARY, summary)
+    files.write_json(folder / SUMMARY, summary)
     return summary
 
 
@@ -130,7 +117,7 @@ def _compute(frames, failed, values, spread: SpreadSettings, security) -> set[st
     with work:
         work.connect()
         for frame in frames:
-            work.submit((parameters(frame.job), *map(Carried, sources(frame.job))))
+            work.submit((parameters(frame.job), *map(Carried, files.sources(frame.job))))
         for index, result in work.as_completed():
             frame = frames[index]
             if isinstance(result, Failure):
@@ -215,7 +202,7 @@ def find_frames(images: Sequence[str], values: dict[str, Any]) -> list[Frame]:
         depth = _depth_map(values.get("depth_map"), name)
         output = Path(os.path.expanduser(values["output"])).resolve() / name
         frames[name] = Frame(name, Job(**{**values, "image": image, "depth_map": depth, "output": output}))
-        sources(frames[name].job)
+        files.sources(frames[name].job)
     return list(frames.values())
 
 
@@ -338,22 +325,22 @@ def hologram(
             report = compute(job)
         if report["interrupted"]:
             raise KeyboardInterrupt
-        written = {path.name: path.read_bytes() for path in sorted(job.output.iterdir()) if path.name != REPORT}
+        written = {path.name: path.read_bytes() for path in sorted(job.output.iterdir()) if path.name != files.REPORT}
     return report, written
 
 
 def _write(frame: Frame, result: tuple[dict[str, Any], dict[str, bytes]]) -> None:
     """Write a picture's files, the report last; it then speaks of the files of this machine."""
     report, written = result
-    folder = writable_folder(frame.job.output)
-    with locked(folder):
-        (folder / REPORT).unlink(missing_ok=True)
+    folder = files.writable_folder(frame.job.output)
+    with files.locked(folder):
+        (folder / files.REPORT).unlink(missing_ok=True)
         for name, content in written.items():
             with replacing(str(folder / Path(name).name)) as stream:
                 stream.write(content)
         report["parameters"] |= {name: frame.job.to_dict()[name] for name in ("image", "depth_map", "output", "quiet")}
         report["picture"]["file"] = str(image_path(frame.job.image))
-        write_json(folder / REPORT, {**report, FINGERPRINT: fingerprint_of(frame.job)})
+        files.write_json(folder / files.REPORT, {**report, files.FINGERPRINT: files.fingerprint_of(frame.job)})
 
 
 # --- odak worker

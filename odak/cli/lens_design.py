@@ -14,28 +14,11 @@ from tqdm import tqdm
 from odak._drawn import png
 from odak._warnings import ArgumentWarning, warn
 from odak.cli import files
-from odak.cli.files import writable_folder
 from odak.cli.options import InputError, option_name, refusing
 from odak.cli.report import about, finite, versions
 from odak.cli.settings import LENS_LENGTHS, DesignSettings
 from odak.cli.trace import read_glasses, read_system
-from odak.learn.raytracing.system import (
-    DesignSearch,
-    LensDimensions,
-    LensRequirements,
-    automatic_design,
-    distortion,
-    first_order,
-    in_environment,
-    layout_figure,
-    lens_design,
-    optical_system,
-    rms_spot,
-    save_system,
-    scaled_system,
-    standard_design,
-    write_zmx,
-)
+from odak.learn.raytracing import system as lenses
 from odak.learn.raytracing.system.automatic import STANDARD_LIMITS
 from odak.learn.raytracing.system.operands import View, clear_heights, edge_thicknesses
 from odak.learn.raytracing.system.sketches import field_label
@@ -87,7 +70,7 @@ def run(job: DesignSettings, notices: files.Notices = files.SILENT) -> dict[str,
     InputError
         If an argument cannot be used, or no lens is found that keeps all rays. No file is written then.
     """
-    folder = writable_folder(job.output)
+    folder = files.writable_folder(job.output)
     asked = job.values("glasses")
     given = [Path(name) for name in (job.system, *job.glasses) if name is not None]
     mark = files.fingerprint({"command": "design", **asked}, [path for path in given if path.is_file()])
@@ -116,7 +99,7 @@ def run(job: DesignSettings, notices: files.Notices = files.SILENT) -> dict[str,
         "asked": {name: value for name, value in asked.items() if value not in (None, False)},
         "files": [*names, files.REPORT],
         "unit": lens.unit,
-        "first_order": {name: finite(value) for name, value in first_order(lens)._asdict().items()},
+        "first_order": {name: finite(value) for name, value in lenses.first_order(lens)._asdict().items()},
         "fields": _judged(start, lens, job.aim),
         "temperatures": [
             {"temperature": degrees} | dict(zip(("rms_spot_at_start", "rms_spot"), spots, strict=True))
@@ -128,9 +111,9 @@ def run(job: DesignSettings, notices: files.Notices = files.SILENT) -> dict[str,
         **about("design"),
     }
     drawing = _drawing(lens)
-    save_system(lens, folder / "lens.json")
+    lenses.save_system(lens, folder / "lens.json")
     if job.zmx:
-        write_zmx(lens, folder / "lens.zmx")
+        lenses.write_zmx(lens, folder / "lens.zmx")
     write_file(folder / "layout.png", png(drawing))
     return files.write_report(folder, report, mark, names)
 
@@ -144,11 +127,11 @@ def _of_options(text: str, job: DesignSettings) -> str:
     return f"{'--elements' if job.system is None else 'SYSTEM'}: {text}"
 
 
-def _judged(start: optical_system, lens: optical_system, aim: str) -> list[dict[str, Any]]:
+def _judged(start: lenses.optical_system, lens: lenses.optical_system, aim: str) -> list[dict[str, Any]]:
     """Return spots and distortion of each field before and after the design."""
     with torch.no_grad():
-        before, after = (rms_spot(item, "rings", RINGS, vignetting=False, aim=aim) for item in (start, lens))
-        bent = distortion(lens, aim=aim)[lens.reference]
+        before, after = (lenses.rms_spot(item, "rings", RINGS, vignetting=False, aim=aim) for item in (start, lens))
+        bent = lenses.distortion(lens, aim=aim)[lens.reference]
     return [
         {"field": list(field), "label": field_label(lens, i)}
         | {"rms_spot_at_start": finite(a), "rms_spot": finite(b), "distortion": finite(c)}
@@ -156,16 +139,16 @@ def _judged(start: optical_system, lens: optical_system, aim: str) -> list[dict[
     ]
 
 
-def _over_temperatures(job: DesignSettings, *systems: optical_system):
+def _over_temperatures(job: DesignSettings, *systems: lenses.optical_system):
     """Yield each temperature of a design and the root mean square of the spots of systems there."""
     for degrees in job.temperatures() or ():
         with torch.no_grad():
-            warm = [in_environment(item, degrees, mount=job.mount) for item in systems]
-            spots = [rms_spot(item, "rings", RINGS, vignetting=False, aim=job.aim) for item in warm]
+            warm = [lenses.in_environment(item, degrees, mount=job.mount) for item in systems]
+            spots = [lenses.rms_spot(item, "rings", RINGS, vignetting=False, aim=job.aim) for item in warm]
         yield degrees, [finite(found.square().mean().sqrt()) for found in spots]
 
 
-def elements_of(lens: optical_system, aim: str = "paraxial") -> list[dict[str, Any]]:
+def elements_of(lens: lenses.optical_system, aim: str = "paraxial") -> list[dict[str, Any]]:
     """Return what a workshop asks of each element: its glass, the diameter of its beam, and its thicknesses."""
     view = View(lens, lens.prescription(), aim=aim)
     items: list[Any] = list(lens.surfaces)
@@ -186,12 +169,12 @@ def elements_of(lens: optical_system, aim: str = "paraxial") -> list[dict[str, A
     ]
 
 
-def _drawing(lens: optical_system):
+def _drawing(lens: lenses.optical_system):
     """Return a section through a lens, with at most three of its fields."""
     shown = copy.copy(lens)
     if len(lens.fields) > 3:
         shown.fields = tuple(lens.fields[i] for i in (0, (len(lens.fields) - 1) // 2, -1))
-    return layout_figure(shown)
+    return lenses.layout_figure(shown)
 
 
 def _from_plates(job: DesignSettings, step: Callable[[], Any]):
@@ -202,8 +185,8 @@ def _from_plates(job: DesignSettings, step: Callable[[], Any]):
     f, speed, field = float(size["focal_length"] or 0), float(job.f_number or 0), float(job.field or 0)
     limits: dict[str, Any] = {"axial_color": size["axial_color"], "chief_ray_angle": job.chief_ray_angle}
     limits |= {"distortion": job.distortion} if job.distortion else {}
-    requirements = LensRequirements(f, speed, field, **limits)
-    search = DesignSearch(
+    requirements = lenses.LensRequirements(f, speed, field, **limits)
+    search = lenses.DesignSearch(
         job.starts or None, iterations=job.iterations or None, seed=job.seed, callback=lambda _: step()
     )
     makers = job.makers() or None
@@ -211,10 +194,10 @@ def _from_plates(job: DesignSettings, step: Callable[[], Any]):
     steep = bool(job.aspheric_terms) and materials[0] == "stop"
     search = search._filled(steep, makers)
     try:
-        found = automatic_design(
+        found = lenses.automatic_design(
             materials,
             requirements,
-            dimensions=LensDimensions(edge=size["edge"], back=size["back"], track=size["track"]),
+            dimensions=lenses.LensDimensions(edge=size["edge"], back=size["back"], track=size["track"]),
             aspheric_terms=job.aspheric_terms,
             makers=makers,
             search=search,
@@ -251,7 +234,7 @@ def _substituted(names: Sequence[str]) -> str:
     return f"replaced the glasses by {', '.join(names)}"
 
 
-def _set_semi_diameters(system: optical_system, aim: str) -> None:
+def _set_semi_diameters(system: lenses.optical_system, aim: str) -> None:
     """Set the semi-diameters of all surfaces to the extent of the beam."""
     surfaces: list[Any] = list(system.surfaces)
     with torch.no_grad():
@@ -266,21 +249,21 @@ def _from_system(job: DesignSettings, step: Callable[[], Any]):
     did = [f"ignored in the file: {line}" for line in did]
     _check_start(system, job)
     metre = 1e6 / MICROMETRES[system.unit]
-    found = first_order(system)
+    found = lenses.first_order(system)
     f = float(found.focal_length.detach())
     if not math.isfinite(f):
         raise InputError(f"SYSTEM {job.system!r} is afocal; a design needs a focal length")
     if job.focal_length is not None:
         wanted = math.copysign(job.focal_length * metre, f)
         with refusing(lambda text: f"--focal-length: {text}, in {job.system!r}; leave it out", ValueError):
-            system = scaled_system(system, wanted / f)
+            system = lenses.scaled_system(system, wanted / f)
         did.append(f"scaled by {wanted / f:.6g} from a focal length of {f:.6g} {system.unit}")
         f = wanted
     # Bounds of edges and the evaluation of spots use the whole beam.
     for item in system.surfaces:
         item.semi_diameter = None
     if system.at_infinity:
-        size = float(first_order(system).entrance_pupil_diameter.detach())
+        size = float(lenses.first_order(system).entrance_pupil_diameter.detach())
         system.aperture_type, system.aperture, size = "EPD", size, abs(f) / job.f_number if job.f_number else size
     elif job.f_number is not None:
         system.aperture_type, system.aperture, size = "F-number", float(found.f_number.detach()), job.f_number
@@ -306,7 +289,7 @@ def _from_system(job: DesignSettings, step: Callable[[], Any]):
     return start, system, did, merit
 
 
-def _check_start(system: optical_system, job: DesignSettings) -> None:
+def _check_start(system: lenses.optical_system, job: DesignSettings) -> None:
     """Raise InputError where a system cannot be designed further by this command."""
     for i, item in enumerate(system.surfaces):
         if is_break(item) or item.is_off_axis:
@@ -320,7 +303,7 @@ def _check_start(system: optical_system, job: DesignSettings) -> None:
         raise InputError(f"--f-number has no effect with {job.system!r}, which is telecentric on the object's side")
     if job.zmx:
         with tempfile.TemporaryDirectory() as folder, refusing("--zmx: ", ValueError):
-            write_zmx(system, Path(folder) / "lens.zmx")
+            lenses.write_zmx(system, Path(folder) / "lens.zmx")
 
 
 def _fields_to(own: tuple, largest: float | None) -> tuple:
@@ -355,8 +338,8 @@ def _optimised(system, own, goal, job: DesignSettings, f: float, metre: float, s
         if getattr(job, name) is not None
     }
 
-    def problem(makers: Sequence[str] | None = job.makers() or None) -> lens_design:
-        return standard_design(
+    def problem(makers: Sequence[str] | None = job.makers() or None) -> lenses.lens_design:
+        return lenses.standard_design(
             system,
             f,
             limits=limits,
@@ -367,7 +350,7 @@ def _optimised(system, own, goal, job: DesignSettings, f: float, metre: float, s
             mount=job.mount,
         )
 
-    def keeps_rays(design: lens_design) -> bool:
+    def keeps_rays(design: lenses.lens_design) -> bool:
         with torch.no_grad():
             return bool(torch.isfinite(design.residuals(design.values)).all())
 
@@ -402,7 +385,7 @@ def _optimised(system, own, goal, job: DesignSettings, f: float, metre: float, s
     return history, names, chosen
 
 
-def _varied(design: lens_design) -> list[str]:
+def _varied(design: lenses.lens_design) -> list[str]:
     """Return what varies in words."""
     found = {name: {place for place, _ in places} for name, places in design.places.items()}
     for name, place in design.solved:

@@ -10,37 +10,10 @@ import torch
 from odak._call_forms import did_you_mean
 from odak._drawn import png
 from odak.cli import files
-from odak.cli.files import writable_folder
 from odak.cli.options import InputError, refusing
 from odak.cli.report import about, finite
 from odak.cli.settings import ToleranceSettings, TraceSettings
-from odak.learn.raytracing.system import (
-    FieldQuality,
-    best_focus,
-    distortion,
-    field_modulation,
-    field_quality,
-    first_order,
-    in_environment,
-    iso_10110_tolerances,
-    layout_figure,
-    lens_report,
-    load_system,
-    optical_system,
-    read_len,
-    read_seq,
-    read_zmx,
-    report_figures,
-    rms_spot,
-    sample_systems,
-    save_solids,
-    sensitivity,
-    spot_diagram,
-    system_to_dict,
-    tolerance,
-    tolerance_figure,
-    tolerances_for_yield,
-)
+from odak.learn.raytracing import system as lenses
 from odak.learn.raytracing.system.drawing import (
     MICROMETRES,
     image_aperture,
@@ -61,7 +34,7 @@ def read_glasses(paths: Sequence[Path]) -> None:
             load_materials(path, replace=True)
 
 
-def read_system(name: str, argument: str = "SYSTEM") -> tuple[optical_system, list[str]]:
+def read_system(name: str, argument: str = "SYSTEM") -> tuple[lenses.optical_system, list[str]]:
     """Return a system and what was ignored in its file.
 
     Parameters
@@ -79,7 +52,7 @@ def read_system(name: str, argument: str = "SYSTEM") -> tuple[optical_system, li
     suffix = Path(name).suffix.lower()
     if suffix and not Path(name).is_file():
         raise InputError(f"{argument} not found: {name!r}")
-    readers = {".zmx": read_zmx, ".seq": read_seq, ".len": read_len}
+    readers = {".zmx": lenses.read_zmx, ".seq": lenses.read_seq, ".len": lenses.read_len}
     # What is packed is refused by the reader, which says how to unpack it.
     if suffix not in ("", ".json", *readers, *(packed for packed, *_ in SEALED)):
         raise InputError(
@@ -89,11 +62,11 @@ def read_system(name: str, argument: str = "SYSTEM") -> tuple[optical_system, li
         if suffix in readers:
             system, report = readers[suffix](name)
             return system, [*report.ignored, *report.notes]
-        return load_system(name), []
+        return lenses.load_system(name), []
     except json.JSONDecodeError as error:
         raise InputError(f"{argument} {name!r} is not a lens in JSON: line {error.lineno} cannot be read") from None
     except (ValueError, OSError) as error:
-        known = sample_systems()
+        known = lenses.sample_systems()
         if name not in known and not Path(name).suffix:
             raise InputError(
                 f"{argument} must be one of {', '.join(known)}, or a file; got {name!r}.{did_you_mean(name, known)}"
@@ -126,29 +99,29 @@ def run(job: TraceSettings, notices: files.Notices = files.SILENT) -> dict[str, 
     name, aim, figures, focus = job.system, job.aim, job.figures, job.focus
     read_glasses(job.glasses)
     system, ignored = read_system(name)
-    folder = writable_folder(job.output)
+    folder = files.writable_folder(job.output)
     values = {"command": "trace", **job.values("glasses"), "system": Path(name).name}
     mark = files.fingerprint(values, [path for path in (Path(name), *job.glasses) if path.is_file()])
     if (kept := files.kept_report(folder, mark, notices)) is not None:
         return kept
     if job.temperature is not None:
         with refusing(lambda text: text if "surfaces[" in text else f"--{text}", ValueError):
-            system = in_environment(system, job.temperature, mount=job.mount)
+            system = lenses.in_environment(system, job.temperature, mount=job.mount)
     with torch.no_grad():
-        shift = None if system.afocal else best_focus(system, aim=aim)
+        shift = None if system.afocal else lenses.best_focus(system, aim=aim)
         if focus == "best":
             if shift is None or not bool(torch.isfinite(shift)):
                 raise InputError("--focus best needs a lens that focuses rays")
             last = system.surfaces[-1]
             replaced(last, "thickness", last.thickness + shift)
-    quality = field_quality(system, aim)
-    drawn = report_figures(system, aim, quality)
+    quality = lenses.field_quality(system, aim)
+    drawn = lenses.report_figures(system, aim, quality)
     names = [*(f"{title}.{figures}" for title in drawn), "report.html"]
     solids = [] if job.solids == "none" else [f"lenses.{job.solids}"]
     files.announce(folder, [*names, *solids, files.REPORT], notices)
     for name in solids:
         with refusing(f"--solids {job.solids}: ", ValueError, ImportError):
-            save_solids(system, folder / name)
+            lenses.save_solids(system, folder / name)
     with torch.no_grad():
         report = describe(system, job.rings, aim, quality) | {"ignored": ignored, "focus": focus}
         report |= {"temperature": job.temperature, "mount": job.mount}
@@ -159,18 +132,18 @@ def run(job: TraceSettings, notices: files.Notices = files.SILENT) -> dict[str, 
         figure.set_layout_engine("none")
         with replacing(folder / f"{title}.{figures}") as stream:
             figure.savefig(stream, format=figures, dpi=140)
-    lens_report(system, folder / "report.html", aim, drawn, quality)
+    lenses.lens_report(system, folder / "report.html", aim, drawn, quality)
     return files.write_report(folder, report | {"figures": names[:-1], "solids": solids}, mark, [*names, *solids])
 
 
-def describe(system: optical_system, rings: int, aim: str, quality: FieldQuality) -> dict[str, Any]:
+def describe(system: lenses.optical_system, rings: int, aim: str, quality: lenses.FieldQuality) -> dict[str, Any]:
     """Return the entries of the report on a system."""
-    spots = spot_diagram(system, "rings", rings, aim=aim)
-    bent = distortion(system, projection=projection_of(system), aim=aim)
+    spots = lenses.spot_diagram(system, "rings", rings, aim=aim)
+    bent = lenses.distortion(system, projection=projection_of(system), aim=aim)
     place, modulation, frequencies = system.reference, None, []
     if image_aperture(system) and not system.afocal:
         frequencies = modulation_frequencies(system)
-        modulation = field_modulation(system, frequencies, aim=aim)
+        modulation = lenses.field_modulation(system, frequencies, aim=aim)
     fields = [
         {
             "field": list(field),
@@ -197,8 +170,8 @@ def describe(system: optical_system, rings: int, aim: str, quality: FieldQuality
         for i, field in enumerate(system.fields)
     ]
     return {
-        "system": system_to_dict(system),
-        "first_order": {name: finite(value) for name, value in first_order(system)._asdict().items()},
+        "system": lenses.system_to_dict(system),
+        "first_order": {name: finite(value) for name, value in lenses.first_order(system)._asdict().items()},
         "rays": {"pattern": "rings", "count": rings, "aim": aim},
         "quadrature": {"rings": quality.count, "change": finite(quality.change)},
         "modulation_frequencies": frequencies,
@@ -246,7 +219,7 @@ def run_tolerance(job: ToleranceSettings, notices: files.Notices = files.SILENT)
     """
     name, samples, seed, limit, share = job.system, job.samples, job.seed, job.limit, job.share
     system, ignored = read_system(name)
-    folder = writable_folder(job.output)
+    folder = files.writable_folder(job.output)
     values = {"command": "tolerance", **job.values(), "system": Path(name).name}
     mark = files.fingerprint(values, [path for path in (Path(name),) if path.is_file()])
     if (kept := files.kept_report(folder, mark, notices)) is not None:
@@ -254,28 +227,33 @@ def run_tolerance(job: ToleranceSettings, notices: files.Notices = files.SILENT)
     names = ["tolerance.png", "sensitivity.png", "report.html"]
     files.announce(folder, [*names, files.REPORT], notices)
     compensators = [("thickness", -1)] if job.focus else []
-    off = iso_10110_tolerances(system)
+    off = lenses.iso_10110_tolerances(system)
     if not off:
         raise InputError(f"SYSTEM {name!r} has no glass, for which ISO 10110 has tolerances")
     with torch.no_grad():
-        limit = 2 * float(rms_spot(system).max()) if limit is None else limit
+        limit = 2 * float(lenses.rms_spot(system).max()) if limit is None else limit
         with refusing(f"SYSTEM {name!r} cannot be toleranced: ", ValueError):
             if share is None:
-                found = tolerance(system, off, samples, seed, compensators=compensators)
+                found = lenses.tolerance(system, off, samples, seed, compensators=compensators)
             else:
-                off, found = tolerances_for_yield(
+                off, found = lenses.tolerances_for_yield(
                     system, off, limit, share, samples=samples, seed=seed, compensators=compensators
                 )
-        alone = sensitivity(system, off, compensators=compensators)
-        quality = field_quality(system)
-        drawn = {"tolerance": tolerance_figure(system, found, limit), "sensitivity": tolerance_figure(system, alone)}
+        alone = lenses.sensitivity(system, off, compensators=compensators)
+        quality = lenses.field_quality(system)
+        drawn = {
+            "tolerance": lenses.tolerance_figure(system, found, limit),
+            "sensitivity": lenses.tolerance_figure(system, alone),
+        }
     for title, figure in drawn.items():
         write_file(folder / f"{title}.png", png(figure))
-    lens_report(system, folder / "report.html", "paraxial", {"layout": layout_figure(system), **drawn}, quality)
+    lenses.lens_report(
+        system, folder / "report.html", "paraxial", {"layout": lenses.layout_figure(system), **drawn}, quality
+    )
     sizes = found.merit.square().mean(-1).sqrt()
     good = sizes[torch.isfinite(sizes)]
     report = {
-        "system": system_to_dict(system),
+        "system": lenses.system_to_dict(system),
         "perturbations": [item._asdict() for item in off],
         "compensators": [list(pair) for pair in compensators],
         "samples": samples,

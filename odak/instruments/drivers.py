@@ -9,7 +9,7 @@ import os
 import re
 import time
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -202,7 +202,24 @@ def _seen_in(pygame: Any, window: Any) -> np.ndarray | None:
         return None
 
 
-class VideoCamera(_show.Shown):
+class WholeFrames(_show.Shown):
+    """Camera whose driver takes whole frames, of which captures are the region."""
+
+    shape: tuple[int, int]
+    region: tuple[int, int, int, int] | None = None
+    _frame: Any
+
+    def capture(self, count: int = 1) -> np.ndarray:
+        """Return captures, unsigned integers ``[count, rows, columns]`` of the region."""
+        window = self._window()
+        return np.stack([self._frame()[window] for _ in range(_validate.integer("count", count, minimum=1))])
+
+    def _window(self) -> tuple[slice, slice]:
+        row, column, rows, columns = self.region or (0, 0, *self.shape)
+        return slice(row, row + rows), slice(column, column + columns)
+
+
+class VideoCamera(WholeFrames):
     """Camera of the USB video class, or anything else that OpenCV opens, such as a file of a video.
 
     Parameters
@@ -254,7 +271,6 @@ class VideoCamera(_show.Shown):
         self._stream = self._cv2.VideoCapture(source)
         if not self._stream.isOpened():
             raise OSError(f"OpenCV cannot open the camera {source!r}")
-        self.region: tuple[int, int, int, int] | None = None
         columns, rows = (int(self._stream.get(code)) for code in (3, 4))
         self.shape: tuple[int, int] = (rows, columns)
         # Of a file it is a name alone.
@@ -295,7 +311,7 @@ class VideoCamera(_show.Shown):
         """Return captures, uint8 or uint16 ``[count, rows, columns]`` of the region."""
         for _ in range(self._skip):
             self._frame()
-        return captured(self, count, self._frame)
+        return super().capture(count)
 
     def _frame(self) -> np.ndarray:
         fine, frame = self._stream.read()
@@ -308,7 +324,7 @@ class VideoCamera(_show.Shown):
         self._stream.release()
 
 
-class GenICamCamera(_show.Shown):
+class GenICamCamera(WholeFrames):
     """Camera with a GenICam interface, as most industrial ones have: GigE Vision, USB3 Vision, CoaXPress, 10 GigE.
 
     Each capture is triggered by software, so that no frame is older than the pattern.
@@ -400,7 +416,6 @@ class GenICamCamera(_show.Shown):
         if self._nodes.PixelFormat.value != pixel_format:
             raise ValueError(f"the camera does not take the format {pixel_format!r}")
         self.shape: tuple[int, int] = (int(self._nodes.Height.value), int(self._nodes.Width.value))
-        self.region: tuple[int, int, int, int] | None = None
         # Cameras of versions 1.x name it in another way.
         self._time = self._nodes.ExposureTime if hasattr(self._nodes, "ExposureTime") else self._nodes.ExposureTimeAbs
         self.exposure_limits: tuple[float, float] = (1e-6 * float(self._time.min), 1e-6 * float(self._time.max))
@@ -414,10 +429,6 @@ class GenICamCamera(_show.Shown):
     @exposure.setter
     def exposure(self, value: float) -> None:
         self._time.value = 1e6 * float(_validate.number("exposure", value, positive=True))
-
-    def capture(self, count: int = 1) -> np.ndarray:
-        """Return captures, uint8 or uint16 ``[count, rows, columns]`` of the region."""
-        return captured(self, count, self._frame)
 
     def _frame(self) -> np.ndarray:
         # Zero would wait without end.
@@ -450,7 +461,7 @@ class GenICamCamera(_show.Shown):
         self._harvester.reset()
 
 
-class MicroManagerCamera(_show.Shown):
+class MicroManagerCamera(WholeFrames):
     """Camera that Micro-Manager drives: scientific cameras of most makers, through its device adapters.
 
     Parameters
@@ -485,7 +496,6 @@ class MicroManagerCamera(_show.Shown):
             raise ValueError("the configuration names no camera; give device")
         self._core.clearROI()
         self.shape: tuple[int, int] = (int(self._core.getImageHeight()), int(self._core.getImageWidth()))
-        self.region: tuple[int, int, int, int] | None = None
 
     @property
     def bits(self) -> int:
@@ -500,10 +510,6 @@ class MicroManagerCamera(_show.Shown):
     @exposure.setter
     def exposure(self, value: float) -> None:
         self._core.setExposure(1e3 * float(_validate.number("exposure", value, positive=True)))
-
-    def capture(self, count: int = 1) -> np.ndarray:
-        """Return captures, unsigned integers ``[count, rows, columns]`` of the region."""
-        return captured(self, count, self._frame)
 
     def _frame(self) -> np.ndarray:
         self._core.setCameraDevice(self._device)
@@ -634,7 +640,7 @@ class FileModulator(_show.Shown):
             os.remove(old)
 
 
-class FileCamera(_show.Shown):
+class FileCamera(WholeFrames):
     """Camera behind a folder, of another computer for instance: each request and each capture is a file.
 
     A request of number k is ``request.txt`` with three numbers: k, how many captures, and the exposure in seconds. The
@@ -685,7 +691,6 @@ class FileCamera(_show.Shown):
         self.pitch: float = float(_validate.number("pitch", pitch, positive=True))
         self.bits: int = _validate.integer("bits", bits, minimum=1)
         self.exposure: float = float(_validate.number("exposure", exposure, positive=True))
-        self.region: tuple[int, int, int, int] | None = None
         self._timeout = float(_validate.number("timeout", timeout, positive=True))
         self._number = (_text_in(os.path.join(self._folder, "request.txt")) or "0").split()[0]
 
@@ -702,8 +707,8 @@ class FileCamera(_show.Shown):
             expected = [count, *self.shape]
             raise ValueError(f"{path!r} must contain integers {expected}, got {frames.dtype} {list(frames.shape)}")
         os.remove(path)
-        row, column, rows, columns = self.region or (0, 0, *self.shape)
-        return frames[:, row : row + rows, column : column + columns]
+        down, across = self._window()
+        return frames[:, down, across]
 
 
 def unpacked(data: np.ndarray, bits: int, packing: str) -> np.ndarray:
@@ -732,13 +737,6 @@ def unpacked(data: np.ndarray, bits: int, packing: str) -> np.ndarray:
     low = (1 << (bits - 8)) - 1
     pairs = (first << (bits - 8)) | (middle & low), (last << (bits - 8)) | ((middle >> 4) & low)
     return np.stack(pairs, axis=-1).ravel()
-
-
-def captured(camera: Any, count: int, frame: Callable[[], np.ndarray]) -> np.ndarray:
-    """Return captures ``[count, rows, columns]`` of the region of a camera, from a function that takes a whole one."""
-    row, column, rows, columns = camera.region or (0, 0, *camera.shape)
-    window = np.s_[row : row + rows, column : column + columns]
-    return np.stack([frame()[window] for _ in range(_validate.integer("count", count, minimum=1))])
 
 
 def checked_levels(levels: Any, shape: Sequence[int], bits: int) -> np.ndarray:

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from odak import _show, _validate
-from odak.instruments.drivers import _imported, captured, checked_levels, existing_file
+from odak.instruments.drivers import WholeFrames, _imported, checked_levels, existing_file
 
 
-class RaspberryPiCamera(_show.Shown):
+class RaspberryPiCamera(WholeFrames):
     """Camera of a Raspberry Pi, whose raw frames are read by picamera2.
 
     Automatic exposure is off and the gain is 1. Each frame begins after it was asked for, so that none is older than
@@ -72,7 +72,6 @@ class RaspberryPiCamera(_show.Shown):
         binned = max(round(whole / columns), 1)
         stated = self._step * binned * 1e-9 * float(self._camera.camera_properties["UnitCellSize"][0])
         self.pitch: float = stated if pitch is None else pitch
-        self.region: tuple[int, int, int, int] | None = None
         shortest, longest, _ = self._camera.camera_controls["ExposureTime"]
         self.exposure_limits: tuple[float, float] = (1e-6 * shortest, 1e-6 * longest)
         self._start()
@@ -99,10 +98,6 @@ class RaspberryPiCamera(_show.Shown):
             return np.array(request.make_array("raw")), request.get_metadata()
         finally:
             request.release()
-
-    def capture(self, count: int = 1) -> np.ndarray:
-        """Return captures, uint8 or uint16 ``[count, rows, columns]`` of the region."""
-        return captured(self, count, self._frame)
 
     def _frame(self) -> np.ndarray:
         frame = self._raw()[0]
@@ -320,7 +315,7 @@ class MeadowlarkModulator(_show.Shown):
         self._library.Delete_SDK()
 
 
-class ThorlabsCamera(_show.Shown):
+class ThorlabsCamera(WholeFrames):
     """Scientific camera of Thorlabs (Zelux, Kiralux, Quantalux and others), driven by its own Python package.
 
     Each frame is triggered by software, so that none is older than the pattern. The gain is the smallest, and the black
@@ -371,7 +366,6 @@ class ThorlabsCamera(_show.Shown):
             self.bits: int = int(camera.bit_depth)
             self.shape: tuple[int, int] = (int(camera.image_height_pixels), int(camera.image_width_pixels))
             self.pitch: float = 1e-6 * float(camera.sensor_pixel_width_um) if pitch is None else pitch
-            self.region: tuple[int, int, int, int] | None = None
             limits = camera.exposure_time_range_us
             self.exposure_limits: tuple[float, float] = (1e-6 * limits.min, 1e-6 * limits.max)
             camera.arm(2)
@@ -387,10 +381,6 @@ class ThorlabsCamera(_show.Shown):
     @exposure.setter
     def exposure(self, value: float) -> None:
         self._camera.exposure_time_us = round(1e6 * float(_validate.number("exposure", value, positive=True)))
-
-    def capture(self, count: int = 1) -> np.ndarray:
-        """Return captures, uint16 ``[count, rows, columns]`` of the region."""
-        return captured(self, count, self._frame)
 
     def _frame(self) -> np.ndarray:
         self._camera.image_poll_timeout_ms = 0

@@ -16,9 +16,11 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from odak import _validate
 from odak._warnings import MissingPackageWarning, warn
 from odak.manager import tasks
 from odak.manager.server import (
@@ -45,10 +47,38 @@ class Lost(Exception):
     """A group of tasks whose results were lost with a worker; they are computed again."""
 
 
-def choose(cluster: Any, depends: Sequence[Any], server: bool, **settings: Any) -> "Serial | Cluster":
+@dataclass(frozen=True)
+class Terms:
+    """How a cluster is reached, and what its workers have; as the parameters of :class:`odak.manager.agent`."""
+
+    workers: int | None
+    threads: int | None
+    gpu: bool
+    direct: bool | None
+    host: str
+    security: Any
+    trusted_network: bool
+    timeout: float | None
+
+    def __post_init__(self) -> None:
+        for name in ("gpu", "trusted_network", *(["direct"] if self.direct is not None else [])):
+            object.__setattr__(self, name, _validate.flag(name, getattr(self, name)))
+        known = isinstance(self.security, (bool, str, Path, type(None)))
+        if not known and not hasattr(self.security, "get_connection_args"):
+            given = type(self.security).__name__
+            raise TypeError(f"security must be a distributed.Security, a folder or True, got {given}")
+        _validate.text("host", self.host)
+        for name in ("workers", "threads"):
+            if getattr(self, name) is not None:
+                _validate.integer(name, getattr(self, name), minimum=1)
+        if self.timeout is not None:
+            _validate.real("timeout", self.timeout, positive=True)
+
+
+def choose(cluster: Any, depends: Sequence[Any], server: bool, terms: Terms) -> "Serial | Cluster":
     """Return the backend selected by `cluster`; parameters as in :class:`odak.manager.agent`."""
     here = cluster is None or cluster is True or cluster == "local"
-    if settings.get("workers") is not None and not here and not server:
+    if terms.workers is not None and not here and not server:
         raise ValueError(
             "workers must be left out unless cluster='local' or server=True, as they are processes of this machine"
         )
@@ -65,10 +95,10 @@ def choose(cluster: Any, depends: Sequence[Any], server: bool, **settings: Any) 
                 "cluster must be 'local', the address of a scheduler such as 'tls://10.0.0.1:8786', a Dask cluster or "
                 f"client, or False; got {cluster!r}"
             )
-        check_transport("cluster", cluster, settings["trusted_network"])
+        check_transport("cluster", cluster, terms.trusted_network)
     if not isinstance(cluster, str) and not hasattr(cluster, "scheduler_info"):
         raise TypeError(f"cluster must be a string, a Dask cluster or client, or False; got {type(cluster).__name__}")
-    return Cluster(cluster, depends, server, **settings)
+    return Cluster(cluster, depends, server, terms)
 
 
 class Serial:
@@ -118,26 +148,13 @@ class Cluster:
     Parameters are as in :class:`odak.manager.agent`.
     """
 
-    def __init__(
-        self,
-        cluster: Any,
-        depends: Sequence[Any],
-        server: bool,
-        *,
-        workers: int | None,
-        threads: int | None,
-        gpu: bool,
-        direct: bool | None,
-        host: str,
-        security: Any,
-        trusted_network: bool,
-        timeout: float | None,
-    ) -> None:
+    def __init__(self, cluster: Any, depends: Sequence[Any], server: bool, terms: Terms) -> None:
         self._cluster, self._depends, self._serves = cluster, depends, server
-        self._options: dict[str, Any] = {"workers": workers, "threads": threads, "trusted_network": trusted_network}
-        self._host, self._resources = host, {GPU: 1} if gpu else None
-        self._direct = cluster == "local" if direct is None else direct
-        self._security, self._timeout = load_security(security), timeout
+        names = ("workers", "threads", "trusted_network")
+        self._options: dict[str, Any] = {name: getattr(terms, name) for name in names}
+        self._host, self._resources = terms.host, {GPU: 1} if terms.gpu else None
+        self._direct = cluster == "local" if terms.direct is None else terms.direct
+        self._security, self._timeout = load_security(terms.security), terms.timeout
         self.client: Any = None
         self._server: Server | None = None
         self._code: Any = None

@@ -16,7 +16,7 @@ from typing import Any
 from odak import _validate
 from odak._attributes import Prepared
 from odak._bars import tqdm
-from odak.manager.backends import Cluster, Group, Job, Lost, Serial, choose
+from odak.manager.backends import Cluster, Group, Job, Lost, Serial, Terms, choose
 from odak.manager.server import LOOPBACK
 from odak.manager.tasks import HERE, Outcome
 from odak.tools import validate_path
@@ -133,35 +133,12 @@ class agent(Prepared):
         self.cluster: Any = cluster
         self.server: bool = _validate.flag("server", server)
         self.verbose: bool = _validate.flag("verbose", verbose)
-        if direct is not None:
-            direct = _validate.flag("direct", direct)
-        if not (
-            security is None or isinstance(security, (bool, str, Path)) or hasattr(security, "get_connection_args")
-        ):
-            raise TypeError(f"security must be a distributed.Security, a folder or True, got {type(security).__name__}")
-        _validate.text("host", host)
         self.depends: list[ModuleType | Callable[..., Any] | str] = _checked_depends(depends)
         self._retries = _validate.integer("retries", retries)
-        for name, count in (("workers", workers), ("threads", threads)):
-            if count is not None:
-                _validate.integer(name, count, minimum=1)
         self._chunk = _validate.integer("chunk", chunk, minimum=1)
         self.in_flight: int | None = None if in_flight is None else _validate.integer("in_flight", in_flight, minimum=1)
-        if timeout is not None:
-            _validate.real("timeout", timeout, positive=True)
-        self._backend = choose(
-            cluster,
-            self.depends,
-            self.server,
-            workers=workers,
-            threads=threads,
-            gpu=_validate.flag("gpu", gpu),
-            direct=direct,
-            host=host,
-            security=security,
-            trusted_network=_validate.flag("trusted_network", trusted_network),
-            timeout=timeout,
-        )
+        terms = Terms(workers, threads, gpu, direct, host, security, trusted_network, timeout)
+        self._backend = choose(cluster, self.depends, self.server, terms)
         self.jobs: list[Job] = []
         self.results: list[Any] = []
         self.records: list[dict[Any, Any]] = []

@@ -142,8 +142,8 @@ def test_a_lens_is_designed_over_temperatures(tmp_path, capsys):
 def test_a_lens_of_first_order_demands(full, tmp_path, monkeypatch):
     """One run with a stage and no polish, a slow one with all of them."""
     if not full:
-        short = functools.partial(lens_design.automatic_design, stages=1, polish=0)
-        monkeypatch.setattr(lens_design, "automatic_design", short)
+        short = functools.partial(lens_design.lenses.automatic_design, stages=1, polish=0)
+        monkeypatch.setattr(lens_design.lenses, "automatic_design", short)
         monkeypatch.setattr(automatic, "SCREENINGS", 1)
     asked = ["--elements", "1", "--focal-length", "80mm", "--f-number", "10", "--field", "2", "--seed", "3"]
     files = []
@@ -191,8 +191,8 @@ def test_glasses_are_replaced_by_those_of_makers(name, makers, iterations, tmp_p
 @pytest.mark.slow
 def test_plates_of_glasses_that_vary_become_a_lens_of_real_ones(tmp_path, monkeypatch):
     """A doublet of 100 mm at f/8 whose colours meet within 0.1 mm; two equal glasses leave f/V, 1.6 mm."""
-    short = functools.partial(lens_design.automatic_design, stages=2, polish=0)
-    monkeypatch.setattr(lens_design, "automatic_design", short)
+    short = functools.partial(lens_design.lenses.automatic_design, stages=2, polish=0)
+    monkeypatch.setattr(lens_design.lenses, "automatic_design", short)
     asked = ["--focal-length", "100mm", "--f-number", "8", "--field", "1", "--elements", "stop,N-BK7,N-BK7"]
     asked += ["--substitute", "schott", "--axial-color", "0.1mm", "--starts", "4", "--iterations", "8"]
     assert main(["design", *asked, "-q", "--output", str(tmp_path)]) == 0

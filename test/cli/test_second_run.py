@@ -50,8 +50,8 @@ COMMANDS = {
 def cheap(monkeypatch):
     """Leave out what takes seconds: this is about files, not about lenses."""
     lens = load_system("singlet")
-    monkeypatch.setattr(trace, "report_figures", lambda *_: {"layout": Figure(figsize=(1, 1))})
-    monkeypatch.setattr(trace, "lens_report", lambda system, path, *_: path.write_text("report"))
+    monkeypatch.setattr(trace.lenses, "report_figures", lambda *_: {"layout": Figure(figsize=(1, 1))})
+    monkeypatch.setattr(trace.lenses, "lens_report", lambda system, path, *_: path.write_text("report"))
     described = {"system": {"unit": "mm"}, "first_order": {"focal_length": None}, "fields": []}
     monkeypatch.setattr(trace, "describe", lambda *_: described)
     monkeypatch.setattr(lens_design, "_from_system", lambda *_: (lens, lens, [], []))

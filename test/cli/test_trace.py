@@ -122,7 +122,9 @@ def test_figures_for_a_paper():
 
 
 def test_glasses_and_kinds_of_figures(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(trace, "report_figures", lambda system, aim, quality: {"layout": layout_figure(system, aim)})
+    monkeypatch.setattr(
+        trace.lenses, "report_figures", lambda system, aim, quality: {"layout": layout_figure(system, aim)}
+    )
     catalogue = tmp_path / "own.agf"
     catalogue.write_text(
         "NM MYGLASS 2 0 1.5168 64.17 0 1\nCD 1.03961212 0.00600069867 0.231792344 0.0200179144 "
@@ -144,7 +146,7 @@ def test_glasses_and_kinds_of_figures(tmp_path, capsys, monkeypatch):
 
 def test_a_zmx_file_is_traced_and_what_was_ignored_is_said(tmp_path, capsys, monkeypatch):
     # Figures are those of any lens, which other tests look at.
-    monkeypatch.setattr(trace, "report_figures", lambda *_: {})
+    monkeypatch.setattr(trace.lenses, "report_figures", lambda *_: {})
     path = tmp_path / "lens.zmx"
     write_zmx(load_system("singlet"), path)
     assert main(["trace", str(path), "--output", str(tmp_path), "--quiet"]) == 0
@@ -231,7 +233,7 @@ def test_a_focus_that_is_not_known_is_named(tmp_path, capsys):
 
 
 def test_a_lens_is_traced_at_a_temperature(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(trace, "report_figures", lambda *_: {})
+    monkeypatch.setattr(trace.lenses, "report_figures", lambda *_: {})
     assert main(["trace", "singlet", "-o", str(tmp_path / "a"), "--temperature", "70", "--mount", "23.6e-6"]) == 0
     report = json.loads((tmp_path / "a/report.json").read_text())
     warm = in_environment(load_system("singlet"), 70.0, mount=23.6e-6)
@@ -247,7 +249,7 @@ def test_a_lens_is_traced_at_a_temperature(tmp_path, capsys, monkeypatch):
 
 
 def test_lenses_are_written_as_solids(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(trace, "report_figures", lambda *_: {})
+    monkeypatch.setattr(trace.lenses, "report_figures", lambda *_: {})
     assert main(["trace", "singlet", "-o", str(tmp_path / "a"), "--solids", "stl"]) == 0
     assert "lenses.stl" in capsys.readouterr().out
     assert json.loads((tmp_path / "a/report.json").read_text())["solids"] == ["lenses.stl"]
