@@ -1005,7 +1005,8 @@ class _Levels(NamedTuple):
 
 def _sum(*parts):
     parts = [part for part in parts if part is not None]
-    return functools.reduce(torch.add, parts) if parts else None
+    # In place: all but the last are made here, and a picture more takes time to allocate.
+    return functools.reduce(torch.Tensor.add_, parts) if parts else None
 
 
 def _halved_size(size):
