@@ -161,8 +161,6 @@ class _Linear(torch.autograd.Function):
         return linear(kind, adjoint, values.flatten(0, 1)).unflatten(0, values.shape[:2]), 0
 
 
-mirrored: Callable[[torch.Tensor, tuple[int, ...]], torch.Tensor] = vars(torch._C._nn)["reflection_pad2d"]
-
 # linear(kind, adjoint, *tensors): kind.forward, or kind.adjoint, of tensors; differentiable any number of times.
 linear = operator(_Linear)
 

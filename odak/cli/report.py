@@ -388,7 +388,10 @@ def sheet(rows: list[list[Panel]], width_in_metres: float | None = None, aspect:
     canvas = FigureCanvasAgg(figure)
 
     def axes_at(left: int, top: int, width: int, height: int) -> Axes:
-        return figure.add_axes((left / size[0], 1 - (top + height) / size[1], width / size[0], height / size[1]))
+        # Older versions of Matplotlib resample pictures to a pixel more where rounding makes axes longer than they are.
+        bottom, within = size[1] - top - height, 1e-6
+        sides = (width - within) / size[0], (height - within) / size[1]
+        return figure.add_axes((left / size[0], bottom / size[1], *sides))
 
     for i, row in enumerate(rows):
         for j, panel in enumerate(row):

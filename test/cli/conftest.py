@@ -1,4 +1,8 @@
+"""Fixtures of the tests of commands."""
+
 import pytest
+
+from odak.cli import eyebox_views, report
 
 
 @pytest.fixture
@@ -10,5 +14,5 @@ def sheets():
 def no_sheets(request, monkeypatch):
     """Write the first picture of a sheet, which takes as long as the patterns here, unless a test looks at it."""
     if "sheets" not in request.fixturenames:
-        for module in ("report", "eyebox_views"):
-            monkeypatch.setattr(f"odak.cli.{module}.sheet", lambda rows, *_: rows[0][0].image.convert("RGB"))
+        for module in (report, eyebox_views):
+            monkeypatch.setattr(module, "sheet", lambda rows, *_: rows[0][0].image.convert("RGB"))

@@ -55,6 +55,7 @@ def test_a_folder_gives_what_each_picture_gives(folder, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("sheets")
 @pytest.mark.xdist_group("cluster")
 def test_on_a_cluster_the_patterns_are_the_same(folder, tmp_path):
     count = torch.get_num_threads()

@@ -547,8 +547,9 @@ class Banded:
 
 
 def is_blocked(picture: torch.Tensor) -> bool:
-    """Return whether statistics may be computed in strips: float32 or float64 on a CPU, without a transform."""
-    return is_plain_on_cpu(picture) and picture.dtype in (torch.float32, torch.float64)
+    """Return whether statistics may be computed in strips: of floats on a CPU, without a transform, and not of none."""
+    kind = picture.dtype in (torch.float32, torch.float64)
+    return kind and picture.numel() > 0 and is_plain_on_cpu(picture)
 
 
 class Sampler:
@@ -581,7 +582,7 @@ class Sampler:
 
     def __call__(self, image: torch.Tensor) -> torch.Tensor:
         """Return the sampled pictures ``[B, C, H, W]``; differentiable any number of times."""
-        if not self.levels or not is_plain_on_cpu(image):
+        if not (self.levels and image.numel() and is_plain_on_cpu(image)):
             return self.plainly(image)
         return linear(self, False, image.flatten(0, 1).movedim(0, 1)).movedim(1, 0).reshape(image.shape)
 

@@ -114,7 +114,7 @@ class _StatisticsLoss(nn.Module):
 
         The first of these is the last low-pass; statistics of pairs follow if the loss has them and `pairs` is set.
         """
-        groups, low = self._maker(picture.shape[1]).levels(picture, self.n_pyramid_levels)
+        groups, low = self._maker(picture.shape[1])._levels(picture, self.n_pyramid_levels)
         key = (picture.shape, where, self._options(), picture.dtype, picture.device)
         pooling = self._poolings.get(key, lambda: self._pooling_of(picture, [one.shape[-2:] for one in low], where))
         if pooling is not self._pooling:

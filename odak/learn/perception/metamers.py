@@ -103,7 +103,7 @@ def matched_noise(
     """
     generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
     noise = torch.rand(1, *image.shape[1:], dtype=torch.float64, generator=generator).to(image)
-    groups, _ = maker.levels(noise, n_levels)
+    groups, _ = maker._levels(noise, n_levels)
     found = []
     for band in (band for bands in groups for band in bands.unbind(2)):
         mean = band.mean((2, 3), keepdim=True)

@@ -363,11 +363,11 @@ class SpatialSteerablePyramid(nn.Module):
         """
         _validate.integer("n_levels", n_levels, minimum=2)
         self._check(image, n_levels)
-        groups, low = self.levels(image, n_levels)
+        groups, low = self._levels(image, n_levels)
         return [groups[0][:, :, :1], groups[0][:, :, 1:], *groups[1:]], low
 
     @in_own_precision
-    def levels(self, image: torch.Tensor, n_levels: int) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
+    def _levels(self, image: torch.Tensor, n_levels: int) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
         """Return what :meth:`stacked_bands` does, the residual in front of the first level's bands, without checks.
 
         Parameters
@@ -489,7 +489,7 @@ class SpatialSteerablePyramid(nn.Module):
 
     def _normal(self, image, n_levels):
         """Return the adjoint of the pyramid of a picture."""
-        groups, low = self.levels(image, n_levels)
+        groups, low = self._levels(image, n_levels)
         return self._gathered(groups, low[-1])
 
     @in_own_precision
@@ -900,7 +900,7 @@ class Filters:
     def write(self, image: torch.Tensor, result: torch.Tensor) -> None:
         """Write the correlations of pictures ``[B, C, H, W]`` to `result` ``[h, B, C, K, w]``, on a CPU."""
         reach, (rows, batch, channels, _, columns) = self.side // 2, result.shape
-        planes = _torch_private.mirrored(image.flatten(0, 1), (reach,) * 4)
+        planes = functional.pad(image, (reach,) * 4, mode="reflect").flatten(0, 1)
         # Whole steps of the lanes; results from the zeros added are dropped.
         beyond = (-(-columns // LANES) * LANES - 1) * self.stride + self.side - planes.shape[-1]
         planes = _as_channels_last(torch.constant_pad_nd(planes, (0, beyond)) if beyond > 0 else planes)

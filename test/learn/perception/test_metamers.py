@@ -17,7 +17,7 @@ from odak.learn.perception import (
     rgb_2_ycrcb,
 )
 from odak.learn.perception.foveation import UniformSampler
-from odak.learn.perception.pooled_statistics import statistics_maps
+from odak.learn.perception.pooled_statistics import Pooling, statistics_maps
 from odak.learn.tools import load_image
 
 VIEW = {"alpha": 0.5, "real_image_width": 0.5, "real_viewing_distance": 0.5}
@@ -199,10 +199,10 @@ def test_colours_stay_in_the_local_gamut():
 def test_rescaled_bands_have_the_statistics_asked_for(photograph):
     """Bands that are given back their own statistics make the picture; others have means and deviations as wanted."""
     maker = SpatialSteerablePyramid(False, 3, 5, 2, "cropped")
-    groups, low = maker.stacked_bands(photograph, 4)
+    groups, low = maker._levels(photograph, 4)
     place = (photograph.device, photograph.dtype)
     samplers = [UniformSampler(tuple(bands.shape[-2:]), (4, 4), *place) for bands in groups]
-    own = statistics_maps(groups, samplers, [None] * len(groups), [low[-1]])
+    own = statistics_maps(groups, Pooling(samplers, [None] * len(groups)), [low[-1]])
     back = metamers.rescaled(groups, own, own, maker)
     whole = maker.reconstruct_from_pyramid(maker.construct_pyramid(photograph, 4))
     torch.testing.assert_close(back, whole, rtol=0, atol=metamers.TOLERANCE)
