@@ -2,6 +2,7 @@
 
 import math
 import sys
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -36,6 +37,8 @@ from odak.learn.wave.holograms.starts import STARTS
 
 pytestmark = pytest.mark.usefixtures("small_judge")
 
+# What the weights of the network say of pixels with an area, where a test is about other things.
+OF_POINTS = "ignore:the weights of .network. were trained for pixels that are points"
 PITCH, WAVELENGTH = 8e-6, 532e-9
 QUIET, BRIEF = Run(iterations=25, progress=False), Run(iterations=12, progress=False)
 
@@ -219,6 +222,20 @@ def test_colours_planes_and_frames(disc):
     assert bool((found.psnr > worse.psnr + 2).all())
 
 
+def test_the_network_says_that_it_knows_points_only(disc):
+    display, brief = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3), Run(iterations=10, progress=False)
+    with pytest.warns(AccuracyWarning, match="trained for pixels that are points"):
+        computed = optimise(display, disc, solver="network", start="flat", run=brief)
+    assert optimise(display, disc, start="gs", run=brief).psnr > computed.psnr + 3
+    with pytest.warns(AccuracyWarning, match="trained for pixels that are points"):
+        optimise(display, disc, start="network", run=brief)
+    points = Display(Modulator(disc.shape, PITCH, None, 1e-6), WAVELENGTH, 2e-3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        optimise(points, disc, solver="network", start="flat", run=brief)
+
+
+@pytest.mark.filterwarnings(OF_POINTS)
 @pytest.mark.parametrize("solver", ["adam", "gs", "network"])
 def test_other_solvers_are_better_than_their_start(disc, solver):
     display = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3)
@@ -228,6 +245,7 @@ def test_other_solvers_are_better_than_their_start(disc, solver):
     assert found.psnr > -10 * torch.log10((scaled - disc).square().mean()) + 3
 
 
+@pytest.mark.filterwarnings(OF_POINTS)
 def test_names_of_solvers_and_starts(disc):
     display, brief = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3), Run(iterations=2, progress=False)
     assert set(SOLVERS) & set(STARTS) == {"gs", "double phase", "network"}
@@ -272,6 +290,7 @@ def test_a_solver_is_one_class(disc):
     assert not optimise(display, disc, solver=Flat()).phases.any()
 
 
+@pytest.mark.filterwarnings(OF_POINTS)
 @pytest.mark.parametrize("solver", ["gs", "double phase", "network"])
 def test_solvers_make_up_for_the_aberration_of_a_panel(disc, solver):
     y, x = torch.meshgrid(*(torch.linspace(-1, 1, n) for n in disc.shape), indexing="ij")

@@ -10,7 +10,7 @@ from odak import _validate
 from odak.learn.wave.displays.display import Display
 from odak.learn.wave.fields import unit_phasor
 from odak.learn.wave.holograms.solvers.double_phase import encode_double_phase
-from odak.learn.wave.holograms.solvers.network import network_on
+from odak.learn.wave.holograms.solvers.network import network_for, network_on
 from odak.learn.wave.training import generator_from, started
 from odak.wave import phase_retrieval
 from odak.wave.methods import method_named, warnings_outside_range
@@ -135,6 +135,8 @@ def starting_phases(
     if name not in path.starts:
         accepted = ", ".join(map(repr, path.starts))
         raise ValueError(f"start must be {accepted} or phases {path.where}, got {name!r}")
+    if name == "network":
+        network_for(display)
     begun = path.begins or name if name == "gs" else name
     method = method_named("Bandlimited Angular Spectrum")
     plane = display.shape[0] // 2
