@@ -63,7 +63,7 @@ def network_for(display: Display) -> torch.nn.Module:
     if display.modulator.fill > _POINT:
         warn(
             'the weights of "network" were trained for pixels that are points, and the pixels of this display have a '
-            f'fill of {display.modulator.fill:g}: "double phase", "gs" and "lbfgs" show what they were asked for better',
+            f'fill of {display.modulator.fill:g}: take "lbfgs" from the start "gs", whose images are better',
             AccuracyWarning,
         )
     return network_on(display.powers.device)
