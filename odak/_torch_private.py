@@ -94,42 +94,6 @@ def operator(function: type[torch.autograd.Function]) -> Callable[..., Any]:
     return apply
 
 
-def linear_operator(compute: Callable[..., torch.Tensor]) -> Callable[..., torch.Tensor]:
-    """Return a function that is linear in its first argument and differentiable in it any number of times.
-
-    Forward mode applies it to the tangent, and torch.func.vmap to a longer batch.
-
-    Parameters
-    ----------
-    compute : callable
-        Of a batch, of further arguments, which get no gradients, and last of whether the adjoint is wanted.
-    """
-
-    class Linear(torch.autograd.Function):
-        forward = staticmethod(compute)
-
-        @staticmethod
-        def setup_context(context, inputs, output):
-            context.rest = inputs[1:]
-
-        @staticmethod
-        def backward(context, gradient):
-            *rest, adjoint = context.rest
-            return apply(gradient, *rest, not adjoint), *[None] * len(context.rest)
-
-        @staticmethod
-        def jvp(context, tangent, *_):
-            return apply(tangent, *context.rest)
-
-        @staticmethod
-        def vmap(info, in_dims, batch, *rest):
-            batch = batch.movedim(in_dims[0], 0)
-            return apply(batch.flatten(0, 1), *rest).unflatten(0, batch.shape[:2]), 0
-
-    apply = operator(Linear)
-    return apply
-
-
 class _Linear(torch.autograd.Function):
     """A linear map or its adjoint, of tensors of which some may be None; each is the other's gradient."""
 
@@ -156,13 +120,40 @@ class _Linear(torch.autograd.Function):
         return linear(context.kind, context.adjoint, *tangents)
 
     @staticmethod
-    def vmap(info, in_dims, kind, adjoint, values):
-        values = values.movedim(in_dims[2], 0)
-        return linear(kind, adjoint, values.flatten(0, 1)).unflatten(0, values.shape[:2]), 0
+    def vmap(info, in_dims, kind, adjoint, *values):
+        count, dims = info.batch_size, in_dims[2:]
+        first = [
+            value if value is None else value.expand(count, *value.shape) if dim is None else value.movedim(dim, 0)
+            for value, dim in zip(values, dims, strict=True)
+        ]
+        if hasattr(kind, "over"):
+            return kind.over(count, adjoint, *first), 0
+        found = linear(kind, adjoint, *(value if value is None else value.flatten(0, 1) for value in first))
+        several = found if isinstance(found, tuple) else (found,)
+        parts = tuple(one.unflatten(0, (count, len(one) // count)) for one in several)
+        return (parts, (0,) * len(parts)) if isinstance(found, tuple) else (*parts, 0)
 
 
-# linear(kind, adjoint, *tensors): kind.forward, or kind.adjoint, of tensors; differentiable any number of times.
-linear = operator(_Linear)
+_linear = operator(_Linear)
+
+
+def linear(kind: Any, adjoint: bool, *values: torch.Tensor | None) -> Any:
+    """Return what a linear map makes of tensors, or its adjoint; differentiable in them any number of times.
+
+    Parameters
+    ----------
+    kind : object
+        What has methods `forward` and `adjoint` of tensors, whose first axis is a batch: torch.func.vmap makes it a
+        longer one. Where it is none, a method ``over(count, adjoint, *values)`` takes tensors with an axis of `count`
+        in front.
+    adjoint : bool
+        Whether the adjoint is wanted.
+    *values : torch.Tensor or None
+        Tensors; None for those that are zero.
+    """
+    if torch.is_grad_enabled() or torch.compiler.is_compiling() or in_forward_mode() or in_functional_transform():
+        return _linear(kind, adjoint, *values)
+    return kind.adjoint(*values) if adjoint else kind.forward(*values)
 
 
 def is_plain_on_cpu(tensor: torch.Tensor) -> bool:

@@ -442,9 +442,9 @@ class _SparseMap:
     def __call__(self, flat: Any) -> Any:
         if _array.is_torch(flat):
             if self._operator is None:
-                from odak.wave.torch_convolution import sparse_operator
+                from odak.wave.torch_convolution import SparseMap
 
-                self._operator = sparse_operator(self.matrix)
+                self._operator = SparseMap(self.matrix)
             return self._operator(flat)
         return np.stack([self._product_of_one(np.ascontiguousarray(one)) for one in flat])
 

@@ -10,6 +10,7 @@ import math
 import threading
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -78,20 +79,10 @@ def _convolve(field, kernel, workspace):
     if kernel.requires_grad or _torch_private.is_wrapped(kernel):
         return convolve_plainly(field, kernel)
     batch = field.shape[:-2]
-    batch = batch if kernel.ndim == 2 else np.broadcast_shapes(batch, kernel.shape[:-2])
-    return _apply(field, kernel, False, batch, workspace)
-
-
-def _apply(field, kernel, adjoint, batch, workspace):
-    """Return the linear operator applied to a field; `adjoint` conjugates the kernel.
-
-    `batch` is the shape of the leading axes of the result: all leading axes of field and kernel together, or fewer, and
-    then the result is a sum. Spectra are summed, not fields, so that the adjoint of one-to-many takes one transform
-    back.
-    """
-    if (field.requires_grad and torch.is_grad_enabled()) or _torch_private.is_transformed(field, kernel):
-        return _convolved(field, kernel, adjoint, batch, workspace)
-    return _filtered(field, kernel, adjoint, batch, workspace)
+    whole = batch if kernel.ndim == 2 else np.broadcast_shapes(batch, kernel.shape[:-2])
+    if (field.requires_grad and torch.is_grad_enabled()) or _torch_private.is_transformed(field):
+        return _torch_private.linear(_Convolution(kernel, batch, whole, workspace), False, field)
+    return _filtered(field, kernel, False, whole, workspace)
 
 
 def _filtered(field, kernel, adjoint, batch, workspace):
@@ -106,50 +97,32 @@ def _filtered(field, kernel, adjoint, batch, workspace):
     return _convolve_by_fields(field, kernel.reshape(kernel.shape[-2:]), adjoint, batch)
 
 
-class _Convolution(torch.autograd.Function):
-    """The linear operator with the rules that torch.func and forward-mode differentiation need."""
+@dataclass
+class _Convolution:
+    """The linear map of fields with the leading axes `batch` to filtered ones with those of `whole`."""
 
-    @staticmethod
-    def forward(field, kernel, adjoint, batch, workspace):
-        return _filtered(field, kernel, adjoint, batch, workspace)
+    # Kernels are shared between calls and never written to, so keeping a reference is safe.
+    kernel: torch.Tensor
+    batch: tuple[int, ...]
+    whole: tuple[int, ...]
+    workspace: Workspace | None = None
 
-    @staticmethod
-    def setup_context(ctx, inputs, output):
-        field, kernel, ctx.adjoint, ctx.result_batch, _ = inputs
-        ctx.batch = field.shape[:-2]
-        # Kernels are shared between calls and never written to, so keeping a reference is safe.
-        ctx.save_for_backward(kernel)
-        ctx.save_for_forward(kernel)
+    def forward(self, field):
+        # What is computed again for derivatives must not replace the result.
+        workspace, self.workspace = self.workspace, None
+        return _filtered(field, self.kernel, False, self.whole, workspace)
 
-    @staticmethod
-    def backward(ctx, gradient):
-        (kernel,) = ctx.saved_tensors
-        return _apply(gradient, kernel, not ctx.adjoint, ctx.batch, None), None, None, None, None
+    def adjoint(self, field):
+        return _filtered(field, self.kernel, True, self.batch, None)
 
-    @staticmethod
-    def jvp(ctx, tangent, *_):
-        (kernel,) = ctx.saved_tensors
-        return _apply(tangent, kernel, ctx.adjoint, ctx.result_batch, None)
-
-    @staticmethod
-    def vmap(info, in_dims, field, kernel, adjoint, batch, workspace):
-        ranks = (array.ndim - 2 - (dim is not None) for array, dim in ((field, in_dims[0]), (kernel, in_dims[1])))
-        rank = max(len(batch), *ranks)
-        field, kernel = (_batch_first(array, dim, rank) for array, dim in zip((field, kernel), in_dims, strict=False))
-        batches = (info.batch_size, *(1,) * (rank - len(batch)), *batch)
-        result = _apply(field, kernel, adjoint, batches, None)
-        return result.reshape(info.batch_size, *batch, *result.shape[-2:]), 0
-
-
-_convolved = _torch_private.operator(_Convolution)
-
-
-def _batch_first(array, dim, rank: int):
-    """Return an array with its vmapped axis first and its own axes aligned to `rank`, so that the others broadcast."""
-    if dim is None:
-        return array
-    array = array.movedim(dim, 0)
-    return array.reshape(array.shape[0], *(1,) * (rank + 3 - array.ndim), *array.shape[1:])
+    def over(self, count: int, adjoint: bool, field):
+        """Return the map, or its adjoint, of fields with an axis of `count` in front of their own."""
+        own = self.batch, self.whole
+        rank = max(self.kernel.ndim - 2, *map(len, own))
+        batch, whole = ((count, *(1,) * (rank - len(axes)), *axes) for axes in own)
+        field = field.reshape(*(whole if adjoint else batch), *field.shape[-2:])
+        result = _torch_private.linear(_Convolution(self.kernel, batch, whole), adjoint, field)
+        return result.reshape(count, *own[not adjoint], *result.shape[-2:])
 
 
 def _convolve_whole(field, kernel, adjoint, batch):
@@ -422,35 +395,42 @@ def release_memory() -> None:
     _scratch.__dict__.clear()
 
 
-def sparse_operator(matrix: Any) -> Callable[..., Any]:
-    """Return the linear map of a real sparse matrix for complex tensors.
+class SparseMap:
+    """The linear map of a real sparse matrix for complex tensors ``[batch, columns of the matrix]``.
 
     Parameters
     ----------
     matrix : scipy.sparse.csr_matrix
-        Real ``[M, N]``.
-
-    Returns
-    -------
-    callable
-        Takes complex ``[batch, N]`` on the CPU to ``[batch, M]``; differentiable any number of times.
+        Its numbers are those of the real and the imaginary part of the tensors.
     """
-    held: dict[bool, torch.Tensor] = {}
 
-    def table(adjoint):
-        if adjoint not in held:
-            one = matrix.T.tocsr() if adjoint else matrix
+    def __init__(self, matrix: Any) -> None:
+        self.matrix: Any = matrix
+        self._held: dict[bool, torch.Tensor] = {}
+
+    def __call__(self, fields: torch.Tensor) -> torch.Tensor:
+        """Return ``[batch, rows of the matrix]``."""
+        return _torch_private.linear(self, False, fields)
+
+    def forward(self, fields: torch.Tensor) -> torch.Tensor:
+        """Return what the matrix makes of fields."""
+        return self._product(fields, False)
+
+    def adjoint(self, fields: torch.Tensor) -> torch.Tensor:
+        """Return what the transposed matrix makes of fields."""
+        return self._product(fields, True)
+
+    def _product(self, fields, transposed):
+        columns = torch.view_as_real(fields.resolve_conj()).permute(1, 0, 2).reshape(fields.shape[-1], -1)
+        result = self._table(transposed) @ columns
+        return torch.view_as_complex(result.reshape(-1, len(fields), 2).transpose(0, 1).contiguous())
+
+    def _table(self, transposed):
+        if transposed not in self._held:
+            one = self.matrix.T.tocsr() if transposed else self.matrix
             parts = (torch.from_numpy(part) for part in (one.indptr, one.indices, one.data))
             with warnings.catch_warnings(), torch.inference_mode(False):
                 # That sparse tensors are in beta, and that their indices are not checked.
                 warnings.filterwarnings("ignore", "Sparse (CSR tensor support|invariant checks)")
-                held[adjoint] = torch.sparse_csr_tensor(*parts, one.shape, check_invariants=False)
-        return held[adjoint]
-
-    @_torch_private.linear_operator
-    def product(fields, adjoint):
-        columns = torch.view_as_real(fields.resolve_conj()).permute(1, 0, 2).reshape(fields.shape[-1], -1)
-        result = table(adjoint) @ columns
-        return torch.view_as_complex(result.reshape(-1, len(fields), 2).transpose(0, 1).contiguous())
-
-    return lambda fields: product(fields, False)
+                self._held[transposed] = torch.sparse_csr_tensor(*parts, one.shape, check_invariants=False)
+        return self._held[transposed]

@@ -20,7 +20,7 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _torch_private, _validate
-from odak._torch_private import in_own_precision, linear, linear_operator
+from odak._torch_private import in_own_precision, linear
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import checked_device, checked_dtype, floating_tensor, in_float64, kind_of
 from odak.learn.perception.foveation import is_blocked
@@ -483,9 +483,7 @@ class SpatialSteerablePyramid(nn.Module):
             )
             return image
 
-        return _solved(exact._gathered([in_float64(bands) for bands in groups], last), inverted, False).to(
-            pyramid[-1]["l"]
-        )
+        return _solved(exact._gathered([in_float64(bands) for bands in groups], last), inverted).to(pyramid[-1]["l"])
 
     def _normal(self, image, n_levels):
         """Return the adjoint of the pyramid of a picture."""
@@ -587,8 +585,9 @@ def _largest_share(step, image) -> float:
     return float(shares.max()) if shares.numel() else 0.0
 
 
-# The inverse of a symmetric operator, as a function of the right-hand side computes it.
-_solved = linear_operator(lambda right, inverted, adjoint: inverted(right))
+def _solved(right, inverted):
+    """Return what the inverse of a symmetric operator makes of the right-hand side; it is its own adjoint."""
+    return linear(SimpleNamespace(forward=inverted, adjoint=inverted), False, right)
 
 
 def nearest_picture(
@@ -614,7 +613,7 @@ def nearest_picture(
     """
     maker._follow(last)
     inverted = functools.partial(maker._descended, n_levels=len(groups) + 1, tolerance=tolerance)
-    return _solved(maker._gathered(groups, last), inverted, False)
+    return _solved(maker._gathered(groups, last), inverted)
 
 
 @functools.lru_cache(maxsize=16)
