@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -24,99 +23,6 @@ from odak.wave.torch_convolution import convolve
 from odak.wave.transfer_functions import Request, aperture_points, checked_pitch, divided_pitch, pitches
 
 PROPAGATOR_TYPES = ("forward", "back and forth")
-
-
-@dataclass(frozen=True)
-class LightPath:
-    """Geometry that the transfer functions from the modulator to the planes have in common.
-
-    Attributes
-    ----------
-    pitch : float or tuple of float
-        Sample pitch on the modulator in metres, a pair (rows, columns) where the two differ.
-    propagation_type : str
-        Name of a method that has a transfer function.
-    relayed : bool
-        The net distance is the difference of a way to a relay and back. Its kernel is then never sampled as an impulse
-        response, which net distances of millimetres do not allow; kernels of linear convolution never are.
-    scale : int
-        Samples per pitch along each axis (impulse-response methods).
-    samples : tuple of int
-        Points across the source and target apertures of the impulse responses.
-    linear : bool
-        Transfer functions of linear convolution on grids of twice the field's size, see
-        :mod:`odak.wave.linear_kernels`.
-    pixel_fill : float, optional
-        Share of a square pixel's area that emits; None for point samples.
-    """
-
-    pitch: Any
-    propagation_type: str
-    relayed: bool
-    scale: int
-    samples: tuple[int, int, int, int]
-    linear: bool
-    pixel_fill: float | None = None
-
-    def kernel(
-        self,
-        shape: Any,
-        wavelength: float | torch.Tensor,
-        distance: float | torch.Tensor,
-        device: torch.device,
-        dtype: torch.dtype,
-        cutoff: float | None = None,
-    ) -> torch.Tensor:
-        """Return the transfer function of one plane and colour, ``[rows, columns]`` in FFT order.
-
-        Parameters
-        ----------
-        shape : tuple of int
-            Rows and columns of the padded grid.
-        wavelength : float or torch.Tensor
-            In metres; the result is differentiable in a tensor.
-        distance : float or torch.Tensor
-            In metres; the result is differentiable in a tensor.
-        device : torch.device
-            Device of the result.
-        dtype : torch.dtype
-            complex64 or complex128.
-        cutoff : float, optional
-            Radius of a round stop in cycles per metre; open by default.
-        """
-        sampled_response = method_named(self.propagation_type).scalable
-        name, pitch, scale = self.propagation_type, self.pitch, self.scale
-        if sampled_response and (self.relayed or self.linear):
-            name, pitch, scale = "Transfer Function Fresnel", divided_pitch(self.pitch, self.scale), 1
-        request = Request(pitch, wavelength, distance, scale=scale, samples=self.samples)
-        grid = request.grid(shape, _array.namespace(torch.empty(0)), device, dtype)
-        if self.linear:
-            # How its integral is summed follows from the lengths as numbers.
-            kernel = _array.outside_graphs(_linear_kernel, name, cutoff, self.pixel_fill, grid)
-        else:
-            kernel = method_named(name).kernel(grid)  # type: ignore[misc]
-            if cutoff is not None:
-                kernel = kernel * disc_of_frequencies(shape, divided_pitch(pitch, scale), cutoff).to(device)
-        return kernel * self._averaging(grid) if name != self.propagation_type else kernel
-
-    def _averaging(self, grid) -> torch.Tensor:
-        """Return the spectrum of the averages over source and target apertures, for scale² samples per pixel."""
-        factors = []
-        for axis, n in enumerate(grid.shape):
-            frequency = torch.fft.fftfreq(n, 1 / n, dtype=torch.float64, device=grid.device) / (
-                n * grid.pitch[axis]
-            ).reshape(())
-            factor = torch.full_like(frequency, self.scale)
-            pitch = pitches(self.pitch)[axis]
-            for count, extent in ((self.samples[axis], pitch), (self.samples[2 + axis], pitch / self.scale)):
-                points: Any = aperture_points(grid, count) * extent
-                factor = factor * torch.cos(2 * torch.pi * points[:, None] * frequency).mean(0)
-            factors.append(factor)
-        return (factors[0][:, None] * factors[1]).to(grid.dtype)
-
-
-def _linear_kernel(name: str, cutoff: float | None, pixel_fill: float | None, grid) -> torch.Tensor:
-    return linear_kernel_of(name, cutoff, pixel_fill)(grid)
 
 
 def plane_distances(
@@ -254,15 +160,10 @@ class display_volume(Prepared, torch.nn.Module):
         self.aperture_samples: tuple[int, int, int, int] = sample_counts(aperture_samples, "aperture_samples")
         if method_named(self.propagation_type).scalable:
             _warn_of_averaged_fields(self.propagation_type, self.aperture_samples, self.resolution_factor)
-        self._path = LightPath(
-            pitch,
-            self.propagation_type,
-            relay is not None,
-            self.resolution_factor,
-            self.aperture_samples,
-            linear and padding == 2,
-            pixel_fill,
-        )
+        # Of the samples on the modulator, a pair where rows and columns differ.
+        self._pitch = pitch
+        # Transfer functions of linear convolution, of pixels of some size, see :mod:`odak.wave.linear_kernels`.
+        self._linear, self._pixel_fill = linear and padding == 2, pixel_fill
         self.field_shape: tuple[int, ...] = tuple(n * self.resolution_factor for n in shape)
         self.padded_shape: tuple[int, ...] = tuple(padding * n for n in self.field_shape)
         self._has_kernels = self.propagation_type in WITH_TRANSFER_FUNCTION
@@ -388,7 +289,7 @@ class display_volume(Prepared, torch.nn.Module):
         self._put_stop("mask", f"round, radius {radius:g} samples", mask)
 
     def _put_round(self, words: str, cutoffs: list) -> None:
-        pitch = divided_pitch(self._path.pitch, self.resolution_factor)
+        pitch = divided_pitch(self._pitch, self.resolution_factor)
         masks = [torch.fft.fftshift(disc_of_frequencies(self.padded_shape, pitch, cutoff)) for cutoff in cutoffs]
         alike = len(set(cutoffs)) == 1
         self._put_stop("round", words, masks[0] if alike else torch.stack(masks), cutoffs)
@@ -464,15 +365,55 @@ class display_volume(Prepared, torch.nn.Module):
 
     def _stacked(self, distances, dtype, *, stopped: bool = True) -> torch.Tensor:
         """Return transfer functions ``[planes, C, 2ms, 2ns]`` that are differentiable in distances and wavelengths."""
-        shape, cutoffs = self.padded_shape, self._cutoffs if stopped else [None] * self.number_of_channels
-        pairs = list(zip(self.wavelengths, cutoffs, strict=True))
-        kernels = torch.stack(
-            [
-                torch.stack([self._path.kernel(shape, w, distance, self.device, dtype, cut) for w, cut in pairs])
-                for distance in distances
-            ]
-        )
-        return kernels * torch.fft.ifftshift(self.aperture) if stopped and self._stop == "mask" else kernels
+        colours = range(self.number_of_channels)
+        planes = [[self._kernel(c, distance, dtype, stopped=stopped) for c in colours] for distance in distances]
+        return torch.stack([torch.stack(plane) for plane in planes])
+
+    def _kernel(self, colour: int, distance, dtype, size: tuple[int, int] | None = None, *, stopped: bool = True):
+        """Return the transfer function of one plane and colour with its stop, in FFT order.
+
+        It is sampled on the padded grid, or on one of another size, of which the window of linear kernels is not half.
+        Over a relay it is never sampled as an impulse response, which net distances of millimetres do not allow; linear
+        kernels never are.
+        """
+        shape, linear = (self.padded_shape, self._linear) if size is None else (size, False)
+        cutoff = self._cutoffs[colour] if stopped else None
+        name, pitch, scale = self.propagation_type, self._pitch, self.resolution_factor
+        averaged = method_named(name).scalable and (linear or self._relay is not None)
+        if averaged:
+            name, pitch, scale = "Transfer Function Fresnel", divided_pitch(pitch, scale), 1
+        request = Request(pitch, self.wavelengths[colour], distance, scale=scale, samples=self.aperture_samples)
+        grid = request.grid(shape, _array.namespace(torch.empty(0)), self.device, dtype)
+        if linear:
+            # How its integral is summed follows from the lengths as numbers.
+            kernel = _array.outside_graphs(_linear_kernel, name, cutoff, self._pixel_fill, grid)
+        else:
+            kernel = method_named(name).kernel(grid)  # type: ignore[misc]
+            if cutoff is not None:
+                kernel = kernel * disc_of_frequencies(shape, divided_pitch(pitch, scale), cutoff).to(self.device)
+        if averaged:
+            kernel = kernel * self._averaging(grid)
+        if not stopped or self._stop != "mask":
+            return kernel
+        mask = self.aperture
+        if size is not None:
+            mask = torch.nn.functional.interpolate(mask[None, None], size)[0, 0]
+        return kernel * torch.fft.ifftshift(mask)
+
+    def _averaging(self, grid) -> torch.Tensor:
+        """Return the spectrum of the averages over source and target apertures, for scale² samples per pixel."""
+        factors, scale = [], self.resolution_factor
+        for axis, n in enumerate(grid.shape):
+            frequency = torch.fft.fftfreq(n, 1 / n, dtype=torch.float64, device=grid.device) / (
+                n * grid.pitch[axis]
+            ).reshape(())
+            factor = torch.full_like(frequency, scale)
+            pitch = pitches(self._pitch)[axis]
+            for count, extent in zip(self.aperture_samples[axis::2], (pitch, pitch / scale), strict=True):
+                points: Any = aperture_points(grid, count) * extent
+                factor = factor * torch.cos(2 * torch.pi * points[:, None] * frequency).mean(0)
+            factors.append(factor)
+        return (factors[0][:, None] * factors[1]).to(grid.dtype)
 
     def _need_kernels(self):
         if not self._has_kernels:
@@ -491,7 +432,7 @@ class display_volume(Prepared, torch.nn.Module):
             field,
             None,
             self._drawn_distances()[planes][:, None],
-            self._path.pitch,
+            self._pitch,
             wavelengths,
             self.propagation_type,
             aperture=1.0 if self._stop == "open" else self.aperture,
@@ -502,7 +443,7 @@ class display_volume(Prepared, torch.nn.Module):
         """Return a short text that a display of other lengths, planes, colours or another aperture does not have."""
         lengths = [self.wavelengths, self.pixel_pitch, self.distances, self.image_location_offset, self._relay or 0.0]
         lengths += [cutoff for cutoff in self._cutoffs if cutoff is not None]
-        lengths += [] if self._path.pixel_fill is None else [self._path.pixel_fill]
+        lengths += [] if self._pixel_fill is None else [self._pixel_fill]
         numbers = [number for length in lengths for number in _validate.numbers(length)]
         name = torch.tensor(list(self.propagation_type.encode()))
         return fingerprint(torch.tensor(numbers, dtype=torch.float64), name, self.aperture)
@@ -569,15 +510,7 @@ class display_volume(Prepared, torch.nn.Module):
             return convolve(field, self.transfer(slice(plane, plane + 1), field.dtype)[0, colour])
         if any(pad < n for pad, n in zip(size, self.field_shape, strict=True)):
             raise ValueError(f"zero_padding_size must be at least the field's {self.field_shape}, got {size}")
-        # The window of linear kernels is half of any padded size.
-        path = replace(self._path, linear=False)
-        kernel = path.kernel(
-            size, self.wavelengths[colour], self._net_distances()[plane], self.device, field.dtype,
-            self._cutoffs[colour],
-        )  # fmt: skip
-        if self._stop == "mask":
-            mask = torch.nn.functional.interpolate(self.aperture[None, None], size)[0, 0]
-            kernel = kernel * torch.fft.ifftshift(mask)
+        kernel = self._kernel(colour, self._net_distances()[plane], field.dtype, size)
         return convolve(field, kernel)
 
     def propagate(self, field: torch.Tensor, H: torch.Tensor) -> torch.Tensor:
@@ -600,6 +533,10 @@ class display_volume(Prepared, torch.nn.Module):
         if tuple(n * self.resolution_factor for n in shape) == self.field_shape:
             return spread(field, self.resolution_factor)
         raise ValueError(f"{name} must be [..., {self.field_shape[0]}, {self.field_shape[1]}], got {shape}")
+
+
+def _linear_kernel(name: str, cutoff: float | None, pixel_fill: float | None, grid) -> torch.Tensor:
+    return linear_kernel_of(name, cutoff, pixel_fill)(grid)
 
 
 def _warn_of_averaged_fields(name: str, samples: tuple[int, int, int, int], scale: int) -> None:
@@ -726,7 +663,7 @@ class holographic_display(display_volume):
         self.set_aperture()
 
     def _put_released(self) -> None:
-        pitch, longer = pitches(self._path.pitch), self.padded_shape.index(max(self.padded_shape))
+        pitch, longer = pitches(self._pitch), self.padded_shape.index(max(self.padded_shape))
         cutoff = self.pinhole_size / (self.padded_shape[longer] * pitch[longer])
         words = f"round, radius {self.pinhole_size:g} samples of the longer axis"
         self._put_round(words, [float(cutoff)] * self.number_of_channels)
