@@ -87,7 +87,7 @@ REASONS = {
         wave/gaussians/sets: prune
         wave/loss: _checked_geometry _checked_picture
         wave/older/terms: eyebox_mask
-        wave/older/propagators: checked_powers is_diagonal
+        wave/older/propagators: _set_powers is_diagonal
         wave/training: check_brightness checked_intensities started
     """,
     "the size of the result, or the memory that it takes, depends on the numbers": """

@@ -26,41 +26,6 @@ def power_method(method: str) -> str:
     return found or _validate.one_of("method", method, METHODS)
 
 
-def checked_powers(name: str, power: torch.Tensor, shape: tuple[int, int], amplitudes: bool) -> torch.Tensor:
-    """Return channel powers after checking them.
-
-    Parameters
-    ----------
-    name : str
-        What they are called.
-    power : torch.Tensor
-        What came.
-    shape : tuple of int
-        Frames and wavelengths.
-    amplitudes : bool
-        They are amplitudes of sources, which are not negative.
-
-    Returns
-    -------
-    torch.Tensor
-        Real ``[frames, wavelengths]``.
-
-    Raises
-    ------
-    ValueError, TypeError
-        If they are not real, of another shape, not finite, or negative where they are amplitudes.
-    """
-    power = floating(name, power)
-    _validate.shaped(name, power, f"{list(shape)}, frames and wavelengths")
-    if _torch_private.is_wrapped(power):
-        return power
-    if not bool(power.isfinite().all()):
-        raise ValueError(f"{name} must be finite, got NaN or infinite values")
-    if amplitudes and bool((power < 0).any()):
-        raise ValueError(f"{name} must not be negative, got {power.min().item()}")
-    return power
-
-
 def is_diagonal(power: torch.Tensor) -> bool:
     """Return whether frame f is lit by source f alone, powers being ``[frames, wavelengths]``."""
     return bool((power == torch.zeros_like(power).diagonal_scatter(power.diagonal())).all())
@@ -354,8 +319,14 @@ class propagator(display_volume):
         self._set_powers(laser_power, "laser_power")
 
     def _set_powers(self, power, name):
-        amplitudes = not self._learns_powers()
-        power = checked_powers(name, power, (self.number_of_frames, self.number_of_channels), amplitudes)
+        power = floating(name, power)
+        shape = [self.number_of_frames, self.number_of_channels]
+        _validate.shaped(name, power, f"{shape}, frames and wavelengths")
+        if not _torch_private.is_wrapped(power):
+            values = _validate.real(name, power.detach().cpu())
+            # Of amplitudes of sources; their cosines are where powers are learned.
+            if not self._learns_powers() and bool((values < 0).any()):
+                raise ValueError(f"{name} must not be negative, got {values.min().item()}")
         self.channel_power = power.to(self.device)
         if not power.requires_grad:
             self._powers_read(self.channel_power)
@@ -404,24 +375,17 @@ class propagator(display_volume):
         amplitude = checked_amplitude(amplitude, self.number_of_channels)
         return self._on_grid(amplitude.to(self.device), "amplitude") * self._on_grid(field)
 
-    def _lit(self, holograms, frames: slice) -> tuple[range, torch.Tensor]:
-        """Return the illuminated ones of the requested frames, and the pattern of each in its one colour."""
-        lit = range(min(self.number_of_frames, self.number_of_channels))[frames]
-        if holograms.shape[2] > 1:
-            holograms = holograms.diagonal(dim1=0, dim2=2).permute(3, 0, 1, 2)[:, :, None]
-        return lit, holograms if len(lit) == len(holograms) else holograms[lit.start : lit.stop]
-
     def _fields_on(self, planes: slice, holograms, frames: slice, alone: bool, kernels=None, workspace=None):
-        """Return the fields of some frames on some planes by the available method, each in one colour if alone."""
-        lit, holograms = self._lit(holograms, frames) if alone else (range(0), holograms[frames])
+        """Return the fields of some frames on some planes by the available method, each in its one colour if alone."""
+        holograms = (_in_one_colour(holograms) if alone and holograms.shape[2] > 1 else holograms)[frames]
         if self._has_kernels:
             kernels = self.transfer(planes, holograms.dtype) if kernels is None else kernels
             if alone:
-                kernels = kernels[:, lit.start : lit.stop].transpose(0, 1)[:, :, None]
+                kernels = kernels[:, frames].transpose(0, 1)[:, :, None]
             return convolve(holograms, kernels, workspace)
         wavelengths = torch.stack([torch.as_tensor(w, dtype=torch.float64) for w in self.wavelengths])
         if alone:
-            wavelengths = wavelengths[lit.start : lit.stop, None, None]
+            wavelengths = wavelengths[frames, None, None]
         if not method_named(self.propagation_type).of_intensities:
             return self._propagated_without_kernels(holograms, planes, wavelengths)
         # The intensity is propagated: its root represents a field of that intensity.
@@ -463,7 +427,8 @@ class propagator(display_volume):
         _validate.one_device(holograms=holograms, powers=powers, aperture=self.aperture)
         # Other powers than the display's may light a frame by several sources.
         alone = powers is self.channel_power and self._one_source_per_frame
-        fields = self._fields_on(planes, holograms, slice(None), alone, workspace=workspace)
+        lit = slice(self._lit_frames() if alone else None)
+        fields = self._fields_on(planes, holograms, lit, alone, workspace=workspace)
         powers = powers.to(fields.real.dtype)
         if not alone:
             return exposure(fields, powers, workspace=workspace)

@@ -148,13 +148,8 @@ class display_volume(Prepared, torch.nn.Module):
         self._distances, self._relay = distances, relay
         shape = tuple(n * samples_per_pixel for n in self.resolution)
         pitch = divided_pitch(self.pixel_pitch, samples_per_pixel)
-        self.propagation_type: str = linear_method(
-            propagation_type,
-            shape,
-            pitch,
-            _validate.numbers(self.wavelengths),
-            _validate.numbers(self._net_distances()),
-        )
+        lengths = _validate.numbers(self.wavelengths), _validate.numbers(self._net_distances())
+        self.propagation_type: str = linear_method(propagation_type, shape, pitch, *lengths)
         factor = _validate.integer("resolution_factor", resolution_factor, minimum=1)
         self.resolution_factor: int = factor if method_named(self.propagation_type).scalable else 1
         self.aperture_samples: tuple[int, int, int, int] = sample_counts(aperture_samples, "aperture_samples")
@@ -369,14 +364,15 @@ class display_volume(Prepared, torch.nn.Module):
         planes = [[self._kernel(c, distance, dtype, stopped=stopped) for c in colours] for distance in distances]
         return torch.stack([torch.stack(plane) for plane in planes])
 
-    def _kernel(self, colour: int, distance, dtype, size: tuple[int, int] | None = None, *, stopped: bool = True):
+    def _kernel(self, colour: int, distance, dtype, size: Any = None, *, stopped: bool = True):
         """Return the transfer function of one plane and colour with its stop, in FFT order.
 
         It is sampled on the padded grid, or on one of another size, of which the window of linear kernels is not half.
         Over a relay it is never sampled as an impulse response, which net distances of millimetres do not allow; linear
         kernels never are.
         """
-        shape, linear = (self.padded_shape, self._linear) if size is None else (size, False)
+        shape: Any = self.padded_shape if size is None else size
+        linear = self._linear and size is None
         cutoff = self._cutoffs[colour] if stopped else None
         name, pitch, scale = self.propagation_type, self._pitch, self.resolution_factor
         averaged = method_named(name).scalable and (linear or self._relay is not None)
