@@ -5,12 +5,14 @@ import itertools
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import nullcontext
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 import torch.distributed as dist
 
 from odak import _validate
+from odak._torch_private import linear
 from odak.learn._tensors import checked_device
 
 Tensors = torch.Tensor | tuple[torch.Tensor, ...]
@@ -141,11 +143,15 @@ def across_ranks(
     def prepare(value: Any) -> Any:
         return _shared(_to(value, device), group)
 
-    part = [_Share.apply(tensor.to(device), group) for tensor in tensors]
+    divided = _Divided(len(tensors[0]), group)
+    part = [linear(divided, False, tensor.to(device)) for tensor in tensors]
+    rows = len(part[0])
+    if not rows:
+        # A process without a part computes the first item, to determine the shape of the result.
+        part = [torch.cat([own, tensor[:1].detach().to(device)]) for own, tensor in zip(part, tensors, strict=True)]
     shared = [prepare(value) for value in arguments]
     result = _call(function, [*part, *shared], {name: prepare(value) for name, value in options.items()}, prepare)
-    count = len(tensors[0])
-    return _join([result], lambda pieces: _Gather.apply(pieces[0], count, group).to(home))
+    return _join([result], lambda pieces: linear(divided, True, pieces[0][:rows]).to(home))
 
 
 DISTRIBUTED = "distributed"
@@ -170,7 +176,7 @@ class Ranks:
 
     def sum(self, value: torch.Tensor) -> torch.Tensor:
         """Return the sum over all ranks; each rank receives the gradient."""
-        return _Sum.apply(value, self.group)
+        return linear(_Shared(self.group), True, value)
 
     def any(self, flag: bool, device: torch.device) -> bool:
         """Say whether a flag is set in any rank."""
@@ -284,7 +290,7 @@ def _call(function, arguments, options, prepare: Callable[..., torch.Tensor]) ->
 
 
 def _shared(value: Any, group) -> Any:
-    return _Shared.apply(value, group) if isinstance(value, torch.Tensor) and value.requires_grad else value
+    return linear(_Shared(group), False, value) if isinstance(value, torch.Tensor) and value.requires_grad else value
 
 
 def _rows(count: int, group) -> list[int]:
@@ -302,65 +308,37 @@ def _own(tensor: torch.Tensor, group) -> torch.Tensor:
     return tensor.narrow(0, sum(rows[:rank]), rows[rank])
 
 
-class _Share(torch.autograd.Function):
-    """The part of a batch that this process computes; the gradient comes from all of them."""
+@dataclass(frozen=True)
+class _Divided:
+    """The linear map of a batch of `count` items to the part that this process computes; its adjoint joins them."""
 
-    @staticmethod
-    def forward(ctx, batch: torch.Tensor, group) -> torch.Tensor:
-        ctx.count, ctx.group = len(batch), group
-        part = _own(batch, group)
-        # A process without a part also computes the first item, to determine the shape of the result.
-        return (part if len(part) else batch[:1]).clone()
+    count: int
+    group: Any
 
-    @staticmethod
-    def backward(ctx, gradient: torch.Tensor):
-        return _Gather.apply(gradient, ctx.count, ctx.group), None
+    def forward(self, batch):
+        return _own(batch, self.group).clone()
 
-
-class _Gather(torch.autograd.Function):
-    """The parts of all processes in order; of the gradient, each process receives its own part."""
-
-    @staticmethod
-    def forward(ctx, part: torch.Tensor, count: int, group) -> torch.Tensor:
-        ctx.group = group
-        rows = _rows(count, group)
+    def adjoint(self, part):
+        rows = _rows(self.count, self.group)
         plain = torch.view_as_real(part) if part.is_complex() else part
         own = plain.new_zeros(max(rows), *plain.shape[1:])
-        own[: rows[dist.get_rank(group)]] = plain[: rows[dist.get_rank(group)]]
+        own[: len(plain)] = plain
         parts = [torch.empty_like(own) for _ in rows]
-        dist.all_gather(parts, own, group=group)
+        dist.all_gather(parts, own, group=self.group)
         whole = torch.cat([piece[:height] for piece, height in zip(parts, rows, strict=True)])
         return torch.view_as_complex(whole) if part.is_complex() else whole
 
-    @staticmethod
-    def backward(ctx, gradient: torch.Tensor):
-        own = _Share.apply(gradient, ctx.group)
-        return own if len(_own(gradient, ctx.group)) else own * 0, None, None
 
+@dataclass(frozen=True)
+class _Shared:
+    """The linear map of a tensor that all processes have to itself; its adjoint is the sum of theirs."""
 
-class _Shared(torch.autograd.Function):
-    """A tensor that all processes use alike; its gradient is the sum of theirs."""
+    group: Any
 
-    @staticmethod
-    def forward(ctx, value: torch.Tensor, group) -> torch.Tensor:
-        ctx.group = group
+    def forward(self, value):
         return value.view_as(value)
 
-    @staticmethod
-    def backward(ctx, gradient: torch.Tensor):
-        return _Sum.apply(gradient, ctx.group), None
-
-
-class _Sum(torch.autograd.Function):
-    """The sum over all processes."""
-
-    @staticmethod
-    def forward(ctx, value: torch.Tensor, group) -> torch.Tensor:
-        ctx.group = group
+    def adjoint(self, value):
         total = value.clone(memory_format=torch.contiguous_format)
-        dist.all_reduce(torch.view_as_real(total) if total.is_complex() else total, group=group)
+        dist.all_reduce(torch.view_as_real(total) if total.is_complex() else total, group=self.group)
         return total
-
-    @staticmethod
-    def backward(ctx, gradient: torch.Tensor):
-        return gradient, None
