@@ -180,20 +180,12 @@ def _convolve_in_blocks(field, kernel, adjoint, batch, workspace):
     """
     shape = (*batch, *field.shape[-2:])
     result = allocate_like(workspace, "field", shape, field)
-    if field.ndim == kernel.ndim == 2:
-        _filter_one(field, kernel, result, adjoint)
-        return result
     full = np.broadcast_shapes(field.shape[:-2], kernel.shape[:-2])
     whole = [array.expand(*full, *array.shape[-2:]) for array in (field, kernel, result)]
     triples = [tuple(array[place] for array in whole) for place in itertools.product(*map(range, full))]
     summed = result.numel() < math.prod(full) * math.prod(field.shape[-2:])
     for group in _grouped(triples, 2 if summed else 0):
-        if len(group) == 1:
-            _filter_one(*group[0], adjoint)
-        elif summed:
-            _gather(group, adjoint)
-        else:
-            _scatter(group, adjoint)
+        _filter_group(group, summed or len(group) == 1, adjoint)
     return result
 
 
@@ -205,62 +197,36 @@ def _grouped(triples, which: int):
     return groups.values()
 
 
-def _filter_one(field, kernel, result, adjoint):
-    """Write the filtered field into `result`.
+def _filter_group(group, summed: bool, adjoint) -> None:
+    """Write the sum of filtered fields into their one result, or one field filtered by several kernels into as many.
 
-    A transform's result is fresh memory even when `out` is given, so the parts are small and copied where they go.
+    Of one field the spectrum is computed once, and of one result spectra are summed; part by part, so that a part is in
+    the cache when the kernels come by. A transform's result is fresh memory even when `out` is given, so the parts are
+    small and copied where they go.
     """
-    height, width = kernel.shape
-    lines = _lines(field, width)
+    fields, kernels, results = zip(*group, strict=True)
+    height, width = kernels[0].shape
+    shared, others = (results[0], fields) if summed else (fields[0], results)
+    near = _lines(shared, width)
+    far = [near] if len(group) == 1 else [_lines(other, width, index + 1) for index, other in enumerate(others)]
 
     def filter_columns(part):
-        column = _columns_to_spectra(lines, part, height, adjoint)
-        _spectra_to_columns(column.mul_(kernel[:, part].mT), lines, part, adjoint)
+        factors, total = [kernel[:, part].mT for kernel in kernels], None
+        if summed:
+            for factor, lines in zip(factors, far, strict=True):
+                column = _columns_to_spectra(lines, part, height, adjoint)
+                total = column.mul_(factor) if total is None else total.addcmul_(column, factor)
+            _spectra_to_columns(total, near, part, adjoint)
+            return
+        column = _columns_to_spectra(near, part, height, adjoint)
+        for factor, lines in zip(factors, far, strict=True):
+            product = torch.mul(column, factor, out=_buffer("block", column.shape, column.dtype))
+            _spectra_to_columns(product, lines, part, adjoint)
 
-    columns = _Pass(filter_columns, width, height, field, _COLUMNS)
-    _run_passes(_rows_to_spectra(field, lines), columns, _spectra_to_rows(lines, result))
-
-
-def _scatter(group, adjoint):
-    """Write one field filtered by several kernels into as many results; its spectrum is computed once.
-
-    Part by part, so that a part of the spectrum is in the cache when the kernels come by.
-    """
-    field, first, _ = group[0]
-    height, width = first.shape
-    lines = _lines(field, width)
-    filtered = [_lines(field, width, index + 1) for index in range(len(group))]
-
-    def filter_columns(part):
-        column = _columns_to_spectra(lines, part, height, adjoint)
-        for (_, kernel, _), target in zip(group, filtered, strict=True):
-            product = _buffer("block", column.shape, field.dtype)
-            torch.mul(column, kernel[:, part].mT, out=product)
-            _spectra_to_columns(product, target, part, adjoint)
-
-    columns = _Pass(filter_columns, width, height, field, _COLUMNS)
-    back = (_spectra_to_rows(target, result) for (_, _, result), target in zip(group, filtered, strict=True))
-    _run_passes(_rows_to_spectra(field, lines), columns, *back)
-
-
-def _gather(group, adjoint):
-    """Write the sum of several filtered fields into their one result; their spectra are summed."""
-    _, first, result = group[0]
-    height, width = first.shape
-    incoming = [_lines(field, width, index + 1) for index, (field, _, _) in enumerate(group)]
-    lines = _lines(result, width)
-
-    def filter_columns(part):
-        total = None
-        for (_, kernel, _), source in zip(group, incoming, strict=True):
-            column = _columns_to_spectra(source, part, height, adjoint)
-            factor = kernel[:, part].mT
-            total = column.mul_(factor) if total is None else total.addcmul_(column, factor)
-        _spectra_to_columns(total, lines, part, adjoint)
-
-    forth = (_rows_to_spectra(field, source) for (field, _, _), source in zip(group, incoming, strict=True))
-    columns = _Pass(filter_columns, width, height, result, _COLUMNS)
-    _run_passes(*forth, columns, _spectra_to_rows(lines, result))
+    sources, targets = (far, [near]) if summed else ([near], far)
+    forth = itertools.starmap(_rows_to_spectra, zip(fields, sources, strict=False))
+    back = itertools.starmap(_spectra_to_rows, zip(targets, results, strict=False))
+    _run_passes(*forth, _Pass(filter_columns, width, height, shared, _COLUMNS), *back)
 
 
 def _columns_to_spectra(lines, part: slice, height: int, adjoint) -> torch.Tensor:
