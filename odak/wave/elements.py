@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from odak import _array, _validate
-from odak._array import Amount, Array, Device, is_array, namespace, phasor, phasor_of_cycles
+from odak._array import Array, Device, is_array, namespace, phasor, phasor_of_cycles
 from odak._warnings import SamplingWarning, warn
 from odak.tools.zernike import check_mode, jacobi, zernike_norm
 from odak.wave.sampling import FOCAL, Weaker, plain_numbers, sampled_axes, warn_beyond_nyquist, warn_of_tilt
@@ -96,7 +96,6 @@ def squared_radius(
     dx: float | Sequence[float],
     offset: Sequence[float] = (0, 0),
     xp: ModuleType | None = None,
-    device: Device = None,
 ) -> Array:
     """Return r² on the grid of the older lens functions, ``[nx, ny]``: linspace(−n·dx/2, n·dx/2, n) along each axis.
 
@@ -105,16 +104,16 @@ def squared_radius(
     offset = _validate.several("offset", offset, 2)
     xp = _validate.library("xp", xp)
     along_x, along_y = (
-        _older_positions(n, step, xp, device) - shift * step
+        _older_positions(n, step, xp) - shift * step
         for n, step, shift in zip((nx, ny), pitches(dx), reversed(offset), strict=True)
     )
     return along_x[:, None] ** 2 + along_y[None, :] ** 2
 
 
-def _older_positions(count: int, pitch, xp, device=None):
+def _older_positions(count: int, pitch, xp):
     """Return linspace(−n·dx/2, n·dx/2, n) along one axis."""
     width = count * _validate.real("dx", pitch, positive=True)
-    return xp.linspace(-0.5, 0.5, count, dtype=xp.float64, device=device) * width
+    return xp.linspace(-0.5, 0.5, count, dtype=xp.float64) * width
 
 
 @_validate.takes_units("focal", "dx")
@@ -125,7 +124,9 @@ def quadratic_phase_function(
     focal: float = 0.4,
     dx: float | Sequence[float] = 0.001,
     offset: Sequence[float] = (0, 0),
-) -> np.ndarray:
+    *,
+    xp: ModuleType | None = None,
+) -> Array:
     """Return the transmission of a thin lens, exp(−ik·r²/(2f)), converging for a positive focal length.
 
     Parameters
@@ -142,10 +143,12 @@ def quadratic_phase_function(
         Pixel pitch in metres, one number or a pair (rows, columns), on the grid described in the notes.
     offset : sequence of float
         Shift of the lens in pixels: `offset[1]` along x, `offset[0]` along y.
+    xp : module, optional
+        Array namespace of the result, NumPy by default.
 
     Returns
     -------
-    numpy.ndarray
+    array
         complex128 ``[ny, nx]``.
 
     Warns
@@ -176,20 +179,13 @@ def quadratic_phase_function(
     _validate.number("k", k)
     _validate.number("focal", _validate.real("focal", focal, nonzero=True))
     steps = pitches(dx)[::-1]
-    squared = squared_radius(nx, ny, steps, offset)
-    warn_of_older_lens((nx, ny), steps, k, focal, offset)
+    squared = squared_radius(nx, ny, steps, offset, xp)
+    _warn_of_bend("quadratic_phase_function", (nx, ny), steps, k / 2, focal, FOCAL, offset)
     return phasor(-k * squared / (2 * focal)).T
 
 
 def _bend(y, x, k, focal):
     return k * (y**2 + x**2) / focal
-
-
-def warn_of_older_lens(
-    shape: Sequence[int], steps: Sequence[float], k: Amount, focal: Amount, offset: Sequence[float]
-) -> None:
-    """Warn where the lens of :func:`quadratic_phase_function` is undersampled, on the grid `squared_radius` has."""
-    _warn_of_bend("quadratic_phase_function", shape, steps, k / 2, focal, FOCAL, offset)
 
 
 def _warn_of_bend(name, shape, steps, half, distance, text, offset=(0, 0)):

@@ -310,6 +310,17 @@ def q_plate(
     """Return the Jones matrices of a q-plate: a retarder whose fast axis rotates with the azimuth."""
     ...
 
+def quadratic_phase_function(
+    nx: int,
+    ny: int,
+    k: float,
+    focal: float = 0.4,
+    dx: float | collections.abc.Sequence[float] = 0.001,
+    offset: collections.abc.Sequence[float] = (0, 0),
+) -> torch.Tensor:
+    """Return the transmission of a thin lens, exp(−ik·r²/(2f)), converging for a positive focal length."""
+    ...
+
 def rectangular_aperture(
     shape: collections.abc.Sequence[int],
     dx: float | collections.abc.Sequence[float],

@@ -1,14 +1,10 @@
 """Elements, beams, pupils and polarised fields as tensors, by the formulas of :mod:`odak.wave`."""
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import torch
-from array_api_compat import torch as torch_namespace
 
-from odak import _validate
-from odak._array import phasor
-from odak.learn._face import torch_face
+from odak.learn._face import face_of, torch_face
 from odak.wave import beams, elements, imaging, polarized, recording
 from odak.wave.transfer_functions import pitches
 
@@ -58,64 +54,41 @@ if not TYPE_CHECKING:
     q_plate = torch_face(polarized.q_plate)
     thin_film_transfer = torch_face(polarized.thin_film_transfer)
 
+    @face_of(elements.quadratic_phase_function)
+    def quadratic_phase_function(core, *, dx, **arguments):
+        """Return the transmission of a thin lens, exp(−ik·r²/(2f)), converging for a positive focal length.
 
-@_validate.takes_units("focal", "dx")
-def quadratic_phase_function(
-    nx: int,
-    ny: int,
-    k: float,
-    focal: float = 0.4,
-    dx: float | Sequence[float] = 0.001,
-    offset: Sequence[float] = (0, 0),
-) -> torch.Tensor:
-    """Return the transmission of a thin lens, exp(−ik·r²/(2f)), converging for a positive focal length.
+        Parameters
+        ----------
+        nx : int
+            Rows.
+        ny : int
+            Columns.
+        offset : sequence of float
+            Shift of the lens in pixels: `offset[1]` along the first axis, `offset[0]` along the second.
 
-    Parameters
-    ----------
-    nx : int
-        Rows.
-    ny : int
-        Columns.
-    k : float
-        Wave number in rad/m.
-    focal : float
-        Focal length in metres.
-    dx : float or sequence of float
-        Pixel pitch in metres, one number or a pair (rows, columns), on the grid described in the notes.
-    offset : sequence of float
-        Shift of the lens in pixels: `offset[1]` along the first axis, `offset[0]` along the second.
+        Returns
+        -------
+        torch.Tensor
+            complex64 ``[nx, ny]``.
 
-    Returns
-    -------
-    torch.Tensor
-        complex64 ``[nx, ny]``.
+        Notes
+        -----
+        Along each axis of n samples the positions are as in earlier releases, linspace(−n·dx/2, n·dx/2, n): the step is
+        n·dx/(n − 1) and the axis of the lens lies at the index (n − 1)/2. Applied to a field of pitch `dx`, whose axis
+        is at the index n // 2, the element is thus a lens of the focal length f·((n − 1)/n)², half a pixel before the
+        axis where n is even. ``torch.exp(1j * lens_phase(shape, focal, dx, wavelength))`` is the lens on the grid of a
+        field, centred.
 
-    Warns
-    -----
-    SamplingWarning
-        If neighbouring samples of the phase differ by more than half a cycle.
+        Examples
+        --------
+        The phase is −k·r²/(2f), here at a corner at r² = 2·(2·1e-4)²:
 
-    Notes
-    -----
-    Along each axis of n samples the positions are as in earlier releases, linspace(−n·dx/2, n·dx/2, n): the step is
-    n·dx/(n − 1) and the axis of the lens lies at the index (n − 1)/2. Applied to a field of pitch `dx`, whose axis is
-    at the index n // 2, the element is thus a lens of the focal length f·((n − 1)/n)², half a pixel before the axis
-    where n is even. ``torch.exp(1j * lens_phase(shape, focal, dx, wavelength))`` is the lens on the grid of a field,
-    centred.
-
-    Examples
-    --------
-    The phase is −k·r²/(2f), here at a corner at r² = 2·(2·1e-4)²:
-
-    >>> import torch
-    >>> from odak.learn.wave import quadratic_phase_function, wavenumber
-    >>> lens = quadratic_phase_function(5, 5, wavenumber(1e-6), focal=1.0, dx=8e-5)
-    >>> round(lens[0, 0].angle().item(), 4), round(-float(wavenumber(1e-6)) * 8e-8 / 2, 4)
-    (-0.2513, -0.2513)
-    """
-    nx, ny = _validate.size("nx, ny", (nx, ny))
-    _validate.number("k", k)
-    _validate.number("focal", _validate.real("focal", focal, nonzero=True))
-    squared = elements.squared_radius(nx, ny, dx, offset, torch_namespace)
-    elements.warn_of_older_lens((nx, ny), pitches(dx), k, focal, offset)
-    return phasor(-k * squared / (2 * focal), torch.complex64)
+        >>> import torch
+        >>> from odak.learn.wave import quadratic_phase_function, wavenumber
+        >>> lens = quadratic_phase_function(5, 5, wavenumber(1e-6), focal=1.0, dx=8e-5)
+        >>> round(lens[0, 0].angle().item(), 4), round(-float(wavenumber(1e-6)) * 8e-8 / 2, 4)
+        (-0.2513, -0.2513)
+        """
+        # The core returns columns first.
+        return _to_single(core, dx=pitches(dx)[::-1], **arguments).T
