@@ -1253,144 +1253,127 @@ def quadrature(bands: np.ndarray, size: int) -> np.ndarray:
 
 
 class _Problem:
-    """Unknown taps of a bank, the responses they give and the residuals of its flatness."""
+    """Unknown taps of a bank, the responses they give and the residuals of its flatness.
+
+    The taps of l, l0, h0 and of half of the products Mᵢ stand in one vector of `length`. Each of these filters is a
+    tensor ``[length, k, k]`` of what each tap adds to it, and its gains at the grid's frequencies are a matrix
+    ``[points, length]`` times the taps.
+    """
 
     def __init__(self, n_orientations: int, sizes: tuple[int, int, int, int], bilinear: bool) -> None:
         self.count, self.bilinear = n_orientations, bilinear
         axis = np.linspace(0, math.pi, GRID)
         self.x, self.y = np.meshgrid(axis, axis, indexing="xy")
-        self.parts = self._parts(sizes)
-        self.slices, start = [], 0
-        for taps, *_ in self.parts:
-            self.slices.append(slice(start, start + len(taps)))
-            start += len(taps)
-        self.length = start
-        self.halved = self._response(self.parts[0][0], 0, 0, 0.5)
+        order = n_orientations - 1
+        half = range((order + 2) // 2)
+        parities = [(0, 0)] * 3 + [(i % 2, (order - i) % 2) for i in half]
+        sides = [*sizes[:3], *[sizes[3]] * len(half)]
+        symmetric = [True] * 3 + [2 * i == order for i in half]
+        bases = [_symmetric_taps(*one) for one in zip(sides, parities, symmetric, strict=True)]
+        ends = np.cumsum([len(basis) for basis in bases])
+        self.length = int(ends[-1])
+        self.slices = [slice(end - len(basis), end) for basis, end in zip(bases, ends, strict=True)]
+        self.bases = [self._placed(0, *one) for one in zip(self.slices, bases, strict=True)]
+        gains = [self._response(*one) for one in zip(bases, parities, strict=True)]
+        self.responses = [self._placed(1, *one) for one in zip(self.slices, gains, strict=True)]
+        self.halved = self._placed(1, self.slices[0], self._response(bases[0], (0, 0), 0.5))
+        self.products = [self._product(i) for i in range(n_orientations)]
+        self.ideals = self._ideals(half)
         # C with Σₖ|Bₖ|² = Σᵢⱼ Cᵢⱼ·Mᵢ·Mⱼ for the products Mᵢ.
         shares = steering(n_orientations, orientations(n_orientations))
         self.power = shares.T @ shares
         self.normal, self.pulled, self.constant = self._quadratic()
 
-    def _parts(self, sizes):
-        """Return taps ``[n, k, k]``, gains ``[points, n]`` and ideal gains of l, l0, h0 and half of the products."""
+    def _placed(self, axis, where, values):
+        """Return the entries of some taps along an axis of all taps."""
+        placed = np.zeros((*values.shape[:axis], self.length, *values.shape[axis + 1 :]))
+        placed[(slice(None),) * axis + (where,)] = values
+        return placed
+
+    def _ideals(self, half):
+        """Return the ideal gains of l, l0, h0 and half of the products."""
         radius, angle = np.hypot(self.x, self.y), np.arctan2(self.y, self.x)
         high0, low0, band, _ = ideal_gains(radius)
         # A tail below the octave, so that small filters keep their sign down to low frequencies.
         band = np.maximum(band, np.minimum(FOOT * radius * 4 / math.pi, FOOT))
         if self.bilinear:
             band = np.sqrt(1 - self._bilinear_gain(1.0))
-        low = 2 * np.sqrt(1 - band**2)
-        parts = [self._part(size, 0, 0, True, ideal) for size, ideal in zip(sizes, (low, low0, high0), strict=False)]
-        order = self.count - 1
-        for i in range((order + 2) // 2):
-            product = band * np.cos(angle) ** i * np.sin(angle) ** (order - i)
-            parts.append(self._part(sizes[3], i % 2, (order - i) % 2, 2 * i == order, product))
-        return parts
+        products = [band * np.cos(angle) ** i * np.sin(angle) ** (self.count - 1 - i) for i in half]
+        return [gains.ravel() for gains in (2 * np.sqrt(1 - band**2), low0, high0, *products)]
 
-    def _part(self, size, odd_x, odd_y, symmetric, ideal):
-        taps = _symmetric_taps(size, odd_x, odd_y, symmetric)
-        return taps, self._response(taps, odd_x, odd_y), ideal.ravel()
-
-    def _response(self, taps, odd_x, odd_y, scale=1.0):
-        """Return the gains ``[points, n]`` of filters at the grid's frequencies times a scale."""
-        size = taps.shape[-1]
+    def _response(self, basis, parity, scale=1.0):
+        """Return the gains of a filter at the grid's frequencies times a scale."""
+        size = basis.shape[-1]
         offset = np.arange(size) - size // 2
         # Rows grow downwards and y upwards; odd products stand for −j times a real gain.
-        along_x = [np.cos, np.sin][odd_x](scale * self.x.ravel()[:, None] * offset)
-        along_y = [np.cos, np.sin][odd_y](scale * self.y.ravel()[:, None] * -offset)
-        sign = -1.0 if odd_x or odd_y else 1.0
+        along_x = [np.cos, np.sin][parity[0]](scale * self.x.ravel()[:, None] * offset)
+        along_y = [np.cos, np.sin][parity[1]](scale * self.y.ravel()[:, None] * -offset)
+        sign = -1.0 if any(parity) else 1.0
         outer = along_y[:, :, None] * along_x[:, None, :]
-        return sign * outer.reshape(-1, size * size) @ taps.reshape(len(taps), -1).T
+        return sign * outer.reshape(-1, size * size) @ basis.reshape(len(basis), -1).T
 
-    def products(self, taps):
-        """Return the gains of the K products ``[K, points]``, and the taps and responses that each comes from."""
-        gains, sources = [], []
-        for i in range(self.count):
-            mirrored = i > (self.count - 1) // 2 and 2 * i != self.count - 1
-            part = 3 + (self.count - 1 - i if mirrored else i)
-            response = self.parts[part][1]
-            if mirrored:
-                response = response.reshape(GRID, GRID, -1).transpose(1, 0, 2).reshape(GRID * GRID, -1)
-            gains.append(response @ taps[self.slices[part]])
-            sources.append((self.slices[part], response))
-        return np.array(gains), sources
+    def _product(self, i):
+        """Return the filter and the gains of the product cosⁱθ·sin^(K−1−i)θ, whose other half mirrors the first."""
+        if 2 * i <= self.count - 1:
+            return self.bases[3 + i], self.responses[3 + i]
+        # x and y are exchanged; both axes of the filter are flipped because rows grow downwards.
+        mirrored, gains = self.bases[2 + self.count - i], self.responses[2 + self.count - i]
+        gains = gains.reshape(GRID, GRID, -1).transpose(1, 0, 2).reshape(GRID * GRID, -1)
+        return mirrored.transpose(0, 2, 1)[:, ::-1, ::-1], gains
 
-    def relevance(self, part):
+    def _relevance(self, part):
         """Return weights of the frequencies: the bands and the low-pass follow the first low-pass."""
-        ideal_low0 = self.parts[1][2]
+        ideal_low0 = self.ideals[1]
         return np.ones_like(ideal_low0) if part in (1, 2) else np.maximum(ideal_low0**2, FLOOR)
 
     def start(self):
         taps = np.zeros(self.length)
-        for part, (_, response, ideal) in enumerate(self.parts):
-            weight = np.sqrt(self.relevance(part))
-            taps[self.slices[part]] = np.linalg.lstsq(response * weight[:, None], ideal * weight, rcond=1e-10)[0]
+        for part, (where, ideal) in enumerate(zip(self.slices, self.ideals, strict=True)):
+            weight, response = np.sqrt(self._relevance(part)), self.responses[part][:, where]
+            taps[where] = np.linalg.lstsq(response * weight[:, None], ideal * weight, rcond=1e-10)[0]
         return taps
 
     def residual(self, taps):
         """Return every residual ``[m]`` that is not quadratic, and its Jacobian ``[m, n]``."""
-        low0, high0 = (part[1] @ taps[where] for part, where in zip(self.parts[1:3], self.slices[1:3], strict=True))
-        inner, inner_jacobian = self._inner(taps)
-        flat = high0**2 + low0**2 * inner - 1
-        jacobian = low0[:, None] ** 2 * inner_jacobian
-        for gain, index in ((2 * low0 * inner, 1), (2 * high0, 2)):
-            jacobian[:, self.slices[index]] += gain[:, None] * self.parts[index][1]
+        (low0, by_low0), (high0, by_high0) = ((gains @ taps, gains) for gains in self.responses[1:3])
+        inner, by_inner = self._inner(taps)
         # A coarser level gets what the low-pass transmits at half the frequency.
-        passed, passed_jacobian = self._passed(taps, self.halved, 0.5)
-        deep = passed * (inner - 1)
-        deep_jacobian = passed[:, None] * inner_jacobian
-        deep_jacobian[:, self.slices[0]] += (inner - 1)[:, None] * passed_jacobian
+        passed, by_passed = self._passed(taps, self.halved, 0.5)
+        first, residual = (2 * low0)[:, None] * by_low0, (2 * high0)[:, None] * by_high0
+        flat = high0**2 + low0**2 * inner - 1, (low0**2)[:, None] * by_inner + inner[:, None] * first + residual
+        deep = passed * (inner - 1), passed[:, None] * by_inner + (inner - 1)[:, None] * by_passed
         # Small bands do not respond to one-pixel stripes: there the first low-pass would be undetermined.
-        split = high0**2 + low0**2 - 1
-        split_jacobian = np.zeros_like(jacobian)
-        for gain, index in ((2 * low0, 1), (2 * high0, 2)):
-            split_jacobian[:, self.slices[index]] = gain[:, None] * self.parts[index][1]
-        scale = SPLIT / GRID
-        rows = [
-            (flat / GRID, jacobian / GRID),
-            (deep / GRID, deep_jacobian / GRID),
-            (scale * split, scale * split_jacobian),
-        ]
-        if not self.bilinear:
-            rows.append(self._aliasing(taps))
-        return np.concatenate([r for r, _ in rows]), np.concatenate([j for _, j in rows])
+        split = SPLIT * (high0**2 + low0**2 - 1), SPLIT * (first + residual)
+        rows = [flat, deep, split] if self.bilinear else [flat, deep, split, *self._aliases(taps)]
+        return tuple(np.concatenate(part) / GRID for part in zip(*rows, strict=True))
 
     def _inner(self, taps):
         """Return Σₖ|Bₖ|² + L²/4 and its Jacobian: the power of the bands and the low-pass of one level together."""
-        products, sources = self.products(taps)
+        products = np.array([gains @ taps for _, gains in self.products])
         mixed = self.power @ products
-        passed, passed_jacobian = self._passed(taps, self.parts[0][1], 1.0)
-        jacobian = np.zeros((passed.size, self.length))
-        jacobian[:, self.slices[0]] = passed_jacobian
-        for row, (where, response) in zip(mixed, sources, strict=True):
-            jacobian[:, where] += 2 * row[:, None] * response
-        return (products * mixed).sum(0) + passed, jacobian
+        passed, by_passed = self._passed(taps, self.responses[0], 1.0)
+        by_products = (2 * row[:, None] * gains for row, (_, gains) in zip(mixed, self.products, strict=True))
+        return (products * mixed).sum(0) + passed, sum(by_products, by_passed)
 
     def _passed(self, taps, response, scale):
-        """Return the gain of halving and enlarging at scaled frequencies, and its Jacobian in the taps of L."""
+        """Return the gain of halving and enlarging at scaled frequencies, and its Jacobian."""
         if self.bilinear:
             return self._bilinear_gain(scale).ravel(), np.zeros_like(response)
-        low = response @ taps[self.slices[0]]
+        low = response @ taps
         return low**2 / 4, (low / 2)[:, None] * response
 
     def _bilinear_gain(self, scale):
         # The mean of two pixels has the gain cos(ω/2), taking every second pixel 1/2, bilinear enlargement 2·cos³(ω/2).
         return np.cos(scale * self.x / 2) ** 4 * np.cos(scale * self.y / 2) ** 4
 
-    def _aliasing(self, taps):
-        """Return the aliases of a frequency from half the sampling rate away, along one axis or both."""
-        grid, where = self.parts[0][1].reshape(GRID, GRID, -1), self.slices[0]
-        residuals, jacobians = [], []
+    def _aliases(self, taps):
+        """Return the aliases of a frequency from half the sampling rate away, along one axis and along both."""
+        grid = self.responses[0].reshape(GRID, GRID, -1)
         # π − ω is on the grid too, and L is even.
-        for folded in (grid[:, ::-1], grid[::-1, ::-1]):
-            one, two = grid @ taps[where], folded @ taps[where]
-            product = one[..., None] * folded + two[..., None] * grid
-            jacobian = np.zeros((GRID * GRID, self.length))
-            jacobian[:, where] = product.reshape(GRID * GRID, -1)
-            residuals.append((one * two).ravel())
-            jacobians.append(jacobian)
-        scale = ALIASING / (4 * GRID)
-        return scale * np.concatenate(residuals), scale * np.concatenate(jacobians)
+        for folded in (grid[:, ::-1].reshape(GRID**2, -1), grid[::-1, ::-1].reshape(GRID**2, -1)):
+            one, two = self.responses[0] @ taps, folded @ taps
+            by_both = one[:, None] * folded + two[:, None] * self.responses[0]
+            yield ALIASING / 4 * one * two, ALIASING / 4 * by_both
 
     def quadratic_cost(self, taps):
         """Return the cost of the filters' sums and of the distance from the ideal responses, up to a constant."""
@@ -1398,27 +1381,20 @@ class _Problem:
 
     def _quadratic(self):
         normal, pulled, constant = DAMPING * np.eye(self.length), np.zeros(self.length), 0.0
-        sums = [2.0, 1.0, *[0.0] * (len(self.parts) - 2)]
-        pulls = [PULL, PULL, PULL, *[BAND_PULL] * (len(self.parts) - 3)]
-        for part, (basis, response, ideal) in enumerate(self.parts):
-            where, row = self.slices[part], SUMS * basis.sum((1, 2))
-            weighted = (pulls[part] / GRID) ** 2 * (response * self.relevance(part)[:, None]).T
-            normal[where, where] += weighted @ response + np.outer(row, row)
-            pulled[where] += weighted @ ideal + SUMS * sums[part] * row
-            constant += (pulls[part] / GRID) ** 2 * self.relevance(part) @ ideal**2 + (SUMS * sums[part]) ** 2
+        for part, (where, ideal) in enumerate(zip(self.slices, self.ideals, strict=True)):
+            wanted, pull = {0: 2.0, 1: 1.0}.get(part, 0.0), PULL if part < 3 else BAND_PULL
+            weight, response = (pull / GRID) ** 2 * self._relevance(part), self.responses[part][:, where]
+            row = SUMS * self.bases[part][where].sum((1, 2))
+            normal[where, where] += response.T @ (weight[:, None] * response) + np.outer(row, row)
+            pulled[where] += response.T @ (weight * ideal) + SUMS * wanted * row
+            constant += weight @ ideal**2 + (SUMS * wanted) ** 2
         return normal, pulled, constant
 
     def filters(self, taps):
-        maps = [np.tensordot(taps[where], part[0], 1) for where, part in zip(self.slices, self.parts, strict=True)]
-        products = []
-        for i in range(self.count):
-            mirrored = i > (self.count - 1) // 2 and 2 * i != self.count - 1
-            product = maps[3 + (self.count - 1 - i if mirrored else i)]
-            # x and y are exchanged; both axes are flipped because rows grow downwards.
-            products.append(np.ascontiguousarray(product.T[::-1, ::-1]) if mirrored else product)
-        products = np.array(products)
+        low, low0, high0 = (np.tensordot(taps, basis, 1) for basis in self.bases[:3])
+        products = np.array([np.tensordot(taps, basis, 1) for basis, _ in self.products])
         bands = np.tensordot(steering(self.count, orientations(self.count)), products, 1)
-        return {"l": maps[0], "l0": maps[1], "h0": maps[2], "b": bands, "steerable": products}
+        return {"l": low, "l0": low0, "h0": high0, "b": bands, "steerable": products}
 
 
 def _octave_angle(radius):
@@ -1427,10 +1403,9 @@ def _octave_angle(radius):
     return np.clip(position, 0, 1) * math.pi / 2
 
 
-def _symmetric_taps(size, odd_x, odd_y, symmetric):
-    """Return an orthogonal basis ``[n, k, k]`` of the filters that are even or odd along each axis."""
-    half = size // 2
-    columns, rows = ([_line(size, offset, odd) for offset in range(int(odd), half + 1)] for odd in (odd_x, odd_y))
+def _symmetric_taps(size, parity, symmetric):
+    """Return an orthogonal basis ``[n, k, k]`` of the filters that are even (0) or odd (1) along x and y."""
+    columns, rows = ([_line(size, offset, odd) for offset in range(odd, size // 2 + 1)] for odd in parity)
     basis = [np.outer(row, column) for row in rows for column in columns]
     if symmetric:
         basis = [
