@@ -59,8 +59,8 @@ class convolution_layer(nn.Module):
         super().__init__()
         if stride is None or isinstance(stride, nn.Module):
             activation, stride = stride, 1
-        normalization, activation = with_older_form(normalization, activation)
-        size = kernel(kernel_size)
+        options = block_options(kernel(kernel_size), bias, normalization, activation)
+        size, activation = options["kernel_size"], options["activation"]
         layers: list[nn.Module] = [
             nn.Conv2d(
                 channels("input_channels", input_channels),
@@ -68,10 +68,10 @@ class convolution_layer(nn.Module):
                 kernel_size=size,
                 stride=_validate.integer("stride", stride, minimum=1),
                 padding=size // 2,
-                bias=_validate.flag("bias", bias),
+                bias=options["bias"],
             )
         ]
-        if normalization:
+        if options["normalization"]:
             layers.append(nn.BatchNorm2d(output_channels))
         if activation is not None:
             layers.append(activation)
@@ -131,16 +131,10 @@ class double_convolution(nn.Module):
         activation: nn.Module | None = _RELU,
     ):
         super().__init__()
-        normalization, activation = with_older_form(normalization, activation)
+        options = block_options(kernel_size, bias, normalization, activation)
         middle = channels("output_channels", output_channels)
         middle = middle if mid_channels is None else channels("mid_channels", mid_channels)
-        options: dict[str, Any] = {
-            "kernel_size": kernel_size,
-            "bias": bias,
-            "normalization": normalization,
-            "activation": activation,
-        }
-        self.activation = activation
+        self.activation = options["activation"]
         self.model: nn.Sequential = nn.Sequential(
             convolution_layer(input_channels, middle, **options), convolution_layer(middle, output_channels, **options)
         )
@@ -192,16 +186,10 @@ class residual_layer(nn.Module):
         activation: nn.Module | None = _RELU,
     ):
         super().__init__()
-        normalization, activation = with_older_form(normalization, activation, default=True)
-        self.activation = activation
+        options = block_options(kernel(kernel_size, odd=True), bias, normalization, activation, default=True)
+        self.activation = options["activation"]
         self.convolution: double_convolution = double_convolution(
-            channels("input_channels", input_channels),
-            mid_channels=mid_channels,
-            output_channels=input_channels,
-            kernel_size=kernel(kernel_size, odd=True),
-            bias=bias,
-            normalization=normalization,
-            activation=activation,
+            channels("input_channels", input_channels), mid_channels, input_channels, **options
         )
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
@@ -290,18 +278,9 @@ class downsample_layer(nn.Module):
         activation: nn.Module | None = _RELU,
     ):
         super().__init__()
-        normalization, activation = with_older_form(normalization, activation)
+        options = block_options(kernel_size, bias, normalization, activation)
         self.maxpool_conv: nn.Sequential = nn.Sequential(
-            nn.MaxPool2d(2),
-            double_convolution(
-                input_channels,
-                mid_channels=channels("output_channels", output_channels),
-                output_channels=output_channels,
-                kernel_size=kernel_size,
-                bias=bias,
-                normalization=normalization,
-                activation=activation,
-            ),
+            nn.MaxPool2d(2), double_convolution(input_channels, None, output_channels, **options)
         )
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
@@ -358,7 +337,7 @@ class upsample_layer(nn.Module):
         super().__init__()
         if isinstance(normalization, nn.Module) and isinstance(activation, bool):
             bilinear = activation
-        normalization, activation = with_older_form(normalization, activation)
+        options = block_options(kernel_size, bias, normalization, activation)
         half = _validate.integer("input_channels", input_channels, minimum=2) // 2
         channels("output_channels", output_channels)
         if _validate.flag("bilinear", bilinear):
@@ -369,10 +348,7 @@ class upsample_layer(nn.Module):
             input_channels + output_channels if bilinear else input_channels,
             mid_channels=half if bilinear else output_channels,
             output_channels=output_channels,
-            kernel_size=kernel_size,
-            bias=bias,
-            normalization=normalization,
-            activation=activation,
+            **options,
         )
 
     def forward(self, x1: torch.Tensor, x2: torch.Tensor) -> torch.Tensor:
@@ -565,22 +541,15 @@ class global_feature_module(nn.Module):
         activation: nn.Module | None = _RELU,
     ):
         super().__init__()
-        normalization, activation = with_older_form(normalization, activation)
+        options = block_options(kernel_size, bias, normalization, activation)
         if channels("input_channels", input_channels) != channels("output_channels", output_channels):
             raise ValueError(
                 f"output_channels must be input_channels ({input_channels}), the channels it is transformed with; "
                 f"got {output_channels}"
             )
-        options: dict[str, Any] = {
-            "mid_channels": mid_channels,
-            "kernel_size": kernel_size,
-            "bias": bias,
-            "normalization": normalization,
-            "activation": activation,
-        }
         self.transformations_1: global_transformations = global_transformations(input_channels, output_channels)
-        self.global_features_1 = double_convolution(input_channels, output_channels=output_channels, **options)
-        self.global_features_2 = double_convolution(input_channels, output_channels=output_channels, **options)
+        self.global_features_1 = double_convolution(input_channels, mid_channels, output_channels, **options)
+        self.global_features_2 = double_convolution(input_channels, mid_channels, output_channels, **options)
         self.transformations_2: global_transformations = global_transformations(input_channels, output_channels)
 
     def forward(self, x1: torch.Tensor, x2: torch.Tensor) -> torch.Tensor:
@@ -920,13 +889,17 @@ def activation_module(activation: nn.Module | None) -> nn.Module | None:
     return activation
 
 
-def with_older_form(
-    normalization: bool | nn.Module, activation: nn.Module | None, default: bool = False
-) -> tuple[bool, nn.Module | None]:
-    """Return normalization and activation of a call that may give the activation in place of the normalization.
+def block_options(
+    kernel_size: int, bias: bool, normalization: bool | nn.Module, activation: nn.Module | None, default: bool = False
+) -> dict[str, Any]:
+    """Return the options that all blocks of convolutions share, of a call of either form.
 
     Parameters
     ----------
+    kernel_size : int
+        Size of the kernels.
+    bias : bool
+        Whether the convolutions have biases.
     normalization : bool or torch.nn.Module
         Value given for ``normalization``; a module is the activation of the older call form.
     activation : torch.nn.Module or None
@@ -936,13 +909,18 @@ def with_older_form(
 
     Returns
     -------
-    tuple of (bool, torch.nn.Module or None)
-        Normalization and activation.
+    dict
+        "kernel_size", "bias", "normalization" and "activation".
     """
     if isinstance(normalization, nn.Module):
-        return default, normalization
+        normalization, activation = default, normalization
     _validate.instance("normalization", normalization, bool, "a bool")
-    return normalization, activation_module(activation)
+    return {
+        "kernel_size": kernel_size,
+        "bias": _validate.flag("bias", bias),
+        "normalization": normalization,
+        "activation": activation_module(activation),
+    }
 
 
 def features(

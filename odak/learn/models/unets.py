@@ -23,6 +23,7 @@ from odak import _validate
 from odak._torch_private import is_transformed
 from odak.learn.models.layers import (
     activation_module,
+    block_options,
     channels,
     convolution_layer,
     double_convolution,
@@ -427,12 +428,7 @@ class unet(nn.Module):
         self.depth: int = _validate.integer("depth", depth, minimum=1)
         width = channels("dimensions", dimensions)
         size = kernel(kernel_size)
-        options: dict[str, Any] = {
-            "kernel_size": size,
-            "bias": bias,
-            "normalization": normalization,
-            "activation": activation,
-        }
+        options = block_options(size, bias, normalization, activation)
         self.inc = double_convolution(input_channels, mid_channels=width, output_channels=width, **options)
         self.downsampling_layers: nn.ModuleList = nn.ModuleList(
             downsample_layer(width * 2**i, width * 2 ** (i + 1), **options) for i in range(depth)
@@ -526,12 +522,7 @@ class spatially_varying_kernel_generation_model(nn.Module):
         self.depth: int = _validate.integer("depth", depth, minimum=1)
         self.input_channels: int = _validate.integer("input_channels", input_channels, minimum=2)
         width, size = channels("dimensions", dimensions), kernel(kernel_size, odd=True)
-        options: dict[str, Any] = {
-            "kernel_size": size,
-            "bias": bias,
-            "normalization": normalization,
-            "activation": activation,
-        }
+        options = block_options(size, bias, normalization, activation)
         # Channels after each double convolution of the encoder, and after the pooling before it.
         coded = [width * 2**i for i in range(depth)] + [width * 2 ** (depth - 1)]
         pooled = [width, *coded[:-1]]
@@ -664,13 +655,7 @@ class spatially_adaptive_unet(nn.Module):
         self.depth: int = _validate.integer("depth", depth, minimum=1)
         size = kernel(kernel_size, odd=True)
         widths = [channels("dimensions", dimensions) * 2**i for i in range(depth + 2)]
-        activation_module(activation)
-        options: dict[str, Any] = {
-            "kernel_size": size,
-            "bias": bias,
-            "normalization": normalization,
-            "activation": activation,
-        }
+        options = block_options(size, bias, normalization, activation)
         adaptive: dict[str, Any] = {"kernel_size": size, "padding": size // 2, "bias": bias, "activation": activation}
         self.inc: convolution_layer = convolution_layer(input_channels, widths[0], **options)
         self.encoder: nn.ModuleList = nn.ModuleList(
