@@ -384,10 +384,22 @@ def _value(function, *arguments):
 
 # The dispersion formulas of glass catalogues by their numbers: powers of λ in n², or None for those built apart.
 _AGF_POWERS = {
-    1: (0, 2, -2, -4, -6, -8),
-    10: (0, 2, -2, -4, -6, -8, -10, -12),
-    12: (0, 2, -2, -4, -6, -8, 4, 6),
-    13: (0, 2, 4, -2, -4, -6, -8, -10, -12),
+    1: (0.0, 2.0, -2.0, -4.0, -6.0, -8.0),
+    10: (0.0, 2.0, -2.0, -4.0, -6.0, -8.0, -10.0, -12.0),
+    12: (0.0, 2.0, -2.0, -4.0, -6.0, -8.0, 4.0, 6.0),
+    13: (0.0, 2.0, 4.0, -2.0, -4.0, -6.0, -8.0, -10.0, -12.0),
+}
+_AGF_TERMS = {2: 3, 6: 4, 11: 5}
+# The formula of each number and its coefficients.
+_AGF: dict[int, tuple[str, Callable[[list[float]], dict[str, Any]]]] = {
+    **{n: ("polynomial", lambda c, p=p: {"A": tuple(c[: len(p)]), "P": p}) for n, p in _AGF_POWERS.items()},
+    **{n: ("sellmeier", lambda c, k=k: _terms("sellmeier", [0.0, *c[: 2 * k]])) for n, k in _AGF_TERMS.items()},
+    4: ("sellmeier", lambda c: _terms("sellmeier", c[:5], squared=True)),
+    5: ("conrady", lambda c: {"A": tuple(c[:3]), "P": (0.0, -1.0, -3.5)}),
+    7: ("handbook", lambda c: {"A": (c[0], -c[3]), "P": (0.0, 2.0), "B": (c[1],), "C": (c[2],)}),
+    # B·λ²/(λ² − C) = B + B·C/(λ² − C).
+    8: ("handbook", lambda c: {"A": (c[0] + c[1], -c[3]), "P": (0.0, 2.0), "B": (c[1] * c[2],), "C": (c[2],)}),
+    9: ("sellmeier", lambda c: _terms("sellmeier", [c[0] - 1, *c[1:5]])),
 }
 
 
@@ -468,28 +480,12 @@ def _from_agf(path: Path, lines: dict[str, list[Any]]) -> OpticalMaterial | None
         raise ValueError(f"{path.name}: glass {head[0] if head else ''!r} lacks numbers or its range of wavelengths")
     name, kind, nd, vd = head[0], int(float(head[1])), float(head[3]), float(head[4])
     c = c + [0.0] * 12
-    made: dict[str, Any]
-    if kind in _AGF_POWERS:
-        powers = _AGF_POWERS[kind]
-        formula, made = "polynomial", {"A": tuple(c[: len(powers)]), "P": tuple(map(float, powers))}
-    elif kind in (2, 6, 11):
-        count = {2: 3, 6: 4, 11: 5}[kind]
-        formula, made = "sellmeier", {"B": tuple(c[: 2 * count : 2]), "C": tuple(c[1 : 2 * count : 2])}
-    elif kind == 4:
-        formula, made = "sellmeier", {"A": 1 + c[0], "B": (c[1], c[3]), "C": (c[2] ** 2, c[4] ** 2)}
-    elif kind == 9:
-        formula, made = "sellmeier", {"A": c[0], "B": (c[1], c[3]), "C": (c[2], c[4])}
-    elif kind == 5:
-        formula, made = "conrady", {"A": tuple(c[:3]), "P": (0.0, -1.0, -3.5)}
-    elif kind == 7:
-        formula, made = "handbook", {"A": (c[0], -c[3]), "P": (0.0, 2.0), "B": (c[1],), "C": (c[2],)}
-    elif kind == 8:
-        # B·λ²/(λ² − C) = B + B·C/(λ² − C).
-        formula = "handbook"
-        made = {"A": (c[0] + c[1], -c[3]), "P": (0.0, 2.0), "B": (c[1] * c[2],), "C": (c[2],)}
-    else:
+    if kind not in _AGF:
         return None
-    glass = OpticalMaterial(name, formula, made, (limits[0], limits[1]), "air", f"glass catalogue {path.name}")
+    formula, coefficients = _AGF[kind]
+    glass = OpticalMaterial(
+        name, formula, coefficients(c), (limits[0], limits[1]), "air", f"glass catalogue {path.name}"
+    )
     index = _value(glass.index, LINE_D)
     if nd > 1 and limits[0] <= LINE_D <= limits[1] and not abs(index - nd) < 2e-3:
         raise ValueError(f"{path.name}: {name} states nd = {nd} but its formula gives {index:.6g}")
@@ -542,18 +538,20 @@ def read_entry(path: Path) -> OpticalMaterial:
             )
     if kind not in ("1", "2", "3", "5") or len(limits) != 2 or len(numbers) < 3:
         raise ValueError(f"{path.name} must contain formula 1, 2, 3 or 5 with its range and coefficients, got {kind!r}")
-    first, rest = numbers[0], numbers[1:]
-    made: dict[str, Any]
-    if kind in ("1", "2"):
-        poles = tuple(c * c for c in rest[1::2]) if kind == "1" else tuple(rest[1::2])
-        formula, made = "sellmeier", {"A": 1 + first, "B": tuple(rest[::2]), "C": poles}
-    else:
-        formula = "polynomial" if kind == "3" else "conrady"
-        made = {"A": (first, *rest[::2]), "P": (0.0, *rest[1::2])}
+    formula = {"1": "sellmeier", "2": "sellmeier", "3": "polynomial", "5": "conrady"}[kind]
+    made = _terms(formula, numbers, squared=kind == "1")
     medium = "air" if "catalog" in source.lower() else "vacuum"
     source = source or "refractiveindex.info"
     extinction = _tabulated(lines)
     return OpticalMaterial(path.stem, formula, made, (limits[0], limits[1]), medium, source, extinction=extinction)
+
+
+def _terms(formula: str, numbers: list[float], squared: bool = False) -> dict[str, Any]:
+    """Return the coefficients of a formula of a constant and pairs of numbers; `squared` for poles that are roots."""
+    constant, first, second = numbers[0], tuple(numbers[1::2]), tuple(numbers[2::2])
+    if formula == "sellmeier":
+        return {"A": 1 + constant, "B": first, "C": tuple(c * c for c in second) if squared else second}
+    return {"A": (constant, *first), "P": (0.0, *second)}
 
 
 def _tabulated(lines: list[str]) -> tuple[Any, ...] | None:
@@ -570,10 +568,7 @@ def _tabulated(lines: list[str]) -> tuple[Any, ...] | None:
 
 
 MICROMETRES = {"m": 1e6, "mm": 1e3, "um": 1.0, "µm": 1.0, "nm": 1e-3}
-_DATA = Path(__file__).parent / "data" / "materials.json"
-_GLASSES = Path(__file__).parent / "data" / "glasses.json"
-_THERMAL = Path(__file__).parent / "data" / "thermal.json"
-_ABSORPTION = Path(__file__).parent / "data" / "absorption.json"
+_DATA = Path(__file__).parent / "data"
 _found: dict[str, OpticalMaterial] = {}
 
 
@@ -821,26 +816,31 @@ def thermal_of(found: OpticalMaterial) -> tuple[tuple[float, ...] | None, float 
     if found.thermal is not None or found.expansion is not None:
         return found.thermal, found.expansion, found.measured_at
     built_in = "refractiveindex.info database" in found.source or "schott" in found.source.casefold()
-    maker, _, bare = found.name.rpartition(":")
     own = _catalogue().get(_key(found.name))
     if own is not None and own.source == found.source:
-        if (formula := _thermal_data()["formula"].get(found.name)) is not None:
+        if (formula := _stored("thermal")["formula"].get(found.name)) is not None:
             return tuple(formula[0]), formula[1], formula[2]
-        if (constant := _thermal_data()["constant"].get(found.name)) is not None:
+        if (constant := _stored("thermal")["constant"].get(found.name)) is not None:
             rate, wavelength, expansion, _ = constant
             n = found.index(wavelength)
             return (2 * n * rate / (n * n - 1), 0.0, 0.0, 0.0, 0.0, 0.0), expansion, found.measured_at
-    held = _thermal_data()["makers"]
-    for one in ([maker] if maker else held) if built_in else ():
-        entry = held.get(one, {}).get(_key(bare))
-        if entry is not None:
-            return None if entry[0] is None else tuple(entry[0]), entry[1], entry[2]
-    return None, None, found.measured_at
+    entry = _entry_of(found, _stored("thermal")["makers"]) if built_in else None
+    if entry is None:
+        return None, None, found.measured_at
+    return None if entry[0] is None else tuple(entry[0]), entry[1], entry[2]
 
 
 @cache
-def _thermal_data() -> dict:
-    return json.loads(_THERMAL.read_text(encoding="utf-8"))
+def _stored(name: str) -> dict[str, Any]:
+    """Return what a file of the catalogue holds."""
+    return json.loads((_DATA / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def _entry_of(found: OpticalMaterial, makers: Mapping[str, Any]) -> Any:
+    """Return what is stored of a glass by its maker, of the first maker of that name, None where nothing is."""
+    maker, _, bare = found.name.rpartition(":")
+    entries = (makers.get(one, {}).get(_key(bare)) for one in ([maker] if maker else makers))
+    return next((entry for entry in entries if entry is not None), None)
 
 
 def internal_transmittance(
@@ -919,20 +919,14 @@ def extinction_of(found: OpticalMaterial) -> tuple[Any, ...] | None:
     if found.extinction is not None:
         return found.extinction
     built_in = _catalogue().get(_key(found.name)) is found or "refractiveindex.info database" in found.source
-    if not built_in:
-        return None
-    maker, _, bare = found.name.rpartition(":")
     held = _extinctions()
-    for one in [maker] if maker else held["makers"]:
-        entry = held["makers"].get(one, {}).get(_key(bare))
-        if entry is not None:
-            return tuple(held["grids"][entry[0]]), tuple(value * 1e-9 for value in entry[1])
-    return None
+    entry = _entry_of(found, held["makers"]) if built_in else None
+    return None if entry is None else (tuple(held["grids"][entry[0]]), tuple(value * 1e-9 for value in entry[1]))
 
 
 @cache
 def _extinctions() -> dict[Any, Any]:
-    held = json.loads(_ABSORPTION.read_text(encoding="utf-8"))
+    held = _stored("absorption")
     makers = {maker: {_key(name): entry for name, entry in found.items()} for maker, found in held["makers"].items()}
     return {"grids": held["grids"], "makers": makers}
 
@@ -1041,7 +1035,7 @@ def glass_makers() -> tuple[str, ...]:
     >>> "schott" in glass_makers()
     True
     """
-    return tuple(_glass_data()["makers"])
+    return tuple(_stored("glasses")["makers"])
 
 
 def nearest_materials(nd: float, vd: float, count: int = 3, makers: Iterable[str] | None = None) -> tuple[str, ...]:
@@ -1138,19 +1132,15 @@ def load_materials(path: str | os.PathLike[str], replace: bool = False) -> tuple
 
 def _catalogue() -> dict[str, OpticalMaterial]:
     if not _found:
-        _found.update(_indexed(*read_materials(_DATA), _DATA, {}))
+        path = _DATA / "materials.json"
+        _found.update(_indexed(*read_materials(path), path, {}))
     return _found
-
-
-@cache
-def _glass_data() -> dict[Any, Any]:
-    return json.loads(_GLASSES.read_text(encoding="utf-8"))
 
 
 @cache
 def _glasses() -> dict[str, dict[str, str]]:
     """Return the names of the glasses of each maker by their keys."""
-    makers = _glass_data()["makers"]
+    makers = _stored("glasses")["makers"]
     return {maker: {_key(name): name for name in held["glasses"]} for maker, held in makers.items()}
 
 
@@ -1167,18 +1157,13 @@ def _named(key: str) -> str:
 
 @cache
 def _glass(maker: str, key: str) -> OpticalMaterial:
-    held, name = _glass_data()["makers"][maker], _glasses()[maker][key]
+    held, name = _stored("glasses")["makers"][maker], _glasses()[maker][key]
     kind, low, high, numbers, source = held["glasses"][name]
-    if kind == "s":
-        formula = "sellmeier"
-        coefficients: dict[str, Any] = {"A": 1 + numbers[0], "B": tuple(numbers[1::2]), "C": tuple(numbers[2::2])}
-    else:
-        formula = "polynomial"
-        coefficients = {"A": (numbers[0], *numbers[1::2]), "P": (0.0, *numbers[2::2])}
+    formula = "sellmeier" if kind == "s" else "polynomial"
     alone = len(_makers_of(key)) == 1 and key not in _catalogue()
     full = name if alone else f"{maker}:{name}"
     text = f"{held['sources'][source]}, from the refractiveindex.info database (CC0)"
-    made = OpticalMaterial(full, formula, coefficients, (low, high), "air", text)
+    made = OpticalMaterial(full, formula, _terms(formula, numbers), (low, high), "air", text)
     if low <= LINE_F and high >= LINE_C:
         made = replace(made, nd=float(made.index(LINE_D)), vd=float(made.abbe_number()))
     return made

@@ -524,11 +524,7 @@ def common(xp: ModuleType | None = None, device: Device = None, dtype: DType = N
 
 def jones_vector(field: ArrayT) -> Any:
     """Return `field` as a complex array after checking that it is ``[2]`` or ``[..., 2, k]``."""
-    field = _validate.array("field", field)
-    axis = -1 if field.ndim == 1 else -2
-    if not field.ndim or field.shape[axis] != 2:
-        raise ValueError(f"field must be [2] or [..., 2, k], got {tuple(field.shape)}")
-    return _array.to_complex(field)
+    return _array.to_complex(_validate.shaped("field", _validate.array("field", field), "[2] or [..., 2, k]"))
 
 
 def square_matrix(name: str, matrix: ArrayT, size: int) -> Any:

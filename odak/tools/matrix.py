@@ -674,8 +674,8 @@ def _checked(field, fx, fy, sign, eps, modes: bool = True):
     if sign not in (1, -1):
         raise ValueError(f"sign must be 1 or -1, got {sign!r}")
     field = np.ascontiguousarray(field, dtype=np.complex128)
-    if modes and (field.ndim != 2 or field.size == 0):
-        raise ValueError(f"field must be [rows, columns], not empty; got {field.shape}")
+    if modes:
+        _validate.shaped("field", field, "[rows, columns], not empty")
     fx, fy = (
         np.ascontiguousarray(_validate.real(name, _validate.array(name, value)), dtype=np.float64).ravel()
         for name, value in (("fx", fx), ("fy", fy))

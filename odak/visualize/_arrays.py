@@ -50,13 +50,15 @@ def real_array(name: str, value) -> np.ndarray:
     return found
 
 
+def _floats(name, value, accepted) -> np.ndarray:
+    """Return real numbers of an accepted shape in float32 or wider."""
+    found = _validate.shaped(name, real_array(name, value), accepted)
+    return found.astype(np.result_type(found, np.float32), copy=False)
+
+
 def points(name: str, value) -> np.ndarray:
     """Return points ``[3]`` or ``[m, 3]`` as ``[m, 3]``."""
-    found = real_array(name, value)
-    found = found[None] if found.ndim == 1 else found
-    if found.ndim != 2 or found.shape[-1] != 3:
-        raise ValueError(f"{name} must be [3] or [m, 3], got {list(np.shape(value))}")
-    return found.astype(np.result_type(found, np.float32), copy=False)
+    return _floats(name, value, "[3] or [m, 3]").reshape(-1, 3)
 
 
 def pairs(names: tuple[str, str], first, second) -> tuple[np.ndarray, np.ndarray]:
@@ -72,11 +74,7 @@ def pairs(names: tuple[str, str], first, second) -> tuple[np.ndarray, np.ndarray
 
 def triangles(name: str, value) -> np.ndarray:
     """Return triangles ``[3, 3]`` or ``[m, 3, 3]`` as ``[m, 3, 3]``."""
-    found = real_array(name, value)
-    found = found[None] if found.ndim == 2 else found
-    if found.ndim != 3 or found.shape[1:] != (3, 3):
-        raise ValueError(f"{name} must be [3, 3] or [m, 3, 3], got {list(np.shape(value))}")
-    return found.astype(np.result_type(found, np.float32), copy=False)
+    return _floats(name, value, "[3, 3] or [m, 3, 3]").reshape(-1, 3, 3)
 
 
 def faces(name: str, value, count: int, of: str = "vertices") -> np.ndarray:
@@ -126,11 +124,7 @@ def reach(rays, distance) -> tuple[np.ndarray, np.ndarray]:
 
     Rays with a number that is not finite are left out.
     """
-    found = real_array("rays", rays)
-    found = found[None] if found.ndim == 2 else found
-    if found.ndim != 3 or found.shape[1:] != (2, 3):
-        raise ValueError(f"rays must be [2, 3] or [m, 2, 3], got {list(np.shape(rays))}")
-    found = found.astype(np.result_type(found, np.float32), copy=False)
+    found = _floats("rays", rays, "[2, 3] or [m, 2, 3]").reshape(-1, 2, 3)
     lengths = real_array("distance", distance).reshape(-1, 1).astype(found.dtype, copy=False)
     if len(lengths) == 1 and not np.isfinite(lengths).all():
         raise ValueError(f"distance must be finite, got {distance!r:.80}")

@@ -561,7 +561,7 @@ def test_constants_of_dn_dt_reproduce_published_formulas(name, waves, rate):
 
 
 def test_sixty_materials_that_no_glass_maker_sells_change_with_temperature_by_their_sources():
-    held = materials._thermal_data()
+    held = materials._stored("thermal")
     sources = {name: entry[3] for part in ("constant", "formula") for name, entry in held[part].items()}
     names = [*sources, "IRG22", "IRG24", "IRG26", "IRG27"]
     assert len(names) == len(set(names)) >= 60

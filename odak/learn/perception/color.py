@@ -204,8 +204,7 @@ class ColorTable:
     def __post_init__(self) -> None:
         values = _validate.real("values", self.values)
         floating_tensor("values", values, "a tensor of floats")
-        if values.ndim not in (2, 4) or values.shape[-1] != 3 or min(values.shape[:-1]) < 2:
-            raise ValueError(f"values must be [blue, green, red, 3] or [N, 3], got {list(values.shape)}")
+        _validate.shaped("values", values, "[2 or more, 2 or more, 2 or more, 3] or [2 or more, 3]")
         ends = [_validate.numbers(_validate.several(name, getattr(self, name), 3)) for name in ("lowest", "highest")]
         if not all(low < high for low, high in zip(*ends, strict=True)):
             raise ValueError(f"highest must be above lowest in each channel, got {self.highest} and {self.lowest}")
@@ -935,7 +934,7 @@ def _single(name, image):
 
 _RELATIVE = _rgb_to_xyz_rows(BT709_PRIMARIES, LAB_WHITE) / np.array(LAB_WHITE)[:, None]
 _RGB_TO_RELATIVE, _RELATIVE_TO_RGB = rows(_RELATIVE), rows(np.linalg.inv(_RELATIVE))
-_TO_LAB = ((0.0, 116.0, 0.0), (500.0, -500.0, 0.0), (0.0, 200.0, -200.0))
+TO_LAB = ((0.0, 116.0, 0.0), (500.0, -500.0, 0.0), (0.0, 200.0, -200.0))
 _FROM_LAB = ((1 / 116, 1 / 500, 0.0), (1 / 116, 0.0, 0.0), (1 / 116, 0.0, -1 / 200))
 _BLACK = ((16.0,), (0.0,), (0.0,))
 # L* is a straight line below the cube of this root.
@@ -1005,14 +1004,14 @@ def _to_lab(rgb):
     intensities = in_float64(_decoded(in_float32(rgb)))
     relative = _matrix(_RGB_TO_RELATIVE, intensities) @ intensities
     roots = _piecewise(relative, _LAB_JOINT**3, lambda v: _power(v, 1 / 3), 0.7 * _LAB_JOINT, _LAB_FACTOR, _LAB_OFFSET)
-    return (_matrix(_TO_LAB, roots) @ roots).sub_(_matrix(_BLACK, roots)).to(rgb.dtype)
+    return (_matrix(TO_LAB, roots) @ roots).sub_(_matrix(_BLACK, roots)).to(rgb.dtype)
 
 
 @in_own_precision
 def _to_lab_gradient(rgb, lab, gradient):
     roots = _matrix(_FROM_LAB, lab) @ (lab + _matrix(_BLACK, lab))
     derivative = roots.clamp_min(_LAB_JOINT).square_().mul_(3).reciprocal_()
-    gradient = (_matrix(_TO_LAB, lab).T @ gradient).mul_(_above(roots, _LAB_JOINT, derivative, _LAB_FACTOR))
+    gradient = (_matrix(TO_LAB, lab).T @ gradient).mul_(_above(roots, _LAB_JOINT, derivative, _LAB_FACTOR))
     return _decoded_gradient(rgb, _decoded(rgb), _matrix(_RGB_TO_RELATIVE, rgb).T @ gradient)
 
 

@@ -11,7 +11,7 @@ from torch import nn
 from odak import _array, _validate
 from odak._torch_private import in_own_precision
 from odak.learn._tensors import as_pictures, check_values, floating_tensor, in_float32
-from odak.learn.perception.color import mix, rows, srgb_decoded, srgb_encoded
+from odak.learn.perception.color import mix, root, rows, srgb_decoded, srgb_encoded
 from odak.learn.tools.matrix import blur_gaussian
 
 DEFICIENCIES = ("protan", "deutan", "tritan")
@@ -474,16 +474,8 @@ def _colour_lost(image, simulated_image, kernel_size, sigma):
 
 
 def _similarity(one, two, axis, epsilon):
-    one, two = (_deviation(patches, axis) + epsilon for patches in (one, two))
+    one, two = (root(patches.var(axis, correction=0)) + epsilon for patches in (one, two))
     return (2 * one * two + epsilon) / (one**2 + two**2 + epsilon)
-
-
-def _deviation(patches, axis):
-    """Return population standard deviations, with a gradient of 0 where there is none."""
-    variance = patches.var(axis, correction=0)
-    # NaN stays NaN.
-    none = variance <= 0
-    return torch.where(none, 0.0, torch.where(none, 1.0, variance).sqrt())
 
 
 def _checked(name, image):

@@ -216,9 +216,8 @@ def spectra_to_xyz_matrix(
     [0.2037, 0.7558, 0.0405]
     """
     count = len(_checked_axis("wavelengths", wavelengths))
-    if floating_tensor("spectra", spectra).ndim < 2 or spectra.shape[-1] != count:
-        got = tuple(spectra.shape)
-        raise ValueError(f"spectra must be [..., primaries, {count}], a value for each of wavelengths, got {got}")
+    accepted = f"[..., primaries, {count}], a value for each of wavelengths"
+    _validate.shaped("spectra", floating_tensor("spectra", spectra), accepted)
     xyz = spectrum_to_xyz(spectra, wavelengths, observer)
     return xyz.mT / xyz[..., 1].sum(-1)[..., None, None]
 

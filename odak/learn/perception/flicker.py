@@ -235,8 +235,7 @@ def retinal_image(frames: torch.Tensor, gaze: Gaze) -> torch.Tensor:
     as_pictures("frames", frames, None)
     _validate.shaped("frames", frames, "[F, C, H, W], none empty")
     places = tensor("gaze", gaze, frames.dtype, frames.device)
-    if places.shape != (len(frames), 2):
-        raise ValueError(f"gaze must be [F, 2], a row for each of {len(frames)} frames, got {tuple(places.shape)}")
+    _validate.shaped("gaze", places, f"[{len(frames)}, 2], a row for each frame")
     columns, rows = frames.shape[-1], frames.shape[-2]
     x, y = ((2 * torch.arange(side).to(frames) + 1) / side - 1 for side in (columns, rows))
     grid = torch.stack(torch.meshgrid(x, y, indexing="xy"), -1) + 2 * (places - places[:1])[:, None, None]

@@ -12,7 +12,7 @@ from torch.nn import functional
 from odak import _torch_private, _validate
 from odak._torch_private import in_own_precision
 from odak._warnings import ConvergenceWarning, warn
-from odak.learn._tensors import as_pictures, check_values
+from odak.learn._tensors import check_values, floating_tensor
 from odak.learn.perception.pyramids import SpatialSteerablePyramid, pad_image_for_pyramid
 
 # Below this squared amplitude neither a deviation nor a phase is resolved.
@@ -215,9 +215,7 @@ def _texture_statistics(picture, maker, levels):
 
 
 def _checked(name, picture):
-    if as_pictures(name, picture, None).ndim != 4 or picture.shape[1] not in (1, 3) or not picture.numel():
-        got = _validate.in_order(name, picture.shape)
-        raise ValueError(f"{name} must be [B, C, H, W] of one or three channels, {got}")
+    _validate.shaped(name, floating_tensor(name, picture), "[B, 1 or 3, H, W], none empty")
     pictures: dict[str, Any] = {name: picture}
     check_values(**pictures)
     return picture

@@ -25,6 +25,7 @@ from odak.learn._tensors import as_pictures, checked_device, checked_pair, real_
 from odak.learn.perception.color import (
     BT709_PRIMARIES,
     IEC_WHITE,
+    TO_LAB,
     _rgb_to_xyz_rows,
     constant,
     cube_root,
@@ -47,8 +48,10 @@ K1, K2 = 0.01, 0.03
 SCALE_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
 # Perceptually uniform value that stands for white of 100 cd/m².
 PU21_WHITE = 256.0
-_FLIP_TO_XYZ = _rgb_to_xyz_rows(BT709_PRIMARIES, IEC_WHITE)
-_FLIP_WHITE = tuple(_FLIP_TO_XYZ.sum(1).tolist())
+# From linear intensities to XYZ relative to white, and to the linear opponent space whose white is (100, 0, 0).
+_FLIP_RELATIVE = _rgb_to_xyz_rows(BT709_PRIMARIES, IEC_WHITE)
+_FLIP_RELATIVE = _FLIP_RELATIVE / _FLIP_RELATIVE.sum(1, keepdims=True)
+_FLIP_OPPONENT = np.array(TO_LAB) @ _FLIP_RELATIVE
 # Amplitudes and squared widths of the contrast sensitivities of luminance, red–green and blue–yellow.
 _FLIP_CSF = (((1.0, 0.0047),), ((1.0, 0.0053),), ((34.1, 0.04), (13.5, 0.025)))
 
@@ -298,16 +301,14 @@ def flip(
     seen = None if viewing is None else checked_viewing(viewing).density(predictions.shape[-1])
     density = _density(pixels_per_degree if seen is None else seen)
     pair = torch.stack([as_pictures(*named) for named in (("predictions", predictions), ("targets", targets))])
-    opponent = _opponent(mix(rows(_FLIP_TO_XYZ), srgb_decoded(pair.flatten(0, -4).clamp(0, 1))))
-    seen = _hunt_lab(
-        mix(rows(np.linalg.inv(_FLIP_TO_XYZ)), _from_opponent(_filtered_by_sensitivity(opponent, density))).clamp(0, 1)
-    )
+    light = srgb_decoded(pair.flatten(0, -4).clamp(0, 1))
+    opponent = mix(rows(_FLIP_OPPONENT), light, offset=(-16.0, 0.0, 0.0))
+    filtered = _filtered_by_sensitivity(opponent, density)
+    seen = _hunt_lab(mix(rows(np.linalg.inv(_FLIP_OPPONENT)), filtered, offset=(16 / 116,) * 3).clamp(0, 1))
     color = _redistributed(_hyab(*seen.chunk(2)))
     levels = ((opponent[:, :1] + 16) / 116).chunk(2)
     feature = _feature_difference(levels[0], levels[1], density)
-    some = color > 0
-    result = torch.where(some, torch.where(some, color, 1.0) ** (1 - feature), 0.0)
-    return result.reshape(*pair.shape[1:-3], 1, *pair.shape[-2:])
+    return _positive_power(color, 1 - feature).reshape(*pair.shape[1:-3], 1, *pair.shape[-2:])
 
 
 class FLIP(nn.Module):
@@ -428,12 +429,6 @@ class PU21SSIM(_OnUniformValues):
         return structural_similarity(*self._encoded(predictions, targets), PU21_WHITE)
 
 
-def _opponent(xyz):
-    """Return Y, Cx, Cz: L*a*b* without its cube root."""
-    x, y, z = (xyz / _white(xyz)).unbind(-3)
-    return torch.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], -3)
-
-
 def _density(pixels_per_degree) -> float:
     """Return pixels per degree, within what displays have and filters of a bearable size."""
     density = _validate.constant("pixels_per_degree", pixels_per_degree, positive=True)
@@ -441,17 +436,6 @@ def _density(pixels_per_degree) -> float:
         remedy = f": pixels per radian are divided by {180 / math.pi:.3f}" if density > _DENSEST else ""
         raise ValueError(f"pixels_per_degree must be 1 to {_DENSEST}, got {density:g}{remedy}")
     return density
-
-
-def _white(like):
-    return constant(_FLIP_WHITE, like.dtype, like.device)[:, None, None]
-
-
-def _from_opponent(opponent):
-    level, red, blue = opponent.unbind(-3)
-    y = (level + 16) / 116
-    relative = torch.stack([y + red / 500, y, y - blue / 200], -3)
-    return relative * _white(opponent)
 
 
 def _filtered_by_sensitivity(opponent, density):
@@ -478,8 +462,7 @@ def _filtered(pictures, kernels):
 
 def _hunt_lab(rgb):
     """Return L*a*b* of linear RGB, a* and b* times L*/100 (Hunt's effect)."""
-    relative = mix(rows(_FLIP_TO_XYZ), rgb) / _white(rgb)
-    x, y, z = cube_root(relative).unbind(-3)
+    x, y, z = cube_root(mix(rows(_FLIP_RELATIVE), rgb)).unbind(-3)
     lightness = 116 * y - 16
     return torch.stack([lightness, 5 * lightness * (x - y), 2 * lightness * (y - z)], -3)
 
@@ -494,8 +477,7 @@ def _redistributed(distance):
     """Return differences of colour mapped to 0 … 1, most of which is used for those that are not extreme."""
     corners = constant(((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), distance.dtype, distance.device)[:, :, None, None]
     largest = _hyab(*_hunt_lab(corners).chunk(2)).reshape(()) ** 0.7
-    none = distance <= 0
-    power = torch.where(none, 0.0, torch.where(none, 1.0, distance) ** 0.7)
+    power = _positive_power(distance, 0.7)
     knee = 0.4 * largest
     return torch.where(power < knee, 0.95 / knee * power, 0.95 + 0.05 * (power - knee) / (largest - knee))
 

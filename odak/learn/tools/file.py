@@ -55,8 +55,7 @@ def resize(image: torch.Tensor, multiplier: float = 0.5, mode: str = "nearest") 
     mode = _validate.one_of("mode", mode, _MODES)
     multiplier = _validate.constant("multiplier", multiplier, positive=True)
     real_tensor("image", image)
-    if image.ndim not in (2, 3, 4) or 0 in image.shape:
-        raise ValueError(f"image must have 2, 3 or 4 axes, none empty; got {tuple(image.shape)}")
+    _validate.shaped("image", image, "[H, W], [C, H, W] or [B, C, H, W], none empty")
     last = image.ndim > 2 and image.shape[-1] in (3, 4) and image.shape[-3] not in (1, 3, 4)
     batch = image.movedim(-1, -3) if last else image
     batch = batch.reshape((1,) * (4 - batch.ndim) + batch.shape)

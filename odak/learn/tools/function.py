@@ -417,8 +417,7 @@ def _picture(image) -> torch.Tensor:
     floating_tensor("image", image, "a real floating tensor")
     if image.ndim == 3 and len(image) == 1:
         image = image[0]
-    if image.ndim != 2 or image.numel() == 0:
-        raise ValueError(f"image must be [H, W] or [1, H, W], not empty; got {tuple(image.shape)}")
+    _validate.shaped("image", image, "[H, W] or [1, H, W], not empty")
     return image
 
 

@@ -161,9 +161,7 @@ def rotate_points(
     given = {name: value for name, value in given.items() if value is not _NONE}
     rows = dict(zip(given, tensors_of(**given), strict=True))
     for name, value in rows.items():
-        if value.ndim > 2:
-            raise ValueError(f"{name} must be [3] or [n, 3], got {list(value.shape)}")
-        rows[name] = _validate.shaped(name, value, "[..., 3]").reshape(-1, 3)
+        rows[name] = _validate.shaped(name, value, "[3] or [n, 3]").reshape(-1, 3)
     point = rows["point"]
     angles, origin, offset = (rows.get(name, _NONE.to(point)) for name in ("angles", "origin", "offset"))
     sets = {"angles": len(angles), "origin": len(origin)}

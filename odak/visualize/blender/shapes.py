@@ -134,9 +134,8 @@ class Lines:
             If a shape is wrong, or nothing is left to draw.
         """
         paths = _arrays.real_array("points", points).astype(np.float64)
-        paths = paths[None] if paths.ndim == 2 else paths
-        if paths.ndim != 3 or paths.shape[-1] != 3 or paths.shape[1] < 2:
-            raise ValueError(f"points must be [k, 3] or [m, k, 3] with k at least 2, got {list(np.shape(points))}")
+        _validate.shaped("points", paths, "[2 or more, 3] or [m, 2 or more, 3]")
+        paths = paths.reshape(-1, *paths.shape[-2:])
         reached = np.logical_and.accumulate(np.isfinite(paths).all(-1), axis=1)
         starts, ends = paths[:, :-1], paths[:, 1:]
         drawn = reached[:, 1:] & (np.where(reached[:, 1:, None], ends - starts, 0.0) != 0).any(-1)

@@ -161,7 +161,7 @@ def test_a_sequence_makes_its_maps_once_for_each_gaze(monkeypatch):
         (lambda: FlickerLoss(0.0), "frames_per_second"),
         (lambda: FlickerLoss(60.0, persistence=1.5), "persistence"),
         (lambda: FlickerLoss(60.0)(torch.rand(1, 3, 8, 8)), r"frames must be \[B, F, C, H, W\]"),
-        (lambda: retinal_image(torch.rand(2, 3, 8, 8), [[0.5, 0.5]]), r"gaze must be \[F, 2\]"),
+        (lambda: retinal_image(torch.rand(2, 3, 8, 8), [[0.5, 0.5]]), r"gaze must be \[2, 2\]"),
         (lambda: sequence_loss(MetamericLoss(), *[torch.rand(2, 1, 8, 8)] * 2, [[0.5, 0.5]]), "gaze must have a row"),
     ],
 )
