@@ -390,10 +390,8 @@ _AGF_POWERS = {
     13: (0.0, 2.0, 4.0, -2.0, -4.0, -6.0, -8.0, -10.0, -12.0),
 }
 _AGF_TERMS = {2: 3, 6: 4, 11: 5}
-# The formula of each number and its coefficients.
+# The formula of the other numbers and its coefficients.
 _AGF: dict[int, tuple[str, Callable[[list[float]], dict[str, Any]]]] = {
-    **{n: ("polynomial", lambda c, p=p: {"A": tuple(c[: len(p)]), "P": p}) for n, p in _AGF_POWERS.items()},
-    **{n: ("sellmeier", lambda c, k=k: _terms("sellmeier", [0.0, *c[: 2 * k]])) for n, k in _AGF_TERMS.items()},
     4: ("sellmeier", lambda c: _terms("sellmeier", c[:5], squared=True)),
     5: ("conrady", lambda c: {"A": tuple(c[:3]), "P": (0.0, -1.0, -3.5)}),
     7: ("handbook", lambda c: {"A": (c[0], -c[3]), "P": (0.0, 2.0), "B": (c[1],), "C": (c[2],)}),
@@ -480,12 +478,18 @@ def _from_agf(path: Path, lines: dict[str, list[Any]]) -> OpticalMaterial | None
         raise ValueError(f"{path.name}: glass {head[0] if head else ''!r} lacks numbers or its range of wavelengths")
     name, kind, nd, vd = head[0], int(float(head[1])), float(head[3]), float(head[4])
     c = c + [0.0] * 12
-    if kind not in _AGF:
+    made: dict[str, Any]
+    if kind in _AGF_POWERS:
+        powers = _AGF_POWERS[kind]
+        formula, made = "polynomial", {"A": tuple(c[: len(powers)]), "P": powers}
+    elif kind in _AGF_TERMS:
+        formula, made = "sellmeier", _terms("sellmeier", [0.0, *c[: 2 * _AGF_TERMS[kind]]])
+    elif kind in _AGF:
+        formula, coefficients = _AGF[kind]
+        made = coefficients(c)
+    else:
         return None
-    formula, coefficients = _AGF[kind]
-    glass = OpticalMaterial(
-        name, formula, coefficients(c), (limits[0], limits[1]), "air", f"glass catalogue {path.name}"
-    )
+    glass = OpticalMaterial(name, formula, made, (limits[0], limits[1]), "air", f"glass catalogue {path.name}")
     index = _value(glass.index, LINE_D)
     if nd > 1 and limits[0] <= LINE_D <= limits[1] and not abs(index - nd) < 2e-3:
         raise ValueError(f"{path.name}: {name} states nd = {nd} but its formula gives {index:.6g}")

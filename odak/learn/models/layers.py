@@ -913,7 +913,7 @@ def block_options(
         "kernel_size", "bias", "normalization" and "activation".
     """
     if isinstance(normalization, nn.Module):
-        normalization, activation = default, normalization
+        activation, normalization = normalization, default
     _validate.instance("normalization", normalization, bool, "a bool")
     return {
         "kernel_size": kernel_size,
