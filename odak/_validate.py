@@ -136,6 +136,24 @@ def within(
     raise ValueError(f"{name} must be {' and '.join(words)}{unit and ' ' + unit}, got {value!r:.80}")
 
 
+def ends(value) -> tuple[float, float] | None:
+    """Return the least and the largest of numbers, None where there are none or they are not known yet."""
+    if not is_array(value):
+        found = numbers(value)
+        return (min(found), max(found)) if found else None
+    if not is_readable(value) or 0 in value.shape:
+        return None
+    xp = namespace(value)
+    return numbers(xp.min(value))[0], numbers(xp.max(value))[0]
+
+
+def inside(name: str, value: T, unit: str = "", **bounds: float) -> T:
+    """Return numbers after checking the bounds of all of them, where they are known."""
+    for number in ends(value) or ():
+        within(name, number, unit, **bounds)
+    return value
+
+
 def constant(
     name: str, value, *, positive: bool = False, nonzero: bool = False, unit: str = "", **bounds: float
 ) -> float:
@@ -458,6 +476,18 @@ def pair(name: str, value, *, positive: bool = False) -> tuple[Any, ...]:
             raise ValueError(f"{name} must be one number or two, got an array of shape {tuple(value.shape)}")
         value = value[0], value[1]
     return several(name, value if isinstance(value, (tuple, list)) else (value, value), 2, positive=positive)
+
+
+def few(name: str, value, count: int | None = None, *, positive: bool = False, rising: bool = False) -> list[float]:
+    """Return constants in a row, of a list, an array or a tensor of any shape: `count` of them, or two or more."""
+    (value,) = constants(**{name: value})
+    found = numbers(real(name, value, positive=positive))
+    falls = rising and any(after <= before for before, after in itertools.pairwise(found))
+    if falls or (len(found) < 2 if count is None else len(found) != count):
+        words = [{None: "two or more", 2: "two", 3: "three"}.get(count, str(count))]
+        words += ["positive"] * positive + ["rising"] * rising
+        raise ValueError(f"{name} must be {' '.join(words)} numbers, got {value!r:.100}")
+    return found
 
 
 def instance(name: str, value: Any, kind: type[T] | tuple[type[T], ...], accepted: str) -> T:

@@ -653,9 +653,9 @@ def check_weather(
         value: Any = given[name]
         if value is not None:
             _validate.real(name, value)
-        if value is None or not _array.is_readable(value) or (_array.is_array(value) and 0 in value.shape):
+        if value is None or (found := _validate.ends(value)) is None:
             continue
-        least, most = _ends(value)
+        least, most = found
         if not low <= least <= most <= high:
             limits = f"between {low} and {high}" if high < math.inf else f"at least {low}"
             remedy = ": percent are divided by 100" if name == "humidity" and 1 < most <= 100 else ""
@@ -671,13 +671,6 @@ def check_weather(
             units = [(unit, size * most) for unit, size in (("hPa", 100), ("kPa", 1000), ("bar", 1e5))]
             remedy = "".join(f"; were {unit} meant ({p:g} Pa)?" for unit, p in units if 5e4 < p < 1.1e5)
             warn(f"pressure{where} is in pascal, 101325 at sea level, got {most:g}{remedy}", ArgumentWarning)
-
-
-def _ends(value) -> tuple[float, float]:
-    """Return the least and the largest of a number or an array: two numbers are read, not the whole array."""
-    xp = _array.namespace(value)
-    ends = (xp.min(value), xp.max(value)) if _array.is_array(value) else (value, value)
-    return _validate.numbers(ends[0])[0], _validate.numbers(ends[1])[0]
 
 
 def _ciddor(wide, temperature, pressure, humidity=0.0, carbon_dioxide: float = 450.0):
@@ -1200,9 +1193,10 @@ def _in_double(wavelength):
 
 
 def _check_range(found: OpticalMaterial, wide, extrapolate: bool) -> None:
-    if not _array.is_readable(wide) or (_array.is_array(wide) and 0 in wide.shape):
+    found_ends = _validate.ends(wide)
+    if found_ends is None:
         return
-    low, high = _ends(wide)
+    low, high = found_ends
     if not 0 < low <= high < float("inf"):
         raise ValueError(f"wavelength must be positive and finite, got {low:g} … {high:g} µm")
     # A float32 wavelength at the very limit is not an error.

@@ -701,11 +701,7 @@ def depolarizer(
     >>> [float(depolarizer(0.5)[i, i]) for i in range(4)]
     [1.0, 0.5, 0.5, 0.5]
     """
-    _validate.real("kept", kept)
-    if not _array.is_array(kept) or _array.is_readable(kept):
-        for value in _validate.numbers(kept):
-            if not 0 <= value <= 1:
-                raise ValueError(f"kept must be within 0 … 1, got {value:.6g}")
+    _validate.inside("kept", _validate.real("kept", kept), least=0, most=1)
     xp, device, real = _array.placement(kept, xp=xp, device=device)
     if dtype is None:
         dtype = xp.float64 if real == xp.float64 else xp.float32

@@ -249,9 +249,7 @@ def blur_gaussian(
 
 def _gaussian(kernel_length, nsigma, xp, device):
     columns, rows = _validate.size("kernel_length", kernel_length)
-    widths = _validate.numbers(_validate.real("nsigma", nsigma, positive=True))
-    if len(widths) != 2:
-        raise ValueError(f"nsigma must be two positive numbers, got {nsigma!r}")
+    widths = _validate.few("nsigma", nsigma, 2, positive=True)
     x, y = (
         xp.exp(-0.5 * xp.linspace(-width, width, count + 1, dtype=xp.float64, device=device) ** 2)
         for count, width in zip((columns, rows), widths, strict=True)
@@ -445,11 +443,8 @@ def _fade(n: int, start: int, total: int, factor: float | None) -> list[float]:
 def _factors(smooth_factor) -> tuple[float | None, float | None]:
     if smooth_factor is None:
         return None, None
-    (smooth_factor,) = _validate.constants(smooth_factor=smooth_factor)
-    factors = _validate.numbers(_validate.real("smooth_factor", smooth_factor))
-    if len(factors) != 2:
-        raise ValueError(f"smooth_factor must be two numbers, for columns and rows, got {smooth_factor!r}")
-    return factors[0], factors[1]
+    columns, rows = _validate.few("smooth_factor", smooth_factor, 2)
+    return columns, rows
 
 
 def _floating(value):

@@ -501,9 +501,7 @@ def _generator(seed):
 
 def _on_sphere(i, j, no, k, radius, center, **where):
     """Return the points of a sphere whose polar and azimuthal angles have the indices i and j."""
-    spans = _validate.numbers(_validate.real("k", k))
-    if len(spans) != 2:
-        raise ValueError(f"k must be two numbers, got {k!r}")
+    spans = _validate.few("k", k, 2)
     polar, azimuth = (span * math.pi * index.ravel() / n for span, index, n in zip(spans, (i, j), no, strict=True))
     ring = np.sin(polar)
     points = np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), np.cos(polar)], axis=-1)

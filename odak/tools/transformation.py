@@ -270,10 +270,7 @@ def tilt_towards(location: Sequence[float], lookat: Sequence[float]) -> list[flo
     >>> tilt_towards([0, 0, 0], [1, 0, 0])
     [0, 90.0, 180.0]
     """
-    location, lookat = _validate.constants(location=location, lookat=lookat)
-    ends = [_validate.numbers(_validate.real(name, v)) for name, v in (("location", location), ("lookat", lookat))]
-    if any(len(end) != 3 for end in ends):
-        raise ValueError(f"location and lookat must be three numbers each, got {len(ends[0])} and {len(ends[1])}")
+    ends = [_validate.few(name, value, 3) for name, value in (("location", location), ("lookat", lookat))]
     dx, dy, dz = (a - b for a, b in zip(*ends, strict=True))
     across = math.hypot(dx, dy)
     if across == dz == 0:

@@ -41,8 +41,6 @@ REASONS = {
     """,
     "an argument is refused, or its kind decides on the way, once per call": """
         models/hologram_networks: _planes
-        perception/color_vision_deficiency: _checked_severity
-        perception/csf: _check_range not_negative unified_pupil_diameter
         perception/dithering: _shown
         perception/eyesight: ocular_modulation_transfer
         perception/flicker: sequence_loss
@@ -118,7 +116,6 @@ REASONS = {
         perception/color: _column rows tone_map
         perception/display_color: _checked _fundamentals read_spectra
         perception/pyramids: keep _quadrature_filters
-        perception/quality: <module>
         wave/displays/paths/free: renew
         wave/holograms/scenery: *
     """,

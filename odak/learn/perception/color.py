@@ -1850,10 +1850,7 @@ def _white(white, name="white"):
     white = _validate.real(name, white, positive=True)
     if isinstance(white, torch.Tensor) and white.numel() == 3:
         return white.reshape(3).double()
-    levels = _validate.numbers(white)
-    if len(levels) != 3:
-        raise ValueError(f"{name} must be three numbers X, Y, Z, got {white!r}")
-    return np.array(levels, dtype=float)
+    return np.array(_validate.few(name, white, 3))
 
 
 def _column(white, like):

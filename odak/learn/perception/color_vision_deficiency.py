@@ -188,9 +188,7 @@ def _checked_severity(severity, image):
     severity = torch.as_tensor(severity, dtype=image.dtype, device=image.device)
     if severity.ndim:
         raise ValueError(f"severity must be one number, got {tuple(severity.shape)}")
-    if _array.is_readable(severity) and not 0 <= float(severity.detach()) <= 1:
-        raise ValueError(f"severity must be 0 … 1, got {float(severity.detach())!r}")
-    return severity
+    return _validate.inside("severity", severity, least=0, most=1)
 
 
 @functools.cache

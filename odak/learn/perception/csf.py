@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from odak import _array, _torch_private, _validate
+from odak import _torch_private, _validate
 from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, in_float32, tensor
 from odak.learn.perception.color import srgb_decoded, srgb_to_lab
 from odak.learn.perception.foveation import make_eccentricity_distance_maps
@@ -130,8 +130,7 @@ def unified_pupil_diameter(
     if eyes not in (1, 2) or isinstance(eyes, bool):
         raise ValueError(f"eyes must be 1 or 2, got {eyes!r}")
     luminance, area, age = positive_numbers(luminance=luminance, area=area, age=age)
-    if _array.is_readable(age) and bool(((age.detach() < YOUNGEST) | (age.detach() > OLDEST)).any()):
-        raise ValueError(f"age must be {YOUNGEST} to {OLDEST} years, got {age.detach().tolist()}")
+    _validate.inside("age", age, "years", least=YOUNGEST, most=OLDEST)
     flux = (luminance * area * (1.0 if eyes == 2 else 0.1) / 846) ** 0.41
     young = 7.75 - 5.75 * flux / (flux + 2)
     return young + (age - 28.58) * (0.02132 - 0.009562 * young)
@@ -321,9 +320,7 @@ def not_negative(name: str, value: torch.Tensor | float) -> torch.Tensor:
     """Return numbers of 0 or more as a tensor, float64 of a plain one."""
     _validate.real(name, value)
     value = value if isinstance(value, torch.Tensor) else torch.tensor(value, dtype=torch.float64)
-    if _array.is_readable(value) and bool((value.detach() < 0).any()):
-        raise ValueError(f"{name} must not be negative, got {float(value.detach().min()):g}")
-    return value
+    return _validate.inside(name, value, least=0)
 
 
 def half_spectrum_weights(picture: torch.Tensor) -> torch.Tensor:
@@ -344,10 +341,7 @@ def _luminance(light, viewing):
 
 
 def _check_range(name, picture):
-    _validate.real(name, picture)
-    if _array.is_readable(picture) and bool(((picture.detach() < -1) | (picture.detach() > 2)).any()):
-        low, high = picture.detach().aminmax()
-        raise ValueError(f"{name} must be about 0 … 1, got {float(low):.3g} … {float(high):.3g}")
+    _validate.inside(name, _validate.real(name, picture), "(white is 1)", least=-1, most=2)
 
 
 PACKAGE, MODULE = "cvvdp", "pycvvdp"
@@ -567,10 +561,7 @@ def foveated_budget(
     )
     gaze, (width, distance) = gaze_at(viewing, gaze), geometry(viewing, width, distance)
     rows, columns = _validate.size("image_pixel_size", image_pixel_size)
-    _validate.instance("edges", edges, (list, tuple), "a sequence of numbers")
-    edges = [_validate.constant("edges", edge) for edge in edges]
-    if len(edges) < 2 or any(b <= a for a, b in pairwise(edges)):
-        raise ValueError(f"edges must be two or more rising eccentricities, got {edges}")
+    edges = _validate.few("edges", edges, rising=True)
     # Gradients of a gaze are lost in counts, and reported.
     gaze = gaze_of("gaze", (0.5, 0.5) if gaze is None else gaze)
     angle, far = make_eccentricity_distance_maps(gaze, (rows, columns), width, distance, dtype=torch.float64)

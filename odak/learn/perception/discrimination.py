@@ -169,10 +169,8 @@ class Metamer:
         self.model: Model = _validate.function("model", model)
         self.picture: torch.Tensor = _checked("picture", picture).clone()
         self._kind = picture.dtype
-        low, high = (0.0, 1.0) if bounds is None else _validate.several("bounds", bounds, 2)
-        if not low < high:
-            raise ValueError(f"bounds must be two numbers, the smaller one first, got {bounds!r}")
-        self._bounds = None if bounds is None else (float(low), float(high))
+        low, high = (0.0, 1.0) if bounds is None else _validate.few("bounds", bounds, 2, rising=True)
+        self._bounds = None if bounds is None else (low, high)
         count, seed = _validate.integer("samples", samples, minimum=1), _validate.integer("seed", seed)
         self.limit: float = _validate.constant("limit", limit, positive=True, below=1)
         self._by_scales: bool = _validate.flag("by_scales", by_scales)

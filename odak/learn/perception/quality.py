@@ -7,7 +7,6 @@ ImageQuality takes any measure of pyiqa.
 
 import contextlib
 import importlib
-import itertools
 import math
 import warnings
 from collections.abc import Sequence
@@ -764,14 +763,12 @@ def ring_masks(
     >>> tuple(masks.shape), bool((masks[0] & masks[1]).any())
     ((2, 32, 32), False)
     """
-    edges, width, distance = _validate.constants(
-        edges=edges, real_image_width=real_image_width, real_viewing_distance=real_viewing_distance
+    width, distance = _validate.constants(
+        real_image_width=real_image_width, real_viewing_distance=real_viewing_distance
     )
     gaze, view = _gaze_of(viewing, gaze), geometry(viewing, width, distance)
     size = _validate.size("size", size)
-    limits = _validate.numbers(_validate.real("edges", edges))
-    if len(limits) < 2 or limits[0] < 0 or any(low >= high for low, high in itertools.pairwise(limits)):
-        raise ValueError(f"edges must be two or more rising numbers of at least 0, got {edges!r}")
+    limits = _validate.inside("edges", _validate.few("edges", edges, rising=True), least=0)
     eccentricity, _ = make_eccentricity_distance_maps(gaze, size, *view, dtype=torch.float64, device=device)
     device = eccentricity.device
     bounds = torch.tensor([math.radians(limit) for limit in limits], dtype=torch.float64, device=device)

@@ -180,11 +180,7 @@ def histogram_loss(
     0.0
     """
     bins = _validate.integer("bins", bins, minimum=1)
-    (limits,) = _validate.constants(limits=limits)
-    limits = _validate.numbers(_validate.real("limits", limits))
-    if len(limits) != 2 or not limits[0] < limits[1]:
-        raise ValueError(f"limits must be two rising numbers, got {limits}")
-    low, high = limits
+    low, high = _validate.few("limits", limits, 2, rising=True)
     soft = _validate.flag("soft", soft)
     frame, ground_truth = _as_batch("frame", frame), _as_batch("ground_truth", ground_truth)
     _validate.one_device(frame=frame, ground_truth=ground_truth)

@@ -89,12 +89,9 @@ def quantize(image_field: torch.Tensor, bits: int = 8, limits: Sequence[float] =
     >>> quantize(torch.tensor([0.0, 0.3, 0.5, 1.0]), bits=2).tolist()
     [0, 1, 2, 3]
     """
-    (limits,) = _validate.constants(limits=limits)
     real_tensor("image_field", image_field)
     bits = _validate.integer("bits", bits, minimum=1, most=_MOST_BITS)
-    low, high = (float(limit) for limit in _validate.several("limits", limits, 2))
-    if not low < high:
-        raise ValueError(f"limits must be two rising numbers, got {limits!r}")
+    low, high = _validate.few("limits", limits, 2, rising=True)
     if image_field.numel() and _array.is_readable(image_field):
         brightest = float(image_field.detach().nan_to_num(nan=0.0, posinf=math.inf).max())
         _validate.check_white("image_field", brightest, high, "give the limits of its values, such as limits=(0, 255)")

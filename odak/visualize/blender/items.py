@@ -1,7 +1,7 @@
 """Objects, materials, cameras, lights and triangle meshes of a scene, as plain data."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from numbers import Real
 from typing import Any, NamedTuple
@@ -568,10 +568,3 @@ def aim(location: Any, target: Any, up: Any = None) -> list[list[float]]:
 def positive(name: str, value: Any) -> float:
     """Return a positive number."""
     return _validate.constant(name, value, positive=True)
-
-
-def pair(name: str, value: Any) -> list[Any]:
-    """Return a pair as a list."""
-    if isinstance(value, (str, bytes)) or not isinstance(value, Iterable) or len(found := list(value)) != 2:
-        raise ValueError(f"{name} must be two numbers, got {value!r:.80}")
-    return found

@@ -40,7 +40,6 @@ from odak.visualize.blender.items import (
     aim,
     chosen,
     linear_color,
-    pair,
     positive,
     three,
 )
@@ -610,9 +609,7 @@ class Views:
         distance, fitting = _fit(points - target, axes, fov, size)
         location = np.add(target, np.multiply(distance, axes[2])).tolist() if location is None else aside
         width = fitting if width is None else positive("width", width)
-        limits = None if clip is None else [positive("clip", value) for value in pair("clip", clip)]
-        if limits is not None and limits[0] >= limits[1]:
-            raise ValueError(f"clip must be the nearest and the farthest distance, got {list(clip)}")
+        limits = None if clip is None else _validate.few("clip", clip, 2, positive=True, rising=True)
         return Camera(location, axes, projection, fov, width, limits)
 
     def _resolution(self, resolution) -> tuple[int, int]:

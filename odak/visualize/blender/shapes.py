@@ -25,7 +25,6 @@ from odak.visualize.blender.items import (
     lens_mesh,
     linear_color,
     metal,
-    pair,
     positive,
     profile_sheet,
     sheet_mesh,
@@ -403,15 +402,14 @@ class Shapes:
             rows, columns = _validate.size("resolution", resolution)
             if not (y is z is size is None):
                 raise ValueError("y, z and size must be left out where surface is a function")
-            spans = [_validate.numbers(_validate.several(name, span, 2)) for name, span in (("u", u), ("v", v))]
-            (left, right), (low, high) = spans
+            (left, right), (low, high) = (_validate.few(name, span, 2) for name, span in (("u", u), ("v", v)))
             across, along = np.meshgrid(np.linspace(left, right, columns), np.linspace(low, high, rows))
             points = _grid(surface(across, along), (rows, columns))
         elif y is None and z is None:
             heights = _arrays.image("surface", surface)
             if size is None:
                 raise ValueError("size must be the extent of the heights along x and y, got None")
-            width, height = (positive("size", value) for value in pair("size", size))
+            width, height = _validate.few("size", size, 2, positive=True)
             lines = np.linspace(-width / 2, width / 2, heights.shape[1]), np.linspace(-0.5, 0.5, heights.shape[0])
             points = _grid((*np.meshgrid(lines[0], lines[1] * height), heights), heights.shape)
         else:
@@ -492,7 +490,7 @@ class Shapes:
         Item
             The object.
         """
-        width, height = (positive("size", value) / 2 for value in pair("size", size))
+        width, height = (side / 2 for side in _validate.few("size", size, 2, positive=True))
         corners = np.array(
             [[[-width, -height, 0.0], [width, -height, 0.0]], [[-width, height, 0.0], [width, height, 0.0]]]
         )

@@ -106,8 +106,8 @@ def test_simulation_refused():
     image = torch.rand(1, 3, 2, 2)
     for arguments, message in (
         (("green",), "deficiency must be one of"),
-        (("protan", 1.5), "severity must be 0 … 1"),
-        (("protan", -0.1), "severity must be 0 … 1"),
+        (("protan", 1.5), "severity must be from 0 to 1"),
+        (("protan", -0.1), "severity must be from 0 to 1"),
         (("protan", torch.ones(2)), "severity must be one number"),
         (("protan", 1.0, "Wald"), "method must be one of"),
         (("tritan", 1.0, "Vienot"), "take 'Brettel' for tritan"),

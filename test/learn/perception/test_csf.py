@@ -135,7 +135,7 @@ def test_refused():
     for image, message in (
         (good[0], "CSFLoss ERROR"),
         (good[:, :2], "one or three channels"),
-        (255 * good, "image must be about 0 … 1"),
+        (255 * good, "image must be from -1 to 2"),
         (good * torch.nan, "image must be finite"),
         (good[..., :1, :1], "two pixels or more"),
     ):

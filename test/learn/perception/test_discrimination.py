@@ -112,7 +112,7 @@ def test_maximum_differentiation_of_quadratic_forms(largest):
         (lambda: metamer(torch.square, torch.ones(4)), r"picture must be \[..., H, W\]"),
         (lambda: metamer(torch.square, [[1.0]]), "picture must be a tensor of real floats"),
         (lambda: metamer(torch.square, noise(4, 4), noise(4, 5)), "start must be of the picture's shape"),
-        (lambda: metamer(torch.square, noise(4, 4), bounds=(1, 0)), "bounds must be two numbers"),
+        (lambda: metamer(torch.square, noise(4, 4), bounds=(1, 0)), "bounds must be two rising numbers"),
         (lambda: metamer(lambda one: 1.0, noise(4, 4)), "model must return a tensor"),
         (lambda: eigendistortions(torch.square, noise(2, 2), 4), "count must be less than the 4 values"),
         (lambda: eigendistortions(torch.square, noise(2, 2), tolerance=0), "tolerance"),

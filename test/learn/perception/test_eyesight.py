@@ -88,12 +88,12 @@ def test_colours_of_a_viewer():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Viewer(age=5), "age must be 20 to 83 years"),
+        (lambda: Viewer(age=5), "age must be from 20 to 83 years"),
         (lambda: Viewer(eyes=3), "eyes must be 1 or 2, got 3"),
         (lambda: Viewer(pupil=-1), "pupil must be positive"),
         (lambda: Viewer(deficiency="red"), "deficiency must be one of"),
         (lambda: Viewer(severity=2), "severity must be from 0 to 1"),
-        (lambda: ocular_modulation_transfer(-1.0), "frequency must not be negative, got -1"),
+        (lambda: ocular_modulation_transfer(-1.0), "frequency must be at least 0, got -1"),
         (lambda: ocular_modulation_transfer(1.0, 0.0), "pupil_diameter must be positive"),
     ],
 )

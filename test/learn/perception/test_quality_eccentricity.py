@@ -97,7 +97,7 @@ def test_refused():
     for keywords, message in (
         ({"edges": (0,)}, "edges must be two or more rising"),
         ({"edges": (3, 2)}, "edges must be two or more rising"),
-        ({"edges": (-1, 2)}, "edges must be two or more rising"),
+        ({"edges": (-1, 2)}, "edges must be at least 0"),
         ({"real_viewing_distance": 0.0}, "real_viewing_distance must be positive"),
         ({"data_range": 0.0}, "data_range must be positive"),
     ):

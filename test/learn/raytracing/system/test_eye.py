@@ -304,9 +304,9 @@ def test_wrong_arguments():
         retinal_field(torch.ones(8, 8, dtype=torch.complex64), 1e-4, GREEN, rotation=(70.0, 0.0))
     with pytest.raises(ValueError, match="eyes"):
         unified_pupil_diameter(10.0, eyes=3)
-    with pytest.raises(ValueError, match="age must be 20 to 83 years, got 5"):
+    with pytest.raises(ValueError, match="age must be from 20 to 83 years, got 5"):
         unified_pupil_diameter(10.0, age=5.0)
-    with pytest.raises(ValueError, match="age must be 20 to 83"):
+    with pytest.raises(ValueError, match="age must be from 20 to 83"):
         unified_pupil_diameter(10.0, age=torch.tensor([30.0, 90.0]))
     with pytest.raises(ValueError, match="picture must not be empty"):
         retinal_image(torch.rand(0, 3, 8, 8), 1.0, 1e-3)
