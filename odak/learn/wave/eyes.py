@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -24,6 +24,21 @@ _STEPS = np.array([0.7548776662466927, 0.5698402909980532])
 _WHOLE = 0.6
 
 
+@runtime_checkable
+class Eyepiece(Protocol):
+    """A lens system by rays from a panel to pupils: :class:`odak.learn.raytracing.system.TracedSystem`."""
+
+    @property
+    def path_length(self) -> Any:
+        """Length of its axis in metres."""
+
+    def matrix(self) -> list[Any]:
+        """Return its ray matrix, lengths in metres."""
+
+    def passage(self, shape: Sequence[int], pitch: Any, wavelength: float) -> Any:
+        """Return what it does to fields of a shape."""
+
+
 @_validate.takes_units("distance", "positions", "diameter", "focus", degrees=("rotation",))
 @dataclass(frozen=True)
 class Eyes:
@@ -31,12 +46,16 @@ class Eyes:
 
     Use them for near-eye displays and for eyeboxes: the images are those on the retinas of K eyes, or of one eye at K
     places. With an eyepiece, give the :class:`odak.instruments.Lens` between the panel and the pupil, whose distance
-    from the lens is `after`. Light is followed from the pixels to the pupil by direct sums of Fresnel's integral.
+    from the lens is `after`. Light is followed from the pixels to the pupil by direct sums of Fresnel's integral. Or
+    give a :class:`odak.learn.raytracing.system.TracedSystem` from the panel to the plane of the pupils: images then
+    have the aberrations, distortion and colours of the eyepiece.
 
     Parameters
     ----------
-    distance : float or odak.instruments.Lens
-        Distance from the panel, or from its image by a relay, to the pupils in metres; or the eyepiece before them.
+    distance : float, odak.instruments.Lens or odak.learn.raytracing.system.TracedSystem
+        Distance from the panel, or from its image by a relay, to the pupils in metres; or the eyepiece before them. Of
+        a traced system the size and place of the result follow from the pupils, and images have the scale of its first
+        order at its reference wavelength when the eyes are made; its numbers may require gradients.
     positions : sequence of sequence of float
         Middles of the pupils (y, x) in metres, ``[K, 2]``; the axis by default.
     diameter : float or sequence of float
@@ -65,7 +84,7 @@ class Eyes:
     2
     """
 
-    distance: float | Lens
+    distance: float | Lens | Eyepiece
     positions: Sequence[Any] = ((0.0, 0.0),)
     diameter: float | Sequence[float] = 4e-3
     focus: float | Sequence[float] | None = None
@@ -77,7 +96,11 @@ class Eyes:
 
         given = {name: getattr(self, name) for name in ("positions", "diameter", "focus", "rotation")}
         positions, diameter, focus, rotation = _validate.constants(**given)
-        if not isinstance(self.distance, Lens):
+        if isinstance(self.distance, Eyepiece):
+            with torch.no_grad():
+                (a, b), (_, d) = self.distance.matrix()
+            keep("_first_order", (float(a), float(b), float(d)))
+        elif not isinstance(self.distance, Lens):
             keep("distance", _validate.constant("distance", self.distance, positive=True))
         elif self.distance.block:
             raise ValueError(f"distance must be a lens without a block before an eye, got {self.distance!r:.80}")
@@ -88,12 +111,14 @@ class Eyes:
         if self.focus is not None:
             keep("focus", tuple(of_each("focus", focus, places).tolist()))
         keep("rotation", tuple(map(tuple, angles_of_each(rotation, len(places)).tolist())))
+        if isinstance(self.distance, Eyepiece) and any(map(any, self.rotation)):
+            raise ValueError(f"rotation must be 0 behind a traced eyepiece, got {self.rotation!r:.80}")
 
     @classmethod
     @_validate.takes_units("distance", "box", "diameter", "focus")
     def within(
         cls,
-        distance: float | Lens,
+        distance: float | Lens | Eyepiece,
         box: float | Sequence[float],
         count: int,
         diameter: float | Sequence[float] = (2e-3, 6e-3),
@@ -104,7 +129,7 @@ class Eyes:
 
         Parameters
         ----------
-        distance : float or odak.instruments.Lens
+        distance : float, odak.instruments.Lens or odak.learn.raytracing.system.TracedSystem
             Distance from the panel to the pupils in metres, or the eyepiece before them.
         box : float or sequence of float
             Height and width in metres of the area of the pupils' middles, about the axis.
@@ -191,6 +216,8 @@ class Sight:
         """Return A, B and D of the ray matrix from the panel to the pupil, which recedes as the eye turns."""
         down, across = map(math.radians, self.eyes.rotation[self.eye])
         receded, path = ROTATION_RADIUS * (1 - math.cos(down) * math.cos(across)), self.eyes.distance
+        if isinstance(path, Eyepiece):
+            return self.eyes._first_order  # type: ignore[attr-defined,no-any-return]
         if not isinstance(path, Lens):
             return 1.0, path + receded, 1.0
         return *path.moved(receded).ray_matrix, 1 - float(path.before or 0.0) / path.focal_length
@@ -231,7 +258,7 @@ class Sight:
     def to_pupil(self, axis: int) -> np.ndarray:
         """Return the matrix from the cells of pixels to points of the pupil along an axis, ``[points, cells]``."""
         a, b, _ = self.ray_matrix()
-        there, x = self._points(axis)[0][:, None] + self.pupil()[0][axis], self._places(axis)
+        there, x = self.points(axis)[0][:, None] + self.pupil()[0][axis], self._places(axis)
         # Of each cell, the part within what emits of the pixel.
         rims = np.clip(np.arange(self.cells + 1) / self.cells - 0.5, -self.width / 2, self.width / 2)
         x = (x[:, None] + (rims[1:] + rims[:-1]) / 2 * self.pitches[axis]).ravel()
@@ -248,7 +275,7 @@ class Sight:
 
     def through_pupil(self) -> np.ndarray:
         """Return what the pupil passes, with the phase that the eye does not focus, complex128 ``[points, points]``."""
-        (down, fine), (across, more) = self._points(0), self._points(1)
+        (down, fine), (across, more) = self.points(0), self.points(1)
         halves = self.pupil()[1]
         frequencies = np.fft.fftfreq(len(down), fine)[:, None], np.fft.fftfreq(len(across), more)
         # The spectrum of an ellipse, without what is faster than the points resolve.
@@ -266,13 +293,13 @@ class Sight:
 
         Some pixels more lie beyond each rim of the image.
         """
-        b, (points, step) = self.ray_matrix()[1], self._points(axis)
+        b, (points, step) = self.ray_matrix()[1], self.points(axis)
         there = points + self.pupil()[0][axis]
         turn = _array.phasor_of_cycles(self._places(axis, samples, beyond)[:, None] * there / (self.wavelength * b))
         return turn * (step / self.box(axis))
 
     def part(self, which: int, samples: int, beyond: int) -> np.ndarray:
-        """Return one of the five arguments of :func:`seen_by_eye` after the light."""
+        """Return one of five parts: two matrices to the pupil, what it passes, and two matrices to the retina."""
         if which == 2:
             return self.through_pupil()
         return self.to_pupil(which) if which < 2 else self.to_retina(which - 3, samples, beyond)
@@ -285,17 +312,12 @@ class Sight:
         """Return how far from a pixel, in pixels, its light is followed: over the image, its rims and its blur."""
         return _FINER * (self.sizes[axis] + _RIMS + self.blur() / self.pitches[axis])
 
-    def _points(self, axis: int) -> tuple[np.ndarray, float]:
+    def points(self, axis: int) -> tuple[np.ndarray, float]:
         """Return points from the middle of the pupil, and some beyond its rim, and how far apart they are."""
         width = 2 * self.pupil()[1][axis]
         step = width / max(_POINTS, 2 * self._band(axis) * width / self.box(axis))
         count = math.ceil(width / (2 * step)) + _BESIDE
         return np.arange(-count, count + 1) * step, step
-
-
-def seen_by_eye(light: Any, down: Any, across: Any, pupil: Any, back_down: Any, back_across: Any) -> Any:
-    """Return the field on a retina of light on a panel ``[..., rows, columns]``, by the parts of a :class:`Sight`."""
-    return back_down @ ((down @ light @ across.mT) * pupil) @ back_across.mT
 
 
 def _through_stop(order: np.ndarray, fresnel_number: float, width: float, band: float) -> np.ndarray:

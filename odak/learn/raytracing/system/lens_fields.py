@@ -62,6 +62,8 @@ class TracedSystem(_show.Shown):
     tolerance : float
         Relative error of the field at which the sum of transforms ends, see below: the time grows with their number.
         Where a number of the system requires a gradient, it ends at a thousandth of this, for the derivatives.
+    output_center : sequence of float
+        Where the middle of the result lies in the image plane, (y, x) in metres: the middle of a pupil beside the axis.
 
     Raises
     ------
@@ -108,6 +110,7 @@ class TracedSystem(_show.Shown):
     points: int = 9
     polarization: Sequence[complex] | None = None
     tolerance: float = 1e-3
+    output_center: Sequence[float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if checked_system(self.system).at_infinity:
@@ -120,6 +123,9 @@ class TracedSystem(_show.Shown):
             if _validate.integer(name, value, minimum=3) % 2 == 0:
                 raise ValueError(f"{name} must be an odd number, got {value}")
         _validate.number("tolerance", self.tolerance, positive=True)
+        (center,) = _validate.constants(output_center=self.output_center)
+        center = tuple(float(one) for one in _validate.several("output_center", center, 2))
+        object.__setattr__(self, "output_center", center)
         if self.polarization is not None:
             object.__setattr__(self, "polarization", jones_vector(self.polarization))
 
@@ -160,11 +166,31 @@ class TracedSystem(_show.Shown):
             Wavelength in metres.
         """
         complex_tensor("field", field, "a complex tensor [..., rows, columns]")
+        passage = self.passage(_validate.image("field", field).shape[-2:], pitch, wavelength)
+        return passage(field), passage.pitch
+
+    def passage(self, shape: Sequence[int], pitch: float | Sequence[float], wavelength: float) -> "Passage":
+        """Return what the system does to fields of a shape, whose rays are traced once.
+
+        Parameters
+        ----------
+        shape : sequence of int
+            Rows and columns of the fields.
+        pitch : float or sequence of float
+            Their pixel pitch in metres, or a pair (rows, columns).
+        wavelength : float
+            Wavelength in metres.
+
+        Returns
+        -------
+        Passage
+            A linear function of fields, which has the gradients of the system's numbers at the time of this call.
+        """
         unit = self._metres
         wave = _validate.constant("wavelength", wavelength, positive=True) / unit
         steps = [_validate.constant("pitch", step, positive=True) / unit for step in pitches(pitch)]
         numbers = self.system.prescription([wave])
-        shape = _validate.image("field", field).shape[-2:]
+        shape = _validate.size("shape", shape)
         lens = self._paraxial(numbers)
         a, b = (float(value.detach()) for value in lens[0])
         if any(abs(b) * wave < abs(a) * n * step**2 for n, step in zip(shape, steps, strict=True)):
@@ -181,30 +207,54 @@ class TracedSystem(_show.Shown):
                 steps,
                 counts,
                 (None if p is None else _validate.constant("output_dx", p, positive=True) / unit for p in given),
+                (middle / unit for middle in self.output_center),
                 strict=True,
             )
         ]
+        return Passage(axes, _Characteristic(self, numbers, axes, wave, lens), counts, unit)
+
+
+class Passage:
+    """What a lens system does to fields of one shape, pitch and wavelength: a linear function of them.
+
+    Made by :meth:`TracedSystem.passage`. It holds the short sum of products of functions of both planes, at few points.
+
+    Attributes
+    ----------
+    pitch : float or tuple of float
+        Pixel pitch of the result in metres.
+    """
+
+    def __init__(self, axes: Sequence["_Axis"], path: "_Characteristic", counts: Sequence[int], unit: float):
+        self._axes, self._path, self._counts = axes, path, counts
+        # Derivatives of what a sum leaves out are many times larger than what it leaves out.
+        tolerance = path.element.tolerance * (_FOR_DERIVATIVES if path.path.requires_grad else 1.0)
+        self._products = list(path.products(tolerance))
+        out = [one.out * unit for one in axes]
+        self.pitch: Any = out[0] if out[0] == out[1] else tuple(out)
+
+    def __call__(self, field: torch.Tensor) -> torch.Tensor:
+        """Return the field behind the system of a field ``[..., rows, columns]`` in front of it."""
+        axes, path = self._axes, self._path
         for axis, one in zip((-2, -1), axes, strict=True):
             field = one.finer(field, axis)
-        path = _Characteristic(self, numbers, axes, wave, lens)
         first, second = path.alone()
-        source = field * phasor_of_cycles(first, field.dtype)
+        (before_y, behind_y), (before_x, behind_x) = (one.turns(field.device) for one in axes)
+        source = field * phasor_of_cycles(first + before_y[:, None] + before_x, field.dtype)
         total: Any = 0.0
-        # Derivatives of what a sum leaves out are many times larger than what it leaves out.
-        tolerance = self.tolerance * (_FOR_DERIVATIVES if path.path.requires_grad else 1.0)
-        for before, behind in path.products(tolerance, field.dtype):
+        for before, behind in path.at_samples(self._products, field.dtype):
             arrived = source * before
             for axis, one in zip((-1, -2), axes[::-1], strict=True):
                 arrived = one.transformed(arrived, axis)
             total = total + arrived * behind
         # 1/(iλB) of the integral; the amplitudes are relative to 1/B.
-        scale = axes[0].step * axes[1].step / (wave * lens[0][1])
-        result = total * phasor_of_cycles(second - 0.25, field.dtype) * scale.to(field.real.dtype)
+        scale = axes[0].step * axes[1].step / (path.wavelength * path.lens[0][1])
+        cycles = second + behind_y[:, None] + behind_x - 0.25
+        result = total * phasor_of_cycles(cycles, field.dtype) * scale.to(field.real.dtype)
+        lit = [one.lit().to(result) for one in axes]
         # Beyond what is computed, no light of the field arrives.
-        sides = [side for n, one in zip(counts[::-1], axes[::-1], strict=True) for side in one.around(n)]
-        result = torch.nn.functional.pad(result, sides)
-        out = [one.out * unit for one in axes]
-        return result, out[0] if out[0] == out[1] else tuple(out)
+        sides = [side for n, one in zip(self._counts[::-1], axes[::-1], strict=True) for side in one.around(n)]
+        return torch.nn.functional.pad(result * lit[0][:, None] * lit[1], sides)
 
 
 @dataclass(frozen=True)
@@ -225,22 +275,34 @@ class _Axis:
     slope: float
     near: float
     far: float
+    center: float
 
     @classmethod
-    def of(cls, a: float, b: float, wave: float, n: int, step: float, count: int, out: float | None) -> "_Axis":
-        """Return the axis of n samples at a step in front and `count` samples behind."""
+    def of(
+        cls, a: float, b: float, wave: float, n: int, step: float, count: int, out: float | None, center: float
+    ) -> "_Axis":
+        """Return the axis of n samples at a step in front and `count` samples behind, about a center."""
         out = wave * abs(b) / (n * step) if out is None else out
         # Where light of the largest frequency arrives from the middle and from the edge of the field.
         middle, edge = wave * abs(b) / (2 * step), abs(a) * n * step / 2
-        near, far = n * step / 2, min(middle + edge, count * out / 2)
-        count = min(count, 2 * math.ceil(far / out) + 1)
+        near, far = n * step / 2, min(middle + edge, abs(center) + count * out / 2)
+        count = min(count, 2 * math.ceil((far + abs(center)) / out) + 1)
         # The sum repeats itself at λ|B|/step, which light at the edges would reach.
         double = far > (middle - edge) * (1 + 1e-9)
         n, step = (2 * n, step / 2) if double else (n, step)
         period = wave * abs(b) / (step * out)
         every = max(1, math.ceil(n / period - 1e-9))
         size = _fast_size(n, round(period * every))
-        return cls(n, step, double, count, out, size, every, math.copysign(every / (size * step * out), b), near, far)
+        slope = math.copysign(every / (size * step * out), b)
+        return cls(n, step, double, count, out, size, every, slope, near, far, center)
+
+    def places(self) -> np.ndarray:
+        """Return where the samples behind are."""
+        return (np.arange(self.counts) - self.counts // 2) * self.out + self.center
+
+    def lit(self) -> torch.Tensor:
+        """Return 1 for the samples behind that light of the field may reach, and 0 for others."""
+        return torch.from_numpy(abs(self.places()) <= self.far + self.out)
 
     def around(self, window: int) -> tuple[int, int]:
         """Return how many samples of a window lie in front of those behind the system, and how many after them."""
@@ -254,17 +316,23 @@ class _Axis:
         like = torch.zeros(1, 1, dtype=torch.float64, device=field.device)
         return between_samples(field, like, axis).narrow(axis, self.count // 2, self.count)
 
+    def turns(self, device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return cycles in front and behind that make a transform from the first samples one about the middle ones."""
+        x = torch.arange(self.count, dtype=torch.float64, device=device) - self.count // 2
+        m = torch.arange(self.counts, dtype=torch.float64, device=device) - self.counts // 2
+        # As fractions of a period, which whole numbers are of.
+        cycle = math.copysign(self.every / self.size, self.slope)
+        before = cycle * (self.counts // 2) * (x + self.count // 2) - self.slope * self.center * self.step * x
+        return before, cycle * (self.count // 2) * m
+
     def transformed(self, field: torch.Tensor, axis: int) -> torch.Tensor:
-        """Return the sum at the samples behind."""
-        half, size = self.count // 2, self.size
-        empty = list(field.shape)
-        empty[axis] = size - self.count
-        # The middle sample comes first.
-        parts = field.narrow(axis, half, self.count - half), field.new_zeros(empty), field.narrow(axis, 0, half)
-        whole = torch.cat(parts, axis)
-        found = torch.fft.fft(whole, dim=axis) if self.slope > 0 else torch.fft.ifft(whole, dim=axis, norm="forward")
-        places = torch.arange(self.counts, device=field.device) - self.counts // 2
-        return found.index_select(axis, (places * self.every) % size)
+        """Return the sum at the samples behind, but for :meth:`turns`."""
+        options = {"n": self.size, "dim": axis}
+        found = torch.fft.fft(field, **options) if self.slope > 0 else torch.fft.ifft(field, norm="forward", **options)
+        if self.every == 1 and self.counts <= self.size:
+            return found.narrow(axis, 0, self.counts)
+        places = torch.arange(self.counts, device=field.device)
+        return found.index_select(axis, (places * self.every) % self.size)
 
 
 def _fast_size(least: int, wanted: int) -> int:
@@ -347,10 +415,8 @@ class _Characteristic:
         """Return the matrices of the polynomials through values at Chebyshev points, at the samples of a plane."""
         found = []
         for axis, n in zip(self.axes, sizes, strict=True):
-            count, step, reach = (
-                (axis.count, axis.step, axis.near) if side == "near" else (axis.counts, axis.out, axis.far)
-            )
-            places = (np.arange(count) - count // 2) * (step / reach)
+            near = (np.arange(axis.count) - axis.count // 2) * axis.step
+            places = near / axis.near if side == "near" else axis.places() / axis.far
             found.append(_interpolation(places, n).to(self.device))
         return found
 
@@ -359,8 +425,8 @@ class _Characteristic:
         near = self._lines("near", self.element.grid)
         return _spread(self.first, near), _spread(self.second, self._lines("far", (self.element.points,) * 2))
 
-    def products(self, tolerance: float, dtype: torch.dtype):
-        """Yield functions of the samples of the two planes whose products add up to the rest.
+    def products(self, tolerance: float):
+        """Yield functions of points of the two planes whose products add up to the rest.
 
         The rest, at finer Chebyshev points, is a matrix; its singular vectors are the shortest such sum.
         """
@@ -386,15 +452,19 @@ class _Characteristic:
             power, vectors = torch.linalg.eigh((balanced * far) @ balanced.mH)
             left = power.clamp_min(0).cumsum(0)
             used = vectors[:, left > tolerance**2 * left[-1]]
-        lines = [
-            [one.to(dtype) for one in self._lines(side, pair)]
-            for side, pair in (("near", sizes[:2]), ("far", sizes[2:]))
-        ]
         for vector in used.mT:
             before = (vector / near).reshape(sizes[:2])
-            behind = ((vector.conj() * near) @ whole).reshape(sizes[2:])
-            pairs = zip((before, behind), lines, strict=True)
-            yield (_spread(values.to(dtype), at) for values, at in pairs)
+            yield before, ((vector.conj() * near) @ whole).reshape(sizes[2:])
+
+    def at_samples(self, products, dtype: torch.dtype):
+        """Yield the functions of such products at the samples of the two planes."""
+        (before, behind), *_ = products
+        lines = [
+            [one.to(dtype) for one in self._lines(side, values.shape)]
+            for side, values in (("near", before), ("far", behind))
+        ]
+        for product in products:
+            yield (_spread(values.to(dtype), at) for values, at in zip(product, lines, strict=True))
 
     def _traced(self, places, targets):
         """Return the path less the kernel, optical direction cosines in front, and amplitudes that are left."""

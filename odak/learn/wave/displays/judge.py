@@ -5,9 +5,9 @@ and for the image that it states its difference from.
 """
 
 import collections
+import dataclasses
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -17,7 +17,7 @@ from odak.instruments import Lens
 from odak.learn.wave.displays.observers import REGISTERED, Observer, fine_intensity, pixels_of, resolved
 from odak.learn.wave.displays.panels import Expander, Iris, orders_through
 from odak.learn.wave.displays.parts import Part
-from odak.learn.wave.eyes import Eyes, Sight
+from odak.learn.wave.eyes import Eyepiece, Eyes, Sight
 from odak.learn.wave.propagation import propagate_beam
 from odak.wave.sampling import sampling_report
 from odak.wave.transfer_functions import divided_pitch
@@ -28,6 +28,9 @@ _LEAST = 512
 _RIM = 0.75
 # Widths of the image of a point by a pupil, λ/diameter, over which it is followed at least.
 _AIRY = 64
+# Pixels beyond each rim of a panel from which light reaches an eyepiece of traced rays, and pixels at least in a
+# period behind the stop, which is that of four panels otherwise.
+_RIM_BY_RAYS, _PERIOD_BY_RAYS = 32, 2048
 # Rows of a spectrum that are multiplied at a time.
 _ROWS = 64
 _Factor = Callable[[slice], torch.Tensor]
@@ -74,7 +77,7 @@ class Judgement(tuple[torch.Tensor, torch.Tensor]):
         return f"Judgement: images {list(self.areas.shape)}, error up to {float(self.error.max()):.1e}"
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Comparison:
     """What images are held against: an observer, a target, and the parts of images in focus.
 
@@ -274,14 +277,36 @@ def _on_retina(light, sight: Sight, expander: Expander | None, least: int):
     Along each axis the light of square pixels, or of the cells of a mask on them, passes the stop, and is transformed
     to the plane of the pupil with the curvature that the path gives it, and back.
     """
-    cells = 1 if expander is None else expander.cells_of(sight.sizes)
-    light = light if expander is None else expander.behind(light, cells)
-    kind: dict[str, Any] = {"dtype": torch.float64, "device": light.device}
-    a, b, _ = sight.ray_matrix()
-    boxes, lengths, places, spacing = [sight.box(axis) for axis in (0, 1)], [], [], []
+    boxes = [sight.box(axis) for axis in (0, 1)]
     axes = list(zip((-2, -1), sight.sizes, sight.pitches, boxes, *sight.pupil(), strict=True))
     # Zeros around the panel bring the points of the pupil nearer to each other, and keep what its rim spreads apart.
     wide = 1 + max(math.ceil(_AIRY * box / (n * half)) for _, n, _, box, _, half in axes)
+    to_pupil = _by_rays if isinstance(sight.eyes.distance, Eyepiece) else _by_fresnel
+    light, places = to_pupil(light, sight, expander, axes, wide)
+    halves = sight.pupil()[1]
+    spacing = [box / (2 * n * wide * half) for _, n, _, box, _, half in axes]
+    down, across = places[0][:, None], places[1]
+    blur = sight.defocus() / (2 * sight.wavelength) * ((halves[0] * down) ** 2 + (halves[1] * across) ** 2)
+    light = light * (_in_circle(down, across, spacing) * _array.phasor_of_cycles(blur)).to(light.dtype)
+    # Tilts of the light as a whole have no effect on the image.
+    finer = max(least, *(math.ceil(len(p) / (2 * n * wide)) for p, (_, n, *_) in zip(places, axes, strict=True)))
+    for axis, n, *_ in axes:
+        size = 2 * n * finer * wide
+        more = size - light.shape[axis]
+        around = (more // 2, more - more // 2)
+        light = torch.nn.functional.pad(light, (0, 0, *around) if axis == -2 else around)
+        shown = torch.fft.ifft(torch.fft.ifftshift(light, axis), dim=axis) * finer
+        light = torch.fft.fftshift(shown, axis)
+        light = light.narrow(axis, (size - 2 * n * finer) // 2, 2 * n * finer)
+    return light, finer
+
+
+def _by_fresnel(light, sight: Sight, expander: Expander | None, axes, wide: int):
+    """Return light in the plane of a pupil, without 1/(λB), and its places from the pupil's middle in half widths."""
+    cells = 1 if expander is None else expander.cells_of(sight.sizes)
+    light = light if expander is None else expander.behind(light, cells)
+    kind: dict[str, Any] = {"dtype": torch.float64, "device": light.device}
+    (a, b, _), places = sight.ray_matrix(), []
     for axis, n, pitch, box, middle, half in axes:
         # All orders that reach the pupil, from the rim of the panel too.
         finer = math.ceil(2 * (abs(middle) + half) / box + 1)
@@ -295,7 +320,7 @@ def _on_retina(light, sight: Sight, expander: Expander | None, least: int):
             rims = cell / cells - 0.5, (cell + 1) / cells - 0.5
             ends = [min(max(rim, -sight.width / 2), sight.width / 2) for rim in rims]
             wide_of, aside = ends[1] - ends[0], sum(ends) / 2
-            passed = torch.sinc(wide_of * pitch * f) * (finer * wide_of / sight.width)
+            passed = torch.sinc(wide_of * pitch * f) * (wide_of / sight.width)
             if sight.one_order:
                 # Half of the last frequency, which is rounded.
                 passed = passed * sum(0.5 * (f.abs() < (0.5 + shift) / pitch) for shift in (-1e-6, 1e-6))
@@ -311,23 +336,40 @@ def _on_retina(light, sight: Sight, expander: Expander | None, least: int):
         inside = inside[f[inside].argsort()]
         light = there.index_select(axis, inside)
         places.append(u[inside] / half)
-        spacing.append(sight.wavelength * abs(b) / (count * step * half))
-        lengths.append(count)
-    down, across = places[0][:, None], places[1]
-    halves = sight.pupil()[1]
-    blur = sight.defocus() / (2 * sight.wavelength) * ((halves[0] * down) ** 2 + (halves[1] * across) ** 2)
-    light = light * (_in_circle(down, across, spacing) * _array.phasor_of_cycles(blur)).to(light.dtype)
-    # Tilts of the light as a whole have no effect on the image.
-    finer = max(least, *(math.ceil(len(p) / (2 * n * wide)) for p, (_, n, *_) in zip(places, axes, strict=True)))
-    for count, (axis, n, *_) in zip(lengths, axes, strict=True):
-        size = 2 * n * finer * wide
-        more = size - light.shape[axis]
-        around = (more // 2, more - more // 2)
-        light = torch.nn.functional.pad(light, (0, 0, *around) if axis == -2 else around)
-        shown = torch.fft.ifft(torch.fft.ifftshift(light, axis), dim=axis) * (size / count)
-        light = torch.fft.fftshift(shown, axis)
-        light = light.narrow(axis, (size - 2 * n * finer) // 2, 2 * n * finer)
-    return light, finer
+    return light, places
+
+
+def _by_rays(light, sight: Sight, expander: Expander | None, axes, wide: int):
+    """Return what :func:`_by_fresnel` does, of an eyepiece whose rays are traced, more of them than a display traces.
+
+    The field behind the stop is sampled twice in each pixel.
+    """
+    for axis, n, pitch, *_ in axes:
+        # A period of so many pixels that what a sharp stop spreads hardly meets itself.
+        count = max(_PERIOD_BY_RAYS, 4 * n)
+        comb = light.new_zeros(*(2 * count if k == axis else light.shape[k] for k in (-2, -1)))
+        comb.narrow(axis, count - n // 2 * 2, 2 * n).unfold(axis, 2, 2)[..., 0].copy_(light)
+        f = torch.fft.fftfreq(2 * count, pitch / 2, dtype=torch.float64, device=light.device)
+        passed = sum(0.5 * (f.abs() < (0.5 + shift) / pitch) for shift in (-1e-6, 1e-6))
+        passed = (passed * torch.sinc(sight.width * pitch * f) * 2).to(light.real.dtype)
+        comb = torch.fft.ifft(torch.fft.fft(comb, dim=axis) * (passed if axis == -1 else passed[:, None]), dim=axis)
+        side = n + 2 * _RIM_BY_RAYS
+        light = comb.narrow(axis, count - side, 2 * side)
+    (_, b, d), steps, inside = sight.ray_matrix(), [], []
+    for _, n, _, box, _, half in axes:
+        steps.append(box / (2 * n * wide))
+        count = math.ceil(half / steps[-1]) + 2
+        inside.append(steps[-1] * torch.arange(-count, count + 1, dtype=torch.float64, device=light.device))
+    element: Any = sight.eyes.distance
+    more = {"grid": tuple(n + 2 for n in element.grid), "points": element.points + 4}
+    window = {"output_dx": tuple(steps), "output_shape": tuple(map(len, inside)), "output_center": sight.pupil()[0]}
+    finer = dataclasses.replace(element, **more, **window, tolerance=element.tolerance / 100)
+    light = finer.passage(light.shape, [pitch / 2 for _, _, pitch, *_ in axes], sight.wavelength)(light)
+    down, across = (u + middle for u, (*_, middle, _) in zip(inside, axes, strict=True))
+    # Sums over pixels have no 1/(λB), and the eye sees light without the curvature that the first order gives it.
+    turn = _array.phasor_of_cycles(-d / (2 * sight.wavelength * b) * (down[:, None] ** 2 + across**2))
+    light = light * turn.to(light.dtype) * (sight.wavelength * abs(b) / math.prod(sight.pitches))
+    return light, [u / half for u, (*_, half) in zip(inside, axes, strict=True)]
 
 
 def _wide(at) -> list[int]:

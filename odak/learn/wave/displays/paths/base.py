@@ -246,6 +246,8 @@ def _plain(value):
         return (type(value).__name__, *(_plain(getattr(value, one.name)) for one in fields(value)))
     if isinstance(value, torch.Tensor):
         return fingerprint(value)
+    if isinstance(value, torch.nn.Module):
+        return (repr(value), *map(fingerprint, value.state_dict().values()))
     if isinstance(value, Iris):
         return float(value.radius), float(value.focal_length)
     if isinstance(value, tuple):

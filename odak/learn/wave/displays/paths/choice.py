@@ -8,6 +8,7 @@ from odak._warnings import ArgumentWarning, warn
 from odak.instruments import Lens
 from odak.learn.wave.displays.panels import Iris, Modulator, checked_iris, pitch_pair
 from odak.learn.wave.displays.paths.base import Path, checked_numbers
+from odak.learn.wave.displays.paths.eyepiece import EyepiecePath
 from odak.learn.wave.displays.paths.free import Free, FreePath
 from odak.learn.wave.displays.paths.lens import LensPath
 from odak.learn.wave.displays.paths.retina import RetinaPath
@@ -15,7 +16,7 @@ from odak.learn.wave.displays.paths.two_panels import TwoPanelsPath
 from odak.learn.wave.eyes import Eyes
 
 # The first of them that leads to the images is taken.
-PATHS: tuple[type[Path], ...] = (RetinaPath, LensPath, TwoPanelsPath, FreePath)
+PATHS: tuple[type[Path], ...] = (EyepiecePath, RetinaPath, LensPath, TwoPanelsPath, FreePath)
 # A distance that may be meant in millimetres, and the share of the first order beside the panel below which it is.
 _METRES, _SHARE = 1.0, 0.02
 

@@ -12,7 +12,7 @@ from odak.instruments import Lens
 from odak.learn.wave.displays.observers import REACH
 from odak.learn.wave.displays.panels import AmplitudePanel, Iris, Modulator
 from odak.learn.wave.displays.paths.base import Kept, Lights, Path, keep, listed
-from odak.learn.wave.eyes import Eyes, Sight, seen_by_eye
+from odak.learn.wave.eyes import Eyepiece, Eyes, Sight
 from odak.learn.wave.fields import unit_phasor
 from odak.wave.viewing import check_blur
 
@@ -39,6 +39,8 @@ class RetinaPath(Path):
             raise ValueError(f"iris must be None for a modulator with an expander, got {self.iris!r:.80}")
         lens = self.ends.distance
         distance: Any = lens.after if isinstance(lens, Lens) else lens
+        if isinstance(lens, Eyepiece):
+            distance = lens.path_length
         keep(self, distances=(float(distance),) * len(self.ends))
         keep(self, samples=self._checked())
 
@@ -55,9 +57,7 @@ class RetinaPath(Path):
     def middles(self, kept: Kept, lights: Lights, colour: int) -> torch.Tensor:
         """Return the fields of all images at the middles of pixels."""
         light = self._behind(lights[0]).unsqueeze(-3)
-        eyes = range(len(self.ends))
-        parts = (self._to_middles(kept, light, colour, eye) for eye in eyes)
-        return torch.cat([seen_by_eye(light, *part) for part in parts], -3)
+        return torch.cat([self._in_middles(kept, light, colour, eye) for eye in range(len(self.ends))], -3)
 
     def replaced(self, kept: Kept, amplitudes: torch.Tensor, light: torch.Tensor, colour: int) -> torch.Tensor:
         """Return the light on the panel of images whose amplitudes are replaced."""
@@ -69,6 +69,8 @@ class RetinaPath(Path):
         """Return where the images are, in words."""
         lens, count = self.ends.distance, len(self.ends)
         length, place = (lens.focal_length, "behind a lens of") if isinstance(lens, Lens) else (lens, "at")
+        if isinstance(lens, Eyepiece):
+            length, place = self.distances[0], "behind traced surfaces on"
         pupils = listed(sorted(set(self.ends.diameter)), 1e3)
         return f"{count} eye{'s' * (count > 1)} {place} {1e3 * length:.4g} mm, pupils of {pupils} mm"
 
@@ -148,26 +150,41 @@ class RetinaPath(Path):
 
     def _seen(self, kept, light, colour, eye):
         """Return the field on a retina at the points of a pixel, ``[..., samples, samples, rows, columns]``."""
-        seen = seen_by_eye(light, *self._parts(kept, light, colour, eye))[..., 0, :, :]
+        down, across = self._parts(kept, light, colour, eye, (3, 4))
+        seen = (down @ self._in_pupil(kept, light, colour, eye) @ across.mT)[..., 0, :, :]
         points = seen.unflatten(-2, (-1, self.samples)).unflatten(-1, (-1, self.samples))
         return points.movedim((-3, -1), (-4, -3))
 
     def _back(self, kept, amplitudes, light, colour, eye):
         """Return the light on the panel, by the adjoint, of the image of an eye with its amplitudes replaced."""
-        down, across, pupil, back_down, back_across = self._to_middles(kept, light, colour, eye)
-        shown = seen_by_eye(light, down, across, pupil, back_down, back_across)
-        there = back_down.mH @ (amplitudes * unit_phasor(shown.angle())) @ back_across.conj() * pupil.conj()
-        return down.mH @ there @ across.conj()
+        down, across = self._to_middles(kept, light, colour, eye)
+        shown = amplitudes * unit_phasor(self._in_middles(kept, light, colour, eye).angle())
+        return self._from_pupil(kept, down.mH @ shown @ across.conj(), light, colour, eye)
+
+    def _in_middles(self, kept, light, colour, eye):
+        """Return the field on a retina at the middles of pixels."""
+        down, across = self._to_middles(kept, light, colour, eye)
+        return down @ self._in_pupil(kept, light, colour, eye) @ across.mT
 
     def _to_middles(self, kept, light, colour, eye):
-        """Return the arguments of :func:`odak.learn.wave.eyes.seen_by_eye` that lead to the middles of pixels."""
-        *there, down, across = self._parts(kept, light, colour, eye)
+        """Return the matrices that lead from the pupil to the middles of pixels, of rows and of columns."""
+        down, across = self._parts(kept, light, colour, eye, (3, 4))
         rows, columns = (slice(REACH * self.samples, (REACH + n) * self.samples, self.samples) for n in self.sizes)
-        return *there, down[rows], across[columns]
+        return down[rows], across[columns]
 
-    def _parts(self, kept, light, colour, eye):
-        """Return the arguments of :func:`odak.learn.wave.eyes.seen_by_eye` after the light."""
-        return [kept(RetinaPath._of_eye, self, colour, eye, part, light.dtype) for part in range(5)]
+    def _in_pupil(self, kept, light, colour, eye):
+        """Return the field that a pupil passes, at its points."""
+        down, across, pupil = self._parts(kept, light, colour, eye, (0, 1, 2))
+        return (down @ light @ across.mT) * pupil
+
+    def _from_pupil(self, kept, there, light, colour, eye):
+        """Return the light on the panel, by the adjoint, of a field behind a pupil; `light` tells its dtype."""
+        down, across, pupil = self._parts(kept, light, colour, eye, (0, 1, 2))
+        return down.mH @ (there * pupil.conj()) @ across.conj()
+
+    def _parts(self, kept, light, colour, eye, which):
+        """Return some :meth:`odak.learn.wave.eyes.Sight.part` as tensors."""
+        return [kept(RetinaPath._of_eye, self, colour, eye, part, light.dtype) for part in which]
 
     def _of_eye(self, device, colour, eye, part, dtype):
         return torch.from_numpy(self.sight(colour, eye).part(part, self.samples, REACH)).to(device, dtype)

@@ -1,0 +1,128 @@
+"""Light from a panel through an eyepiece of traced rays to the retinas of eyes. Touches the light it is given."""
+
+import copy
+import dataclasses
+import math
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+
+from odak._array import phasor_of_cycles
+from odak.learn.wave.displays.observers import REACH
+from odak.learn.wave.displays.panels import Modulator
+from odak.learn.wave.displays.paths.retina import RetinaPath
+from odak.learn.wave.eyes import Eyepiece, Eyes, Sight
+
+# Pixels beyond each rim of the panel in which the light that a stop spreads is followed, less and less of it.
+_RIM = 32
+# Times the width of what is lit of a pupil in first order, up to which light is followed.
+_BEYOND = 1.1
+
+
+@dataclasses.dataclass(frozen=True)
+class EyepiecePath(RetinaPath):
+    """Light of one order that eyes see through a traced lens system: paths by rays, diffraction by waves.
+
+    Where a number of the system requires a gradient, its rays are traced anew for each call, and images have its
+    gradient; otherwise they are traced once. What rays tell is no tensor that a graph of `torch.compile` could hold.
+    """
+
+    where: ClassVar[str] = "where eyes look on through an eyepiece"
+
+    def __post_init__(self) -> None:
+        if self.iris != "order":
+            raise ValueError(f"iris must be 'order' for eyes behind a traced eyepiece, got {self.iris!r:.80}")
+        super().__post_init__()
+
+    @classmethod
+    def leads(cls, modulator: Modulator, ends: Any) -> bool:
+        """Say whether the light of a modulator takes this kind of path to the images."""
+        return isinstance(ends, Eyes) and isinstance(ends.distance, Eyepiece)
+
+    def _in_pupil(self, kept, light, colour, eye):
+        system = self.ends.distance.system
+        if any(number.requires_grad for number in system.parameters()):
+            passage = self._traced(kept.device, colour, eye)
+        else:
+            passage = kept(EyepiecePath._traced, self, colour, eye)
+        (pupil,) = self._parts(kept, light, colour, eye, (2,))
+        found, sides = passage
+        return torch.nn.functional.pad(found(self._stopped(kept, light)), sides) * pupil
+
+    def _from_pupil(self, kept, there, light, colour, eye):
+        with torch.enable_grad():
+            probe = torch.zeros_like(light).requires_grad_()
+            (back,) = torch.autograd.grad(self._in_pupil(kept, probe, colour, eye), probe, there)
+        return back
+
+    def _parts(self, kept, light, colour, eye, which):
+        """Return some of three parts as tensors: what the pupil passes, 2, and the matrices to the retina, 3 and 4."""
+        return [kept(EyepiecePath._of_eye, self, colour, eye, part, light.dtype) for part in which]
+
+    def _of_eye(self, device, colour, eye, part, dtype):
+        found, sight = self.sight(colour, eye).part(part, self.samples, REACH), self.sight(colour, eye)
+        return torch.from_numpy(found * _without_curvature(sight) if part == 2 else found).to(device, dtype)
+
+    def _traced(self, device, colour, eye):
+        """Return what the eyepiece does to light on its way to lit points of a pupil, and how many lie around them."""
+        sight, element = self.sight(colour, eye), self.ends.distance
+        if element.system.surfaces[0].thickness.device != device:
+            element = dataclasses.replace(element, system=copy.deepcopy(element.system).to(device))
+        a, window, sides = sight.ray_matrix()[0], {"output_dx": (), "output_shape": (), "output_center": ()}, []
+        for axis, (n, pitch) in enumerate(zip(self.sizes, self.pitches, strict=True)):
+            (points, step), middle = sight.points(axis), sight.pupil()[0][axis]
+            # Beyond what the order of the outermost pixels reaches, the light of which the lens may turn a little more,
+            # the pupil is dark.
+            reach = _BEYOND * (sight.box(axis) / 2 + abs(a) * (n / 2 + _RIM) * pitch)
+            lit = np.flatnonzero(abs(points + middle) <= reach)
+            first, count = (int(lit[0]), len(lit)) if len(lit) else (0, 1)
+            sides = [first, len(points) - first - count, *sides]
+            for name, value in zip(window, (step, count, middle + float(points[first + count // 2])), strict=True):
+                window[name] += (value,)
+        shape, halves = [2 * (n + 2 * _RIM) for n in self.sizes], [pitch / 2 for pitch in self.pitches]
+        return dataclasses.replace(element, **window).passage(shape, halves, sight.wavelength), sides
+
+    def _stopped(self, kept, light):
+        """Return the light of square pixels behind the stop, at two samples of each along both axes.
+
+        A sharp stop spreads light far. What is cut off of it blurs the ends of its frequencies; fading blurs evenly.
+        """
+        for axis, n in zip((-2, -1), self.sizes, strict=True):
+            count = 2 * (n + 2 * _RIM)
+            first = count // 2 - n // 2 * 2
+            # As many zeros that the ends of a period do not meet.
+            comb = light.new_zeros([count + 2 * n if k == axis else light.shape[k] for k in range(-light.ndim, 0)])
+            comb.narrow(axis, first, 2 * n).unfold(axis, 2, 2)[..., 0].copy_(light)
+            fade, passed = (part if axis == -1 else part[:, None] for part in self._stop(kept, axis, light.dtype))
+            comb = torch.fft.ifft(torch.fft.fft(comb, dim=axis) * passed, dim=axis)
+            light = comb.narrow(axis, 0, count) * fade
+        return light
+
+    def _stop(self, kept, axis, dtype):
+        """Return how light fades beside the panel, and what pixels and stop pass of the frequencies of its samples."""
+        return kept(EyepiecePath._fade, self, axis, dtype), kept(EyepiecePath._passed, self, axis, dtype)
+
+    def _fade(self, device, axis, dtype):
+        n = self.sizes[axis]
+        count = 2 * (n + 2 * _RIM)
+        beside = (np.abs(np.arange(count) - count // 2) - n) / 2
+        return torch.from_numpy(0.5 + 0.5 * np.cos(np.pi * np.clip(beside / _RIM, 0, 1))).to(device, dtype)
+
+    def _passed(self, device, axis, dtype):
+        # A pixel is a sinc function about each of its points behind the stop.
+        count = 4 * (self.sizes[axis] + _RIM)
+        nodes, weights = np.polynomial.legendre.leggauss(8)
+        places = np.fft.fftfreq(count, 1 / count)[:, None] / 2 - math.sqrt(self.fill) / 2 * nodes
+        return torch.from_numpy(np.fft.fft(np.sinc(places) @ (weights / 2))).to(device, dtype)
+
+
+def _without_curvature(sight: Sight) -> np.ndarray:
+    """Return the factor that takes from light in a pupil the curvature that a pixel on the axis has in first order.
+
+    It has the scale of the fields of a :class:`Sight` in the pupil, without the 1/(λB) of Fresnel's integral.
+    """
+    _, b, d = sight.ray_matrix()
+    down, across = (sight.points(axis)[0] + middle for axis, middle in enumerate(sight.pupil()[0]))
+    turn = -d / (2 * sight.wavelength * b) * (down[:, None] ** 2 + across**2)
+    return phasor_of_cycles(turn) * (sight.wavelength * abs(b) / math.prod(sight.pitches))
