@@ -879,7 +879,7 @@ def internal_transmittance(
     found = name if isinstance(name, OpticalMaterial) else material(name)
     if extinction_of(found) is None:
         raise ValueError(f"name {found.name!r} is a material whose absorption is not known")
-    _validate.one_of("unit", unit, MICROMETRES)
+    unit = _validate.one_of("unit", unit, MICROMETRES)
     wavelength, thickness = _in_unit("wavelength", wavelength, unit), in_unit("thickness", thickness, unit)
     _validate.real("thickness", thickness)
     coefficient = absorption_coefficient(found, wavelength, unit)

@@ -8,6 +8,8 @@ from odak import _array, _show, _validate
 from odak._array import Amount, Array, is_array, namespace, phasor_of_cycles
 
 _TAU = 2 * _array.numpy_namespace.pi
+# Square of the phase of a film up to which series of five terms are exact.
+SMALL = 1e-2
 
 
 @_show.shown
@@ -83,11 +85,10 @@ def thin_film_stack(
 
     Notes
     -----
-    Fields vary as exp(i(kz − ωt)). The recursion r ← (ρ + r·e)/(1 + ρ·r·e), where ρ is the coefficient of an interface
-    after Fresnel and e = exp(2iβ) the round trip through a film of phase thickness β = 2π·n·d·cosθ/λ, starts at the
-    substrate. It equals the product of the films' characteristic matrices (M. Born and E. Wolf, Principles of Optics
-    (1999), section 1.6), but no number of it grows with the thickness of an absorbing film. The sign of r for
-    p-polarised waves follows Born and Wolf: r_p = −r_s at normal incidence.
+    Fields vary as exp(i(kz − ωt)). The tangential fields in front follow from those at the substrate by the films'
+    characteristic matrices (M. Born and E. Wolf, Principles of Optics (1999), section 1.6), each times exp(iβ) of the
+    film's phase thickness β = 2π·n·d·cosθ/λ, so that no number grows with the thickness of an absorbing film. The sign
+    of r for p-polarised waves follows Born and Wolf: r_p = −r_s at normal incidence.
 
     Examples
     --------
@@ -129,21 +130,23 @@ def stack_response(
 
     The arguments are arrays of double precision, as :func:`check_stack` returns them.
     """
-    normal = [_normal_index(xp, n, transverse) for n in indices[1:]]
-    normal = [xp.astype(indices[0] * cosine, xp.complex128), *normal]
-    # Of the tangential electric field for s, of the magnetic field for p: neither is infinite at a critical angle.
-    admittances = normal
-    if polarization == "p":
-        admittances = [q / n**2 for n, q in zip(indices, normal, strict=True)]
-    r, t = _interface(admittances[-2], admittances[-1])
+    squares = [xp.astype(n, xp.complex128) ** 2 - xp.astype(transverse, xp.complex128) ** 2 for n in indices[1:]]
+    # Admittances by n·cosθ: of the tangential electric field for s, of the magnetic field for p, since neither is
+    # infinite at a critical angle.
+    shares = [1 / xp.astype(n, xp.complex128) ** 2 if polarization == "p" else 1.0 for n in indices]
+    first, last = xp.astype(indices[0] * cosine, xp.complex128) * shares[0], _normal_index(xp, squares[-1]) * shares[-1]
+    one = field = 1 + 0 * last
+    other, t = last, one
     for k in range(len(thicknesses) - 1, -1, -1):
-        cycles = normal[k + 1] * thicknesses[k] / wavelength
-        through = phasor_of_cycles(xp.real(cycles), xp.complex128) * xp.exp(-_TAU * xp.imag(cycles))
-        rho, tau = _interface(admittances[k], admittances[k + 1])
-        again = r * through**2
-        r, t = (rho + again) / (1 + rho * again), tau * t * through / (1 + rho * again)
+        through, c, s = _film(xp, squares[k], _TAU * thicknesses[k] / wavelength)
+        field, other = c * field + s / shares[k + 1] * other, s * shares[k + 1] * squares[k] * field + c * other
+        # Only their ratio counts; mirrors of many films would leave the range of numbers.
+        size = xp.abs(field) + xp.abs(other)
+        field, other, t = field / size, other / size, t * through / size
+    total = first * field + other
+    r, t = (first * field - other) / total, 2 * first * t / total
     reflectance = xp.abs(r) ** 2
-    transmittance = xp.abs(t) ** 2 * (xp.real(admittances[-1]) / xp.real(admittances[0]))
+    transmittance = xp.abs(t) ** 2 * (xp.real(last) / xp.real(first))
     if polarization == "p":
         t = t * (indices[0] / indices[-1])
     shape = _validate.fitting(r=r, transmittance=transmittance)
@@ -151,16 +154,29 @@ def stack_response(
     return StackResponse(r, t, reflectance, transmittance, 1 - reflectance - transmittance)
 
 
-def _interface(first, second):
-    """Return the amplitude coefficients of an interface between media of two admittances."""
-    total = first + second
-    return (first - second) / total, 2 * first / total
+def _film(xp, square, turn):
+    """Return by what a film multiplies waves that pass, and cos β and −i·sin β/(n·cosθ), both scaled alike.
+
+    `square` is that of n·cosθ, β = `turn`·n·cosθ. The scale is exp(iβ), so that nothing grows with absorption, and 1
+    where β is small: there all three are series in its square, as a root has no derivative at a critical angle.
+    """
+    small = xp.abs(square) * turn**2 < SMALL
+    normal = _normal_index(xp, xp.where(small, xp.ones_like(square), square))
+    cycles = normal * turn / _TAU
+    through = phasor_of_cycles(xp.real(cycles), xp.complex128) * xp.exp(-_TAU * xp.imag(cycles))
+    near = xp.where(small, square * turn**2, xp.zeros_like(cycles))
+    cosine = 1 - near / 2 * (1 - near / 12 * (1 - near / 30 * (1 - near / 56)))
+    sinc = 1 - near / 6 * (1 - near / 20 * (1 - near / 42 * (1 - near / 72)))
+    return (
+        xp.where(small, xp.ones_like(through), through),
+        xp.where(small, cosine, (1 + through**2) / 2),
+        xp.where(small, -1j * (turn * sinc), (1 - through**2) / (2 * normal)),
+    )
 
 
-def _normal_index(xp, index, transverse):
-    """Return n·cosθ of a medium, of the branch that decays along +z."""
-    squared = xp.astype(index, xp.complex128) ** 2 - xp.astype(transverse, xp.complex128) ** 2
-    root = xp.sqrt(squared)
+def _normal_index(xp, square):
+    """Return n·cosθ of a medium by its square, of the branch that decays along +z."""
+    root = xp.sqrt(square)
     return xp.where(xp.imag(root) < 0, -root, root)
 
 

@@ -410,9 +410,9 @@ def _repeated(spectrum, count: int, axis: int):
     return xp.concat([spectrum] * full + [first, last] + [spectrum] * whole, axis=axis)
 
 
-def checked_pixel_fill(pixel_fill: float) -> float:
+def checked_pixel_fill(pixel_fill: float, name: str = "pixel_fill") -> float:
     """Return the share of a pixel's area that emits, above 0 and at most 1."""
-    fill = _validate.constant("pixel_fill", pixel_fill, positive=True, most=1)
+    fill = _validate.constant(name, pixel_fill, positive=True, most=1)
     return fill
 
 

@@ -141,3 +141,32 @@ def test_unpolarised_light_is_the_mean_of_both_polarisations():
     face = thin_film_stack(550e-9, (1.0, 1.5), (), np.degrees(np.arctan(1.5)), polarization="unpolarized")
     assert abs(face.reflectance - (1.25 / 3.25) ** 2 / 2) < 1e-15
     assert mixed.r is None and mixed.t is None and "r=" not in repr(mixed)
+
+
+@pytest.mark.parametrize("polarization", ["s", "p"])
+@pytest.mark.parametrize("angle", [30.0, 30.000000000000004, 30 + 1e-9])
+def test_a_gap_at_its_critical_angle_has_the_limit_of_the_characteristic_matrix(polarization, angle):
+    """The matrix has a limit where waves of both directions are one: sin β/(n·cosθ) is 2πd/λ there."""
+    thickness, n = 137e-9, 2.0
+    turn, square = 2 * np.pi * thickness / WAVELENGTH, 1 - (n * np.sin(np.deg2rad(angle))) ** 2
+    inside = n * np.cos(np.deg2rad(angle))
+    share = 1.0 if polarization == "s" else 1 / n**2
+    b, c = 1 - 1j * turn * inside * share, inside * share - 1j * turn * square
+    expected = abs((inside * share * b - c) / (inside * share * b + c)) ** 2
+    given = torch.tensor(angle, dtype=torch.float64, requires_grad=True)
+    found = thin_film_stack(WAVELENGTH, [n, 1.0, n], [thickness], given, polarization)
+    # Terms of the order of the square, some 1e-10 at the third angle, are left out above.
+    assert float(found.reflectance.detach()) == pytest.approx(expected, abs=1e-9)
+    assert float(found.absorptance.detach()) == pytest.approx(0, abs=1e-14)
+    (slope,) = torch.autograd.grad(found.reflectance, given)
+    sides = [
+        float(thin_film_stack(WAVELENGTH, [n, 1.0, n], [thickness], angle + h, polarization).reflectance)
+        for h in (-1e-3, 1e-3)
+    ]
+    assert float(slope) == pytest.approx((sides[1] - sides[0]) / 2e-3, rel=1e-5)
+
+
+def test_a_mirror_of_a_thousand_pairs_stays_within_the_range_of_numbers():
+    indices = [1.0] + 1000 * [3.5, 1.4] + [1.5]
+    found = thin_film_stack(WAVELENGTH, indices, [WAVELENGTH / 4 / n for n in indices[1:-1]])
+    assert float(found.reflectance) == pytest.approx(1, abs=1e-12) and abs(complex(found.t)) < 1e-300

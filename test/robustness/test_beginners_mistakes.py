@@ -441,3 +441,28 @@ def test_other_words_for_a_parameter_are_taken():
     torch.testing.assert_close(*same)
     with pytest.raises(TypeError, match=r"no argument 'iteration'\. Did you mean 'n_iteration'"):
         wave.stochastic_gradient_descent(target, 532e-9, 2e-3, 8e-6, iteration=2)
+
+
+def test_names_are_taken_in_any_case_by_what_acts_on_them():
+    """What a check accepts, the function that it stands in must also understand."""
+    red = torch.tensor([0.2, 0.12, 0.05]).reshape(3, 1, 1)
+    for written in ("Dim", "dim"):
+        found = perception.color_appearance(red, surround=written, model="cam02")
+        assert torch.equal(found.hue, perception.color_appearance(red, surround="dim", model="CAM02").hue)
+    assert odak.catalog.internal_transmittance("N-BK7", 400, 25, "NM") == odak.catalog.internal_transmittance(
+        "N-BK7", 400, 25, "nm"
+    )
+    assert perception.Viewer(deficiency="Deutan") == perception.Viewer(deficiency="deutan")
+    assert wave.Descent("LBFGS").method == "lbfgs"
+    assert system.Coating.quarter_waves([1.38], 550, "NM").thicknesses[0] == pytest.approx(550 / 4 / 1.38)
+    surfaces = [system.surface(51.5, thickness=4.0, material="N-BK7"), system.surface(thickness=97.0)]
+    lens = system.optical_system(surfaces, 20.0)
+    needle = system.needle_design(system.Coating([1.38], [100.0]), [1.38, 2.3], [1.0, 1.5], 500.0, films=1, unit="NM")
+    assert needle.merit < 0.2
+    limited = system.standard_design(lens, limits={"Track": 60.0})
+    assert [item.upper for item in limited.operands if item.kind == "total_track"] == [60.0]
+    names = [system.sensitivity(lens, system.Perturbation(name, 0, 0.1)).names for name in ("Thickness", "thickness")]
+    assert names[0] == names[1]
+    design = system.lens_design(lens, system.Operand("Focal_Length", 100.0), system.Variable("Curvature", 0))
+    design.optimise(5)
+    assert float(system.first_order(lens).focal_length.detach()) == pytest.approx(100.0, abs=1e-6)

@@ -285,8 +285,8 @@ def color_appearance(
     33 49 19
     43 45 19
     """
-    _validate.one_of("surround", surround, tuple(_SURROUNDS))
-    _validate.one_of("model", model, tuple(_MODELS))
+    surround = _validate.one_of("surround", surround, _SURROUNDS)
+    model = _validate.one_of("model", model, _MODELS)
     viewing = _checked_viewing(white, adapting_luminance, background, model, surround)
     view = viewing[1]
     lightness, chroma, angle = _lightness_chroma_hue(tristimulus(image, white)[0], viewing)

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _torch_private, _validate
-from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, in_float32, tensor
+from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, floating, in_float32, tensor
 from odak.learn.perception.color import srgb_decoded, srgb_to_lab
 from odak.learn.perception.foveation import make_eccentricity_distance_maps
 from odak.learn.perception.pyramids import FrequencySteerablePyramid
@@ -306,11 +306,12 @@ def sensitivity(frequency: torch.Tensor, luminance: torch.Tensor, size: torch.Te
 
 
 def positive_numbers(**values: torch.Tensor | float) -> list[torch.Tensor]:
-    """Return positive numbers and tensors as tensors that broadcast."""
-    tensors = [v for v in values.values() if isinstance(v, torch.Tensor)]
-    kind = {"dtype": torch.float64} if not tensors else {"dtype": tensors[0].dtype, "device": tensors[0].device}
+    """Return positive numbers and tensors as tensors of floats that broadcast."""
     for name, value in values.items():
         _validate.real(name, value, positive=True)
+    values = {name: floating(name, v) if isinstance(v, torch.Tensor) else v for name, v in values.items()}
+    tensors = [v for v in values.values() if isinstance(v, torch.Tensor)]
+    kind = {"dtype": torch.float64} if not tensors else {"dtype": tensors[0].dtype, "device": tensors[0].device}
     made = {name: v if isinstance(v, torch.Tensor) else tensor(name, v, **kind) for name, v in values.items()}
     _validate.fitting(**made)
     return list(made.values())
@@ -319,7 +320,7 @@ def positive_numbers(**values: torch.Tensor | float) -> list[torch.Tensor]:
 def not_negative(name: str, value: torch.Tensor | float) -> torch.Tensor:
     """Return numbers of 0 or more as a tensor, float64 of a plain one."""
     _validate.real(name, value)
-    value = value if isinstance(value, torch.Tensor) else torch.tensor(value, dtype=torch.float64)
+    value = floating(name, value, None if isinstance(value, torch.Tensor) else torch.float64)
     return _validate.inside(name, value, least=0)
 
 

@@ -107,6 +107,8 @@ def _shown(stored, bits, method, frames, decode, masks):
     """Return what one channel [..., H, W] shows in each frame [..., F, H, W]."""
     top = 2**bits - 1
     light = decode(torch.linspace(0, 1, top + 1, dtype=stored.dtype, device=stored.device))
+    if not isinstance(light, torch.Tensor) or light.shape != (top + 1,):
+        raise TypeError(f"encoding must return a tensor of the shape of its argument, got {light!r:.80}")
     if _array.is_readable(light) and not bool((light.diff() > 0).all()):
         raise ValueError("encoding must be a rising function of values from 0 to 1")
     # Means over the frames, of which some show a level and the others the next.

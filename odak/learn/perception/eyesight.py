@@ -110,7 +110,7 @@ class Viewer:
         # It checks both.
         unified_pupil_diameter(1.0, age=self.age, eyes=self.eyes)
         if self.deficiency is not None:
-            _validate.one_of("deficiency", self.deficiency, DEFICIENCIES)
+            object.__setattr__(self, "deficiency", _validate.one_of("deficiency", self.deficiency, DEFICIENCIES))
         _validate.constant("severity", self.severity, least=0, most=1)
 
     def pupil_diameter(self, viewing: Viewing) -> float:

@@ -81,6 +81,9 @@ def stela_contrast_sensitivity(
     frequency, luminance, area = positive_numbers(frequency=frequency, luminance=luminance, area=area)
     slow = not_negative("temporal_frequency", temporal_frequency).to(frequency)
     eccentricity = not_negative("eccentricity", eccentricity).to(frequency)
+    _validate.fitting(
+        frequency=frequency, temporal_frequency=slow, luminance=luminance, eccentricity=eccentricity, area=area
+    )
     # The slope of ω^0.19 at rest would be infinite.
     fast = slow.clamp_min(1e-9)
     sustained = torch.exp(-(slow ** _SLOW[0]) / _SLOW[1])

@@ -1401,7 +1401,7 @@ class ImageQuality(_Wrapper):
         if self.available:
             pyiqa = self._import()
             names = [one for one in pyiqa.list_models() if "fid" not in one and one != "inception_score"]
-            _validate.one_of("name", name, names)
+            name = _validate.one_of("name", name, names)
             with _quietly():
                 # As a loss, so that it is differentiable.
                 self.measure = pyiqa.create_metric(name, as_loss=True, loss_reduction="none", device="cpu")
@@ -1439,7 +1439,7 @@ class ImageQuality(_Wrapper):
         ImportError
             If the package is missing.
         """
-        _validate.one_of("reduction", reduction, ("mean", "none"))
+        reduction = _validate.one_of("reduction", reduction, ("mean", "none"))
         pair = checked_pair(predictions, predictions if targets is None else targets)
         batch = [_as_batch(value).float().clamp(0, 1) for value in pair]
         self._require()

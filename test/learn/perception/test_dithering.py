@@ -211,3 +211,9 @@ def test_channels_and_seeds_differ():
 def test_bad_arguments_are_named(arguments, error, text):
     with pytest.raises(error, match=text):
         dither(**{"image": torch.zeros(1, 3, 4, 4), **arguments})
+
+
+@pytest.mark.parametrize("returned", [3, None, np.linspace(0, 1, 4), torch.tensor(0.5)])
+def test_an_encoding_that_returns_no_tensor_of_its_shape_is_named(returned):
+    with pytest.raises(TypeError, match="encoding must return a tensor"):
+        dither(torch.rand(1, 1, 4, 4), 2, encoding=lambda stored: returned)

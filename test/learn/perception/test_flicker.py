@@ -168,3 +168,10 @@ def test_a_sequence_makes_its_maps_once_for_each_gaze(monkeypatch):
 def test_refused(call, named):
     with pytest.raises((ValueError, TypeError), match=named):
         call()
+
+
+def test_whole_numbers_have_the_sensitivity_of_floats_and_other_shapes_are_named():
+    whole = stela_contrast_sensitivity(torch.tensor([1, 2, 4]), torch.tensor(8), torch.tensor(50), area=torch.tensor(3))
+    assert torch.equal(whole, stela_contrast_sensitivity(torch.tensor([1.0, 2.0, 4.0]), 8.0, 50.0, area=3.0))
+    with pytest.raises(ValueError, match=r"temporal_frequency \[4\]"):
+        stela_contrast_sensitivity(torch.ones(3), torch.ones(4))

@@ -82,3 +82,17 @@ def test_a_start_that_no_descent_leaves_is_named():
     target[4:9, 4:12] = 1.0
     with pytest.warns(ConvergenceWarning, match="its gradient is zero, and the loss stays"):
         optimise(display, target, start="flat", run=Run(iterations=2, progress=False))
+
+
+@pytest.mark.parametrize("panel", [Modulator((1, 1), 8e-6, 3), Modulator.amplitude_only((1, 1), 8e-6, 3)])
+def test_levels_that_a_panel_does_not_have_are_named(panel):
+    for level in (8, -1):
+        with pytest.raises(ValueError, match=f"levels must be 0 … 7, got {level}"):
+            panel.phases_of(torch.tensor([[level]]))
+    with pytest.raises(TypeError, match="levels must be a tensor of integers"):
+        panel.phases_of(torch.tensor([[1.5]]))
+
+
+def test_a_fill_in_per_cent_is_called_fill():
+    with pytest.raises(ValueError, match=r"^fill must be"):
+        Modulator((1, 1), 8e-6, fill=90)

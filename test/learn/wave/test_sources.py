@@ -201,3 +201,8 @@ def test_what_sources_cannot_be():
         display_of(Source([(0.0, 0.0), (0.0, 1e-3)])).fields(torch.zeros(SIZE))
     with pytest.warns(AccuracyWarning, match="turns by 0.15 waves over a pixel"):
         display_of(Source([(0.0, 1e-2)]))
+
+
+def test_infinite_weights_are_refused():
+    with pytest.raises(ValueError, match="weights must be at least 0 and finite"):
+        Source([[0, 0], [0.1, 0]], [math.inf, 1])

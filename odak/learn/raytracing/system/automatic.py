@@ -525,9 +525,10 @@ def standard_design(
     makers = _checked_makers(makers)
     aspheric = _validate.flag("aspheric", aspheric)
     mount = expansion_in("mount", _validate.constant("mount", mount))
-    for name, value in limits.items():
-        _validate.one_of("name of limits", name, STANDARD_LIMITS)
-        _validate.number(f"{name} of limits", value, least=0)
+    limits = {
+        _validate.one_of("name of limits", name, STANDARD_LIMITS): _validate.number(f"{name} of limits", value, least=0)
+        for name, value in limits.items()
+    }
     if focal_length is None:
         focal_length = float(first_order(system).focal_length.detach())
     waves, unit = system.wavelengths, system.unit

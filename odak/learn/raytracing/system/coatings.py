@@ -175,7 +175,7 @@ def needle_design(
     _validate.real("wavelengths", waves, positive=True)
     if bool((tilts < 0).any()) or bool((tilts >= torch.pi / 2).any()):
         raise ValueError(f"angles must be at least 0 and below 90 degrees, got {angles!r:.80}")
-    _validate.one_of("unit", unit, MICROMETRES)
+    unit = _validate.one_of("unit", unit, MICROMETRES)
     held = [_medium(f"media[{i}]", value) for i, value in enumerate(media)]
     ends = [_medium(f"between[{i}]", value) for i, value in enumerate(between)]
     if isinstance(ends[0], complex):

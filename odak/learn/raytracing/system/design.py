@@ -242,6 +242,7 @@ class lens_design(_show.Shown):
         self.columns: dict[str, list[int]] = {}
         rows: list[tuple[float, ...]] = []
         for item in _items("variables", variables, Variable):
+            item = item._replace(name=_validate.one_of("name of a variable", item.name, VARIED))
             for place, term, value, bounds in self._entries(item):
                 if (place, term) in self.places.setdefault(item.name, []):
                     raise ValueError(f"{item.name} of surface {place} is a variable twice")
@@ -266,8 +267,7 @@ class lens_design(_show.Shown):
 
     def _entries(self, item: Variable):
         """Yield surface, term, value and bounds of all numbers of a variable."""
-        name = _validate.one_of("name of a variable", item.name, VARIED)
-        count = len(self.system.surfaces)
+        name, count = item.name, len(self.system.surfaces)
         for place in _listed(item.surfaces):
             place = _validate.place_in("surfaces of a variable", place, count)
             values = [0.0] if (name, place) in self.solved else self._now(name, place)

@@ -490,7 +490,8 @@ def checked_operands(operands: Operands) -> list[Operand]:
         item = Operand(item) if isinstance(item, str) else item
         _validate.instance("operands", item, Operand, "Operand or their names")
         if not callable(item.kind):
-            _validate.one_of("kind of operands", item.kind, (*OPERANDS, *FirstOrder._fields))
+            kind = _validate.one_of("kind of operands", item.kind, (*OPERANDS, *FirstOrder._fields))
+            item = item._replace(kind=kind)
         _validate.number("weight of an operand", item.weight, least=0)
         for name in ("target", "lower", "upper"):
             if getattr(item, name) is not None:

@@ -926,12 +926,14 @@ def perturbed(
 
 def _checked_perturbations(perturbations, count: int) -> list[tuple[Perturbation, list[int]]]:
     """Return perturbations with the numbers of their surfaces."""
-    perturbations = list(perturbations) if isinstance(perturbations, Iterable) else [perturbations]
+    # One of them is a tuple, and can be iterated.
+    one = isinstance(perturbations, Perturbation) or not isinstance(perturbations, Iterable)
+    perturbations = [perturbations] if one else list(perturbations)
     if not all(isinstance(item, Perturbation) for item in perturbations):
         raise TypeError(f"perturbations must be a sequence of Perturbation, got {perturbations!r:.80}")
     found = []
     for item in perturbations:
-        _validate.one_of("name of a perturbation", item.name, NAMES)
+        item = item._replace(name=_validate.one_of("name of a perturbation", item.name, NAMES))
         _validate.real("size of a perturbation", item.size)
         _validate.constant("pivot of a perturbation", item.pivot)
         places = list(item.surfaces) if isinstance(item.surfaces, Iterable) else [item.surfaces]

@@ -123,7 +123,7 @@ class Coating:
         Coating
             λ/(4n) thick each, n the real part of the index.
         """
-        _validate.one_of("unit", unit, MICROMETRES)
+        unit = _validate.one_of("unit", unit, MICROMETRES)
         wavelength = _validate.number("wavelength", light_in("wavelength", wavelength, unit), positive=True)
         found = cls(media, [0.0] * len(media))
         indices = [_index(value, wavelength, unit) for value in found.media]
@@ -209,8 +209,7 @@ def _index(medium, wavelength: Array | float, unit: str):
     """Return the index of a medium at wavelengths, relative to air."""
     if not isinstance(medium, OpticalMaterial):
         return medium
-    _validate.one_of("unit", unit, MICROMETRES)
-    return refractive_index(medium, wavelength, unit, medium="air")
+    return refractive_index(medium, wavelength, _validate.one_of("unit", unit, MICROMETRES), medium="air")
 
 
 D_LINE = 0.5875618  # micrometres

@@ -7,8 +7,8 @@ from typing import Any
 
 import torch
 
-from odak import _show, _validate
-from odak.learn._tensors import floating
+from odak import _array, _show, _validate
+from odak.learn._tensors import floating, kind_of
 from odak.learn.wave.fields import unit_phasor
 from odak.learn.wave.slm import TURN, AmplitudeResponse, checked_bits, even_levels
 from odak.wave.linear_kernels import checked_pixel_fill
@@ -90,7 +90,7 @@ class AmplitudePanel:
     def __post_init__(self) -> None:
         _validate.constant("distance", self.distance)
         checked_bits(self.bits)
-        checked_pixel_fill(self.fill)
+        checked_pixel_fill(self.fill, "fill")
         checked_iris(self.iris)
 
     def shown(self, amplitudes: torch.Tensor) -> torch.Tensor:
@@ -271,7 +271,7 @@ class Modulator:
         checked_bits(self.bits)
         if not (self.lit_through is None or isinstance(self.lit_through, AmplitudePanel)):
             raise TypeError(f"lit_through must be an AmplitudePanel or None, got {type(self.lit_through).__name__}")
-        checked_pixel_fill(self.fill)
+        checked_pixel_fill(self.fill, "fill")
         if self.phase_scale is not None:
             scale = tuple(float(one) for one in _validate.several("phase_scale", self.phase_scale, positive=True))
             object.__setattr__(self, "phase_scale", scale)
@@ -382,9 +382,14 @@ class Modulator:
         """Return the phases 0 … 2π, of a `dtype`, of levels: integers ``[..., rows, columns]`` below 2^bits."""
         if self.responses():
             return self._of_frames("phases_of", levels, dtype)
+        count = 2 ** _validate.integer("bits", self.bits)
+        if not isinstance(levels, torch.Tensor) or levels.is_floating_point() or levels.is_complex():
+            raise TypeError(f"levels must be a tensor of integers, got {kind_of(levels)}")
+        if _array.is_readable(levels) and bool(((levels < 0) | (levels >= count)).any()):
+            raise ValueError(f"levels must be 0 … {count - 1}, got {int(levels.min())} to {int(levels.max())}")
         if getattr(self.response, "lut", None) is not None:
             return self.response._phases_of(levels, dtype)  # type: ignore[union-attr]
-        return levels.to(dtype) * (TURN / 2 ** _validate.integer("bits", self.bits))
+        return levels.to(dtype) * (TURN / count)
 
     def levels(self, phases: torch.Tensor) -> torch.Tensor:
         """Return the levels whose phases are nearest, int32 of the shape of the phases; 256 where there are none."""

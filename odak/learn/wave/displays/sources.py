@@ -78,8 +78,10 @@ class Source:
         shares: Any = torch.ones(count) if self.weights is None else self.weights
         weights = floating("weights", shares).detach().double()
         _validate.shaped("weights", weights, f"[{count}] or [frames, {count}]")
-        if bool((weights < 0).any()) or not bool((weights.sum(-1) > 0).all()):
-            raise ValueError(f"weights must be at least 0, with some light in each frame, got {weights.tolist()!r:.80}")
+        if bool((weights < 0).any()) or not bool(((sums := weights.sum(-1)) > 0).all() and sums.isfinite().all()):
+            raise ValueError(
+                f"weights must be at least 0 and finite, with some light in each frame, got {weights.tolist()!r:.80}"
+            )
         width = float(_validate.number("width", self.width, least=0))
         _validate.integer("lines", self.lines, minimum=1)
         if _validate.flag("coherent", self.coherent) and (weights.ndim > 1 or width):

@@ -119,7 +119,7 @@ class Descent:
         return phases.detach() if powers is None else (phases.detach(), powers)
 
     def __post_init__(self) -> None:
-        _validate.one_of("method", self.method, ("lbfgs", "adam"))
+        object.__setattr__(self, "method", _validate.one_of("method", self.method, ("lbfgs", "adam")))
         _validate.flag("powers", self.powers)
         _validate.flag("graph", self.graph)
         _validate.real("learning_rate", self.learning_rate, positive=True)
