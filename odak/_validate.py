@@ -345,7 +345,8 @@ def shaped(name: str, value, accepted: str):
     if forms is None:
         forms = _FORMS[accepted] = _forms_of(accepted)
     if not any(_matches(shape, *form) for form in forms) or (0 in shape and "empty" in accepted):
-        came = in_order(name, shape) if "H, W" in accepted else f"got {list(shape)}"
+        coloured = "C, H, W" in accepted or "3, H, W" in accepted
+        came = in_order(name, shape) if coloured else f"got {list(shape)}"
         raise ValueError(f"{name} must be {accepted}, {came}")
     return value
 

@@ -30,6 +30,11 @@ def test_shapes_are_those_that_the_message_states(accepted, fitting, others):
         assert str(caught.value) == f"x must be {accepted}, got {list(shape)}"
 
 
+def test_colours_that_come_last_are_pointed_out_where_they_have_an_axis():
+    with pytest.raises(ValueError, match=r"colours go first, x\.movedim\(-1, -3\)"):
+        _validate.shaped("x", np.zeros((1, 8, 9, 3)), "[B, 1 or 3, H, W]")
+
+
 @pytest.mark.parametrize(
     ("bounds", "inside", "outside", "message"),
     [
