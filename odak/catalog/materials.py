@@ -767,9 +767,10 @@ def refractive_index(
     _check_range(found, wide, extrapolate)
     index = found.index(wide)
     check_weather(temperature, pressure)
+    _validate.fitting(wavelength=wide, temperature=temperature, pressure=pressure)
     _tell_constant(found, temperature)
     if temperature is not None or pressure is not None or found.environment is not None:
-        own = found.environment or (found.measured_at, 101325.0)
+        own = found.environment or (thermal_of(found)[2], 101325.0)
         here = own[0] if temperature is None else temperature, own[1] if pressure is None else pressure
         index = _in_environment(found, index, wide, medium or found.relative_to, *here)
     elif medium not in (None, found.relative_to):

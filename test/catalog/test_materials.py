@@ -575,3 +575,16 @@ def test_sixty_materials_that_no_glass_maker_sells_change_with_temperature_by_th
         low, high = (refractive_index(name, wave, "um", medium="vacuum", temperature=t) for t in (20.0, 21.0))
         assert 0 < abs(high - low) < 1e-3, name
     assert all(len(text) > 10 for text in sources.values())
+
+
+@pytest.mark.parametrize("name", ["ZnGeP2 (ordinary)", "KDP (ordinary)", "N-BK7", "silicon"])
+def test_the_pressure_that_is_usual_changes_no_index(name):
+    """The temperature stays that of the published index, which is not 20 °C for all."""
+    middle = sum(catalog.material(name).range) / 2
+    usual = catalog.refractive_index(name, middle, "um", pressure=101325.0)
+    assert usual == pytest.approx(catalog.refractive_index(name, middle, "um"), abs=1e-12)
+
+
+def test_weather_of_another_shape_than_wavelengths_is_named():
+    with pytest.raises(ValueError, match=r"wavelength \[2\], temperature \[3\]"):
+        catalog.refractive_index("N-BK7", np.array([0.5, 0.6]), "um", temperature=np.array([10.0, 20.0, 30.0]))
