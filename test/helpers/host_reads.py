@@ -33,6 +33,7 @@ REASONS = {
         raytracing/system/waves: _view field_modulation field_quality relative_illumination
         wave/holograms/result: _view
         wave/holograms/eyeboxes: *
+        wave/holograms/eye_reports: *
         wave/pictures: _view
         wave/gaussians/sets: _points save_splats
         tools/iterations: go iterate minimise

@@ -136,6 +136,8 @@ from .gaussians import load_splats as load_splats
 from .gaussians import save_splats as save_splats
 from .gaussians import spherical_harmonics as spherical_harmonics
 from .gaussians import view_colours as view_colours
+from .holograms.eye_reports import EyeReport as EyeReport
+from .holograms.eye_reports import eye_report as eye_report
 from .holograms.eyeboxes import EyeboxMap as EyeboxMap
 from .holograms.eyeboxes import eyebox_map as eyebox_map
 from .holograms.optimising import optimise as optimise

@@ -338,6 +338,16 @@ BY_CALL = {
         "foci": [0.1],
         "distance": 0.1,
     },
+    "odak.learn.wave.eye_report": {
+        "display": Build(_looked_at),
+        "target": tensor(32, 48),
+        "box": 1e-3,
+        "steps": 1,
+        "diameter": 2e-3,
+        "foci": [0.1],
+        "parts": 2,
+        "run": Run(iterations=1, progress=False),
+    },
     "odak.learn.wave.optimise": {"target": tensor(48, 64), "run": Run(iterations=3, progress=False)},
     "odak.learn.wave.propagator": {"distances": tensor(1) * 1e-3},
     "odak.learn.wave.propagator.init_distances": {"distances": tensor(1) * 1e-3},
@@ -369,6 +379,7 @@ NOT_CALLED = {
 }
 ALLOWED = {
     ("odak.learn.wave.light_of", "picture", "a text"): "is the path of a file, which the message names",
+    ("odak.learn.wave.eye_report", "target", "in double precision"): "iterations amplify rounding",
     ("odak.learn.wave.optimise", "target", "in double precision"): "iterations amplify rounding",
     ("odak.learn.wave.optimise", "target", "in half precision"): "iterations amplify rounding",
     ("odak.learn.wave.aspheric_lens_phase", "radius", "a negative number"): "a surface that diverges",

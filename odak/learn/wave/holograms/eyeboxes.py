@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import torch
@@ -94,27 +95,42 @@ class EyeboxMap:
 
     def drawing(self) -> str:
         """Return the map of quality, the map of light, and the quality over focus, as the text of an SVG file."""
-        from odak._drawn import color_of, subplots, svg
+        from odak._drawn import subplots, svg
 
         columns = 2 + bool(len(self.foci))
         figure, (axes,) = subplots(1, columns, (columns * (1.2 + 0.6 * len(self.columns)), 1.4 + 0.5 * len(self.rows)))
-        ticks = [[f"{1e3 * place:.3g}" for place in places.tolist()] for places in (self.columns, self.rows)]
-        for axis, title, values, form in (
-            (axes[0], "PSNR (dB)", self.psnr.numpy(), ".0f"),
-            (axes[1], "light", self.brightness.numpy(), ".2f"),
-        ):
-            axis.imshow(values, cmap="Blues_r")
-            for (r, q), value in np.ndenumerate(values):
-                colour = "white" if 2 * value < values.min() + values.max() else "black"
-                axis.text(q, r, format(value, form), color=colour, ha="center", va="center", fontsize=9)
-            axis.set_xticks(range(len(self.columns)), ticks[0])
-            axis.set_yticks(range(len(self.rows)), ticks[1])
-            axis.set(title=title, xlabel="x of the pupil (mm)", ylabel="y of the pupil (mm)")
+        draw_over_pupils(axes[0], self, "PSNR (dB)", self.psnr, ".0f")
+        draw_over_pupils(axes[1], self, "light", self.brightness, ".2f")
         if len(self.foci):
-            order = self.foci.argsort()
-            axes[2].plot((1 / self.foci[order]).numpy(), self.psnr_of_focus[order].numpy(), "o-", color=color_of(0))
-            axes[2].set(title="PSNR over focus (dB)", xlabel="focus (dioptres)")
+            draw_over_focus(axes[2], self)
         return svg(figure)
+
+
+def draw_over_pupils(axis: Any, found: EyeboxMap, title: str, values: torch.Tensor, form: str) -> None:
+    """Draw numbers ``[R, Q]`` at the places of the pupils of a map on an axis of Matplotlib."""
+    ticks = [[f"{1e3 * place:.3g}" for place in places.tolist()] for places in (found.columns, found.rows)]
+    written_map(axis, title, values.numpy(), form)
+    axis.set_xticks(range(len(found.columns)), ticks[0])
+    axis.set_yticks(range(len(found.rows)), ticks[1])
+    axis.set(xlabel="x of the pupil (mm)", ylabel="y of the pupil (mm)")
+
+
+def draw_over_focus(axis: Any, found: EyeboxMap) -> None:
+    """Draw the quality over the focus of the eye in the middle of a map on an axis of Matplotlib."""
+    from odak._drawn import color_of
+
+    order = found.foci.argsort()
+    axis.plot((1 / found.foci[order]).numpy(), found.psnr_of_focus[order].numpy(), "o-", color=color_of(0))
+    axis.set(title="PSNR over focus (dB)", xlabel="focus (dioptres)")
+
+
+def written_map(axis: Any, title: str, values: np.ndarray, form: str) -> None:
+    """Draw a map of numbers ``[rows, columns]`` with each of them written on its place."""
+    axis.imshow(values, cmap="Blues_r")
+    for (r, q), value in np.ndenumerate(values):
+        colour = "white" if 2 * value < values.min() + values.max() else "black"
+        axis.text(q, r, format(value, form), color=colour, ha="center", va="center", fontsize=9)
+    axis.set_title(title)
 
 
 @_validate.takes_units("box", "diameter", "focus", "foci", "distance")
