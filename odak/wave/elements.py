@@ -1130,9 +1130,7 @@ def single_numbers(xp: ModuleType | None, device: Device, **numbers: Any) -> Any
     """Return the namespace, the device and single real numbers in double precision."""
     for name, value in numbers.items():
         _validate.number(name, value)
-    arrays = [value for value in numbers.values() if is_array(value)]
-    xp = namespace(*arrays) if xp is None else _validate.library("xp", xp)
-    device = _array.device_of(arrays[0]) if device is None and arrays else device
+    xp, device, _ = _array.placement(*numbers.values(), xp=xp, device=device)
     values = [_array.converted(value, xp, device, xp.float64) for value in numbers.values()]
     return xp, device, [xp.reshape(value, ()) for value in values]
 
@@ -1219,12 +1217,9 @@ def zernike_phase(
     >>> zernike_phase(3, 3, {(1, 1): 0.5}, radius=1.0)[1].tolist()
     [-1.0, 0.0, 1.0]
     """
-    if not isinstance(coefficients, Mapping):
-        raise TypeError(f"coefficients must map (n, m) to radians, got {type(coefficients).__name__}")
+    _validate.instance("coefficients", coefficients, Mapping, "a mapping of (n, m) to radians")
     coefficients = {mode: float(v) if isinstance(v, np.number) else v for mode, v in coefficients.items()}
-    arrays = [value for value in coefficients.values() if _array.is_array(value)]
-    xp = _array.namespace(*arrays) if xp is None else _validate.library("xp", xp)
-    device = _array.device_of(arrays[0]) if device is None and arrays else device
+    xp, device, _ = _array.placement(*coefficients.values(), xp=xp, device=device)
     for mode, value in coefficients.items():
         _validate.real(f"coefficients[{mode}]", value)
     shape, pairs = _validate.size("nx, ny", (nx, ny)), _pairs("coefficients", coefficients)

@@ -100,8 +100,7 @@ def pupil_function(
                 SamplingWarning,
             )
     aberrations = {} if aberrations is None else aberrations
-    if not isinstance(aberrations, Mapping):
-        raise TypeError(f"aberrations must map (n, m) to radians, got {type(aberrations).__name__}")
+    _validate.instance("aberrations", aberrations, Mapping, "a mapping of (n, m) to radians")
     values = (numerical_aperture, obscuration, *aberrations.values())
     xp, device, dtype = _array.placement(*values, xp=xp, device=device, dtype=dtype)
     aperture, inner = (

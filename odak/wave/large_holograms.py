@@ -366,12 +366,9 @@ def _filtered_on_disk(field, kernel, folder: Path, block: int, threads: int, pro
 
 
 def _require_dask():
-    try:
-        import dask.array as da
-        import zarr  # noqa: F401
-    except ImportError as error:
-        raise ImportError(f"Holograms in chunks need Dask and Zarr: pip install 'dask[array]' zarr ({error})") from None
-    return da
+    told = "Holograms in chunks need Dask and Zarr: pip install 'dask[array]' zarr"
+    _validate.optional("zarr", told)
+    return _validate.optional("dask.array", told)
 
 
 class _State:

@@ -4,6 +4,7 @@ A medium is given by its refractive index n(x, y, z) relative to vacuum, complex
 exp(i(kz − ωt)); wavelengths are those in vacuum.
 """
 
+import functools
 import math
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -450,31 +451,26 @@ class _BornSeries:
         return psi
 
 
+@functools.cache
 def _torch_solution():
     """Return the operator ψ(medium, source) with its adjoint, which is the same solution for the conjugate medium."""
-    global _operator
-    if _operator is None:
-        import torch
+    import torch
 
-        class Solution(torch.autograd.Function):
-            """Solution of the wave equation, an operator that is symmetric: one more solution gives its gradient."""
+    class Solution(torch.autograd.Function):
+        """Solution of the wave equation, an operator that is symmetric: one more solution gives its gradient."""
 
-            @staticmethod
-            def forward(ctx, medium, source, series):
-                psi = series.solve(medium, source)
-                ctx.series = series
-                ctx.save_for_backward(medium, psi)
-                return psi
+        @staticmethod
+        def forward(ctx, medium, source, series):
+            psi = series.solve(medium, source)
+            ctx.series = series
+            ctx.save_for_backward(medium, psi)
+            return psi
 
-            @staticmethod
-            def backward(ctx, gradient):
-                medium, psi = ctx.saved_tensors
-                # A symmetric solution operator: its adjoint is conj ∘ solve ∘ conj.
-                back = ctx.series.solve(medium, gradient.conj().to(torch.complex128)).conj()
-                return back * psi.conj(), back, None
+        @staticmethod
+        def backward(ctx, gradient):
+            medium, psi = ctx.saved_tensors
+            # A symmetric solution operator: its adjoint is conj ∘ solve ∘ conj.
+            back = ctx.series.solve(medium, gradient.conj().to(torch.complex128)).conj()
+            return back * psi.conj(), back, None
 
-        _operator = Solution
-    return _operator
-
-
-_operator: Any = None
+    return Solution

@@ -5,7 +5,7 @@ import functools
 import logging
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from odak import _array, _validate
@@ -86,8 +86,7 @@ class _Filter:
 
     def kernel(self, field, request: Request):
         """Return the transfer function times the aperture, for a field of the grid's samples."""
-        rows, columns = field.shape[-2:]
-        size = (2 * rows, 2 * columns) if self._linear or request.window else (rows, columns)
+        size = request.size(field, self._linear)
         return _times_aperture(request.kernel_for(field, self._build_for(request), size), request.aperture, field)
 
     def __call__(self, field, request: Request):
@@ -131,9 +130,7 @@ def _times_aperture(kernel, aperture, field):
 
 
 def _filter_by_given_kernel(field, request: Request):
-    xp = _array.namespace(field)
-    size = tuple((2 if request.window else 1) * n for n in field.shape[-2:])
-    kernel = request.kernel
+    xp, size, kernel = _array.namespace(field), request.size(field), request.kernel
     if kernel is None:
         kernel = xp.ones(size, dtype=field.dtype, device=_array.device_of(field))
     accepted = f"[..., {size[0]}, {size[1]}], of the shape of the propagated field"
@@ -144,8 +141,7 @@ def _filter_by_given_kernel(field, request: Request):
 
 def _filter_intensity(field, request: Request):
     """Return an intensity filtered by the autocorrelation of transfer function × pupil; the aperture is the pupil."""
-    xp = _array.namespace(field)
-    size = tuple((2 if request.window else 1) * n for n in field.shape[-2:])
+    xp, size = _array.namespace(field), request.size(field)
     if _array.is_array(request.aperture):
         pupil = _times_aperture(request.kernel_for(field, tf.angular_spectrum, size), request.aperture, field)
         kernel = tf.autocorrelation(pupil)
@@ -292,6 +288,16 @@ def _never(report: Criteria) -> None:
     """Hold everywhere."""
 
 
+_IMPULSE_RESPONSE = Method(
+    "Impulse Response Fresnel",
+    ("IR Fresnel",),
+    _filter(tf.impulse_response_fresnel),
+    _first(_response_aliases, _not_paraxial),
+    kernel=tf.impulse_response_fresnel,
+    scalable=True,
+    needs_distance=True,
+    chunked=True,
+)
 METHODS = (
     Method(
         "Bandlimited Angular Spectrum",
@@ -317,25 +323,11 @@ METHODS = (
         kernel=tf.transfer_function_fresnel,
         chunked=True,
     ),
-    Method(
-        "Impulse Response Fresnel",
-        ("IR Fresnel",),
-        _filter(tf.impulse_response_fresnel),
-        _first(_response_aliases, _not_paraxial),
-        kernel=tf.impulse_response_fresnel,
-        scalable=True,
-        needs_distance=True,
-        chunked=True,
-    ),
-    Method(
-        "Seperable Impulse Response Fresnel",
-        ("Separable Impulse Response Fresnel", "Seperable IR Fresnel", "Separable IR Fresnel"),
-        _filter(tf.impulse_response_fresnel),
-        _first(_response_aliases, _not_paraxial),
-        kernel=tf.impulse_response_fresnel,
-        scalable=True,
-        needs_distance=True,
-        chunked=True,
+    _IMPULSE_RESPONSE,
+    replace(
+        _IMPULSE_RESPONSE,
+        name="Seperable Impulse Response Fresnel",
+        aliases=("Separable Impulse Response Fresnel", "Seperable IR Fresnel", "Separable IR Fresnel"),
     ),
     Method(
         "Incoherent Angular Spectrum",

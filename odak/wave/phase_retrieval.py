@@ -223,16 +223,17 @@ def _correction(image, target, update):
     return image * xp.astype(gain - 1, image.dtype)
 
 
-def _starting_phase(target, initial_phase, seed):
+def _starting_phase(target, initial_phase, seed, half_turns=1):
+    """Return phases to start from: those given, or random ones from 0 to some half turns."""
     shape = tuple(target.shape)
     _validate.seed("seed", seed)
     if initial_phase is None:
-        return _array.cast(uniform(shape, seed, target) * math.pi, target)
+        return _array.cast(uniform(shape, seed, target) * half_turns * math.pi, target)
     _validate.shaped(
         "initial_phase", _validate.image("initial_phase", initial_phase), f"{list(shape)} as field, or each of fields"
     )
     _validate.check_values("initial_phase", initial_phase)
-    return _array.cast(initial_phase, target)
+    return _array.cast(_validate.real("initial_phase", initial_phase), target)
 
 
 @_validate.takes_units("distances", "dx", "wavelength")
@@ -437,17 +438,31 @@ def spot_hologram(
         aim = wanted * _array.phasor_of_cycles(cycles, _array.complex_dtype(rows))
         hologram = _with_phases(aim, fields_of, columns, rows, lit, n_iterations)
         return hologram, fields_of(hologram)
-    weights, direction = wanted, _random_phasor(count, seed, rows)
-    hologram, share = _superpose(direction * weights, columns, rows), None
-    for turn in range(n_iterations):
-        spots = fields_of(hologram)
-        ratio = _amplitude_ratio(xp.abs(spots), wanted)
-        if turn >= free:
-            ratio, share = _damped(ratio, share)
-        weights = weights * ratio
-        direction = _unit(spots) if turn < free else direction
-        hologram = _superpose(direction * weights, columns, rows)
+
+    def superposed(light):
+        return _superpose(light, columns, rows)
+
+    begun = _array.phasor_of_cycles(uniform(count, seed, rows), _array.complex_dtype(rows))
+    hologram = _weighted(fields_of, superposed, begun, wanted, n_iterations, free)
     return hologram, fields_of(hologram)
+
+
+def _weighted(forth: Callable, back: Callable, direction, wanted, n_iterations: int, free: int, axes=-1):
+    """Return the hologram that sends light of amplitudes in fixed ratios where `forth` leads.
+
+    Each iteration weights the light that `back` takes to a hologram by what it lacks; the phases of the light, at first
+    `direction`, stay as they are after some free iterations.
+    """
+    weights, hologram, share = wanted, back(direction * wanted), None
+    for turn in range(n_iterations):
+        light = forth(hologram)
+        ratio = _amplitude_ratio(_array.namespace(light).abs(light), wanted, axes)
+        if turn >= free:
+            ratio, share = _damped(ratio, share, axes)
+        weights = weights * ratio
+        direction = _unit(light) if turn < free else direction
+        hologram = back(direction * weights)
+    return hologram
 
 
 def _with_phases(aim, fields_of: Callable[..., Any], columns, rows, lit, n_iterations: int):
@@ -542,22 +557,17 @@ def weighted_gerchberg_saxton(
         if illumination is None
         else xp.fft.ifftshift(_checked_illumination(illumination, wanted, shape), axes=axes)
     )
-    direction = xp.fft.ifftshift(_starting_phasor(initial_phase, seed, target), axes=axes)
+    begun = _array.phasor(_starting_phase(target, initial_phase, seed, 2), _array.complex_dtype(target))
     total = math.prod(shape[-2:]) if lit is None else xp.sum(lit**2, axis=axes, keepdims=True)
     norm = (math.prod(shape[-2:]) * total) ** 0.5
 
     def far_field(hologram):
         return xp.fft.fftn(hologram if lit is None else hologram * lit, axes=axes)
 
-    weights, hologram, share = wanted, _unit(xp.fft.ifftn(direction * wanted, axes=axes)), None
-    for turn in range(n_iterations):
-        image = far_field(hologram)
-        ratio = _amplitude_ratio(xp.abs(image), wanted, axes)
-        if turn >= free:
-            ratio, share = _damped(ratio, share, axes)
-        weights = weights * ratio
-        direction = _unit(image) if turn < free else direction
-        hologram = _unit(xp.fft.ifftn(direction * weights, axes=axes))
+    def back(light):
+        return _unit(xp.fft.ifftn(light, axes=axes))
+
+    hologram = _weighted(far_field, back, xp.fft.ifftshift(begun, axes=axes), wanted, n_iterations, free, axes)
     return xp.fft.fftshift(hologram, axes=axes), xp.fft.fftshift(far_field(hologram) / norm, axes=axes)
 
 
@@ -686,19 +696,6 @@ def _unit(field):
     amplitude = xp.abs(field)
     one = xp.ones((), dtype=field.dtype, device=_array.device_of(field))
     return xp.where(amplitude > 0, field / _one_where_zero(amplitude), one)
-
-
-def _starting_phasor(initial_phase, seed, target):
-    _validate.seed("seed", seed)
-    if initial_phase is None:
-        return _random_phasor(tuple(target.shape), seed, target)
-    _validate.shaped("initial_phase", _validate.image("initial_phase", initial_phase), f"{list(target.shape)} as field")
-    _validate.real("initial_phase", initial_phase)
-    return _array.phasor(_array.cast(initial_phase, target), _array.complex_dtype(target))
-
-
-def _random_phasor(shape, seed, like):
-    return _array.phasor_of_cycles(uniform(shape, seed, like), _array.complex_dtype(like))
 
 
 def _checked_intensities(intensities, wanted):

@@ -596,6 +596,11 @@ class Request:
         """Return whether the geometry is known as numbers, so that a kernel can be kept."""
         return not any(_array.is_traced(value) for value in self._lengths())
 
+    def size(self, field: Array, linear: bool = False) -> tuple[int, int]:
+        """Return rows and columns of a transfer function: twice those of a field on its own window."""
+        finer, (rows, columns) = 2 if linear or self.window else 1, field.shape[-2:]
+        return finer * rows, finer * columns
+
     def _lengths(self) -> tuple[Any, ...]:
         return (*pitches(self.dx), self.wavelength, self.distance)
 

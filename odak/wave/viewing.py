@@ -176,8 +176,7 @@ def eye_transfer(
         squared = from_middle[0] ** 2 + from_middle[1] ** 2
         cycles = cycles + vergence[..., None, None] / (2 * wavelength) * squared
     if aberrations is not None:
-        if not isinstance(aberrations, Mapping):
-            raise TypeError(f"aberrations must map (n, m) to radians, got {type(aberrations).__name__}")
+        _validate.instance("aberrations", aberrations, Mapping, "a mapping of (n, m) to radians")
         modes = zernike_modes(down + 0 * across, across + 0 * down, aberrations)
         for value, mode in zip(aberrations.values(), modes, strict=True):
             cycles = cycles + _array.converted(value, xp, device, xp.float64) * mode / (2 * math.pi)

@@ -94,7 +94,7 @@ def test_gradient_in_the_coefficients_and_the_radius():
 @pytest.mark.parametrize(
     ("arguments", "options", "error", "message"),
     [
-        ((4, 4, [0.1]), {}, TypeError, "coefficients must map"),
+        ((4, 4, [0.1]), {}, TypeError, "coefficients must be a mapping"),
         ((4, 4, {(2, 1): 0.1}), {}, ValueError, "m must have"),
         ((4, 4, {(2, 0): np.nan}), {}, ValueError, "finite"),
         ((4, 4, {(2, 0): 1j}), {}, TypeError, "real number"),

@@ -267,7 +267,7 @@ def test_faces_and_gradients_of_a_pupil():
     assert torch.autograd.gradcheck(spread, values, fast_mode=True)
     single = odak.learn.wave.pupil_function(*arguments, 0.12, dtype=torch.float32)
     assert single.dtype == torch.complex64
-    with pytest.raises(TypeError, match="aberrations must map"):
+    with pytest.raises(TypeError, match="aberrations must be a mapping"):
         pupil_function(*arguments, 0.1, [0.3])
     with pytest.raises(ValueError, match="numerical_aperture must be positive"):
         pupil_function(*arguments, -0.1)

@@ -95,7 +95,7 @@ def test_aberrations_are_those_of_the_pupil():
     by_focus = eye_image(field, PITCH, WAVELENGTH, DISTANCE, (1e-4, 2e-4), 1.5e-3, focus)
     by_mode = eye_image(field, PITCH, WAVELENGTH, DISTANCE, (1e-4, 2e-4), 1.5e-3, aberrations={(2, 0): radians})
     np.testing.assert_allclose(abs(by_mode), abs(by_focus), atol=0.02)
-    with pytest.raises(TypeError, match="aberrations must map"):
+    with pytest.raises(TypeError, match="aberrations must be a mapping"):
         eye_image(field, PITCH, WAVELENGTH, DISTANCE, aberrations=[(2, 0)])
 
 
