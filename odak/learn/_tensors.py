@@ -380,8 +380,7 @@ def get_device(device: torch.device | str | None = "auto") -> torch.device:
     """
     if device is None or (isinstance(device, str) and device.strip().lower() == "auto"):
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    if not isinstance(device, (torch.device, str)):
-        raise TypeError(f"device must be a torch.device or a string, got {type(device).__name__}")
+    _validate.instance("device", device, (torch.device, str), "a torch.device or a string")
     chosen = _parse(device)
     if chosen.type == "cuda" and not torch.cuda.is_available():
         warn(f"{chosen} was requested and there is no CUDA device: the CPU is used instead", DeviceWarning)

@@ -639,9 +639,8 @@ class display_model(Prepared, torch.nn.Module):
                 a, b = self.lens.moved(position).ray_matrix
                 cycles = a / (2 * self.wavelength * b) * self._squared
                 passes = torch.ones_like(cycles)
-            phase = 2 * math.pi * torch.remainder(cycles, 1)
-            kind = torch.complex64 if self._dtype is torch.float32 else torch.complex128
-            self._kernels[position] = torch.polar(passes.to(phase), phase).to(kind).to(self._slope.device)
+            kernel = passes.to(cycles) * _array.phasor_of_cycles(cycles)
+            self._kernels[position] = kernel.to(self._slope.device, self._dtype.to_complex())
         return self._kernels[position]
 
     def _apply(self, fn, recurse=True):

@@ -197,8 +197,7 @@ class Display(Prepared, torch.nn.Module):
         """
         if isinstance(calibration, (str, os.PathLike)):
             calibration = load_calibration(calibration)
-        elif not isinstance(calibration, Calibration):
-            raise TypeError(f"calibration must be a Calibration or a file, got {type(calibration).__name__}")
+        _validate.instance("calibration", calibration, Calibration, "a Calibration or a file")
         bits = (len(calibration.phases) - 1).bit_length()
         if len(calibration.phases) != 2**bits:
             raise ValueError(f"calibration must have 2^bits levels, got {len(calibration.phases)}")
@@ -456,8 +455,7 @@ class Display(Prepared, torch.nn.Module):
 
     def lit_by(self, powers: torch.Tensor) -> "Display":
         """Return the same display with other powers of the sources, ``[F, C]``."""
-        given = self.modulator, self.wavelengths, self.path.ends, self.frames, powers, self._lighting()
-        return Display(*given, self.iris, self.medium).to(self.powers.device)
+        return self._changed(powers=powers)
 
     def extents(self) -> list[dict[str, Any]]:
         """Return how much light can be told apart in each colour: the étendue, and what eyes have of it.
@@ -506,16 +504,16 @@ class Display(Prepared, torch.nn.Module):
         >>> display.looked_at(Eyes(0.1, [(0.0, 0.0), (0.0, 1e-3)])).shape
         (2, 1, 32, 48)
         """
-        if not isinstance(eyes, Eyes):
-            raise TypeError(f"eyes must be odak.learn.wave.Eyes, got {type(eyes).__name__}")
+        _validate.instance("eyes", eyes, Eyes, "odak.learn.wave.Eyes")
         if getattr(self.path, "mask", None) is not None:
             raise ValueError("eyes cannot look at a display with a mask in the Fourier plane")
-        given = self.modulator, self.wavelengths, eyes, self.frames, self.powers, self._lighting()
-        return Display(*given, self.iris, self.medium).to(self.powers.device)
+        return self._changed(distances=eyes)
 
-    def _lighting(self) -> torch.Tensor | Source | None:
-        """Return what a display of the same light takes as its profile."""
-        return self.profile if self.source is None else self.source
+    def _changed(self, **others: Any) -> "Display":
+        """Return a display that differs in some arguments, on the same device."""
+        own = {name: getattr(self, name) for name in ("modulator", "wavelengths", "frames", "powers", "iris", "medium")}
+        own |= {"distances": self.path.ends, "profile": self.profile if self.source is None else self.source}
+        return Display(**(own | others)).to(self.powers.device)
 
     def _lights(self, phases: torch.Tensor, amplitudes: torch.Tensor | None = None) -> Lights:
         """Return what each panel does to the light, in the order in which it meets them, ``[..., F, rows, columns]``.

@@ -255,20 +255,20 @@ def _spread(at, light, colour):
     sizes, wavelength, (a, b) = at.sizes, at.wavelengths[colour], at.ends.ray_matrix
     y, x = ((torch.arange(n, dtype=torch.float64) - n // 2) * p for n, p in zip(sizes, at.pitches, strict=True))
     # The curvature that the lens leaves at a plane beside its focus.
-    turn = 2 * math.pi * torch.remainder(a * at.medium / (2 * wavelength * b) * (y[:, None] ** 2 + x**2), 1)
-    light = light * torch.polar(torch.ones_like(turn), turn).to(light.device, light.dtype)
+    turn = _array.phasor_of_cycles(a * at.medium / (2 * wavelength * b) * (y[:, None] ** 2 + x**2))
+    light = light * turn.to(light.device, light.dtype)
     # In the order of the transform, whose period is one order.
     field = torch.fft.fft2(light, s=[2 * n for n in sizes]).tile(2, 2) / math.sqrt(math.prod(sizes))
     frequencies = [(torch.arange(4 * n, dtype=torch.float64) - 2 * n) / (2 * n) for n in sizes]
     # The panel begins at the first sample, its axis is pixel n // 2.
     moved = [f * (n // 2) for f, n in zip(frequencies, sizes, strict=True)]
-    turn = 2 * math.pi * torch.remainder(moved[0][:, None] + moved[1], 1)
+    turn = _array.phasor_of_cycles(moved[0][:, None] + moved[1])
     # Square pixels, the block on the axis, and the iris.
     radius = torch.hypot(frequencies[0][:, None] / at.pitches[0], frequencies[1] / at.pitches[1])
     passed = torch.outer(*(torch.sinc(math.sqrt(at.fill) * f) for f in frequencies))
     passed = passed * (wavelength / at.medium * abs(b) * radius >= at.ends.block)
     passed = passed * (radius <= at.iris.cutoff(wavelength)) if isinstance(at.iris, Iris) else passed
-    return torch.fft.fftshift(field) * torch.polar(passed, turn).to(light.device, light.dtype)
+    return torch.fft.fftshift(field) * (passed * turn).to(light.device, light.dtype)
 
 
 def _on_retina(light, sight: Sight, expander: Expander | None, least: int):

@@ -11,6 +11,7 @@ from odak import _array, _show, _validate
 from odak.learn._tensors import floating, kind_of
 from odak.learn.wave.fields import unit_phasor
 from odak.learn.wave.slm import TURN, AmplitudeResponse, checked_bits, even_levels
+from odak.learn.wave.training import generator_from
 from odak.wave.linear_kernels import checked_pixel_fill
 from odak.wave.transfer_functions import checked_pitch, pitches
 
@@ -190,7 +191,7 @@ class Expander:
         """
         cells = _validate.integer("cells", cells, minimum=1)
         levels = _validate.integer("levels", levels, minimum=2)
-        generator = torch.Generator().manual_seed(_validate.integer("seed", seed, minimum=0))
+        generator = generator_from(seed)
         shape = [cells * n for n in _validate.size("resolution", resolution)]
         return cls(torch.randint(levels, shape, generator=generator) * (TURN / levels))
 
@@ -269,8 +270,7 @@ class Modulator:
         object.__setattr__(self, "resolution", _validate.size("resolution", self.resolution))
         checked_pitch("pitch", self.pitch)
         checked_bits(self.bits)
-        if not (self.lit_through is None or isinstance(self.lit_through, AmplitudePanel)):
-            raise TypeError(f"lit_through must be an AmplitudePanel or None, got {type(self.lit_through).__name__}")
+        _validate.instance("lit_through", self.lit_through, (AmplitudePanel, type(None)), "an AmplitudePanel or None")
         checked_pixel_fill(self.fill, "fill")
         if self.phase_scale is not None:
             scale = tuple(float(one) for one in _validate.several("phase_scale", self.phase_scale, positive=True))

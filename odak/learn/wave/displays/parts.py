@@ -5,7 +5,7 @@ Touches a display by what it computes of a part alone.
 
 import copy
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -150,11 +150,10 @@ def with_frames(display: Any, frames: Sequence[int]) -> tuple[Any, torch.Tensor]
     panel = display.modulator
     if panel.responses():
         panel = replace(panel, response=[panel.responses()[f] for f in frames])
-    powers, lamp = torch.stack([display.powers[f] for f in frames]), display._lighting()
-    if display.source is not None and (weights := torch.as_tensor(lamp.weights)).ndim > 1:
-        lamp = replace(lamp, weights=torch.stack([weights[f] for f in frames]))
-    given = panel, display.wavelengths, display.path.ends, len(frames), powers, lamp, display.iris
-    some = type(display)(*given, display.medium).to(powers.device)
+    powers, others = torch.stack([display.powers[f] for f in frames]), {}
+    if display.source is not None and (weights := torch.as_tensor(display.source.weights)).ndim > 1:
+        others["profile"] = replace(display.source, weights=torch.stack([weights[f] for f in frames]))
+    some = display._changed(modulator=panel, frames=len(frames), powers=powers, **others)
     some._kept = display._kept
     if isinstance(display.shares, Streamed):
         some.shares = Streamed(some, display.shares.budget)
@@ -163,22 +162,23 @@ def with_frames(display: Any, frames: Sequence[int]) -> tuple[Any, torch.Tensor]
 
 def beside(display: Any, others: torch.Tensor, shares: torch.Tensor) -> Any:
     """Return a display of some frames that shows the images of others too; see :class:`SomeFrames`."""
-    whole = copied_to(display, display.powers.device)
-    whole.shares = SomeFrames(display, others, shares)
-    return whole
+    return _shown_by(display, lambda whole: SomeFrames(display, others, shares))
 
 
 def streamed(display: Any, budget: int) -> Any:
     """Return a display with its images computed in parts whose fields fit a memory budget."""
-    whole = copied_to(display, display.powers.device)
-    whole.shares = Streamed(whole, budget)
-    return whole
+    return _shown_by(display, lambda whole: Streamed(whole, budget))
 
 
 def shared_among(display: Any, devices: Sequence[torch.device] | Ranks) -> Any:
     """Return a display with its images computed in parts by several devices, or by the ranks of a group."""
+    return _shown_by(display, lambda whole: Shares(display, devices))
+
+
+def _shown_by(display: Any, shares: Callable[[Any], Any]) -> Any:
+    """Return a copy of a display whose images are made as `shares` of it says."""
     whole = copied_to(display, display.powers.device)
-    whole.shares = Shares(display, devices)
+    whole.shares = shares(whole)
     return whole
 
 

@@ -22,6 +22,7 @@ from odak.learn._tensors import floating, get_device, rows_of, shaped, tensor, t
 from odak.learn.tools.file import first_line, save_torch_tensor, torch_load
 from odak.learn.tools.transformation import PerspectiveCamera, quaternion_to_rotation_matrix
 from odak.learn.wave.gaussians.splatting import sum_of_gaussians
+from odak.learn.wave.training import generator_from
 from odak.log import logger
 from odak.tools.asset import read_elements
 from odak.tools.matrix import zero_pad
@@ -606,11 +607,7 @@ class complex_2d_gaussians(nn.Module):
         self.img_size: tuple[int, int] = picture_size("img_size", img_size)
         self.device: torch.device = get_device(device)
         self.merge_opacity: bool = _validate.flag("merge_opacity", merge_opacity)
-        draw = torch.Generator()
-        if seed is not None:
-            draw.manual_seed(_validate.integer("seed", seed))
-        if seed is None:
-            draw.manual_seed(int(torch.randint(2**62, ())))
+        draw = generator_from(seed)
 
         def even(low, high, *shape):
             return torch.rand(number, *shape, generator=draw) * (high - low) + low
@@ -983,8 +980,7 @@ class complex_3d_gaussians(nn.Module):
         if antialiased is None:
             antialiased = str(load_path).endswith(".ply") and is_antialiased(str(load_path))
         self.antialiased: bool = _validate.flag("antialiased", antialiased)
-        seed = int(torch.randint(2**62, ())) if seed is None else _validate.integer("seed", seed)
-        draw = torch.Generator().manual_seed(seed)
+        draw = generator_from(seed)
         if init_type == "gaussians":
             read = _read_splats if str(load_path).endswith(".ply") else _read
             first = read(load_path, planes, self.device, draw)
@@ -1055,8 +1051,7 @@ class complex_3d_gaussians(nn.Module):
         _validate.real("gradients", gradients)
         threshold = _validate.constant("threshold", threshold)
         split_scale = _validate.constant("split_scale", split_scale, positive=True)
-        draw = torch.Generator()
-        draw.manual_seed(int(torch.randint(2**62, ())) if seed is None else _validate.integer("seed", seed))
+        draw = generator_from(seed)
         with torch.no_grad():
             doubled = gradients.to(self.means.device) > threshold
             large = doubled & (self.pre_act_scales.exp().amax(1) > split_scale)

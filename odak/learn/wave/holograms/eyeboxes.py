@@ -189,8 +189,7 @@ def eyebox_map(
     >>> eyebox_map(hologram, scene, 2e-3, 3, 2e-3).psnr.shape
     torch.Size([3, 3])
     """
-    if not isinstance(hologram, DisplayedHologram):
-        raise TypeError(f"hologram must be an odak.learn.wave.DisplayedHologram, got {type(hologram).__name__}")
+    _validate.instance("hologram", hologram, DisplayedHologram, "an odak.learn.wave.DisplayedHologram")
     own = hologram.display.eyes
     if distance is None and own is None:
         raise ValueError("distance must be given for a hologram on planes: that from the panel to the pupils")

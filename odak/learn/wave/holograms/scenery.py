@@ -340,8 +340,7 @@ def _diffracted(light: torch.Tensor, band: tuple[float, float] | None) -> torch.
 
 
 def _fits(name: str, picture: torch.Tensor, display: Display) -> None:
-    if not isinstance(display, Display):
-        raise TypeError(f"display must be an odak.learn.wave.Display, got {type(display).__name__}")
+    _validate.instance("display", display, Display, "an odak.learn.wave.Display")
     _, colours, *size = display.shape
     if picture.shape[-3] not in (1, colours) or list(picture.shape[-2:]) != size:
         got = list(picture.shape[-3:])

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import torch
 
+from odak import _array
 from odak.instruments import Lens
 from odak.learn.wave.displays.observers import REACH
 from odak.learn.wave.displays.panels import Iris, Modulator
@@ -87,8 +88,7 @@ class LensPath(Path):
         for axis, (n, part) in enumerate(zip(self.sizes, beside, strict=True)):
             turn = -part / n * (torch.arange(n, dtype=torch.float64) - n // 2)
             cycles = cycles + (turn[:, None] if axis == 0 else turn)
-        turn = 2 * math.pi * torch.remainder(cycles, 1)
-        return torch.polar(torch.ones_like(turn), turn).to(device, dtype)
+        return _array.phasor_of_cycles(cycles).to(device, dtype)
 
     def _behind_lens(self, device, colour, dtype, beside, beyond):
         """Return the factor of the field behind the lens, which its pixels envelop."""
