@@ -3,8 +3,8 @@
 import difflib
 import functools
 import inspect
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any, ParamSpec, TypeVar, overload
 
 import numpy as np
@@ -399,8 +399,7 @@ def _parse(device):
         ) from None
 
 
-@contextmanager
-def advising_on_memory(advice: str) -> Iterator[None]:
+def advising_on_memory(advice: str) -> AbstractContextManager[None]:
     """Add a sentence of advice to the error that torch raises when a GPU has no memory left.
 
     Parameters
@@ -413,12 +412,8 @@ def advising_on_memory(advice: str) -> Iterator[None]:
     torch.OutOfMemoryError
         The same kind of error, torch's own text after the advice.
     """
-    try:
-        yield
-    except torch.cuda.OutOfMemoryError as error:
-        raise torch.cuda.OutOfMemoryError(
-            f"The memory of the GPU is not sufficient; {advice}. Message of torch: {error}"
-        ) from error
+    kind, told = torch.cuda.OutOfMemoryError, f"The memory of the GPU is not sufficient; {advice}. Message of torch: "
+    return _validate.refusing(told, kind, raised=kind)
 
 
 def takes_constants(*names: str) -> Callable[[Callable[P, R]], Callable[P, R]]:

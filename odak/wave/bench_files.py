@@ -5,9 +5,11 @@ which the field passes in order. Lengths are numbers of metres, or texts with a 
 """
 
 import copy
+import importlib
 import json
 import math
 import os
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from importlib import resources
@@ -184,10 +186,9 @@ def read_config(path: Path) -> dict[Any, Any]:
     """Return the content of a TOML or JSON file; raise ValueError where there is none."""
     if not path.exists():
         raise ValueError(f"config not found: {str(path)!r}")
-    try:
+    told = f"config cannot be read: {str(path)!r}"
+    with _validate.refusing(lambda text: f"{told} ({' '.join(text.split())})", OSError, ValueError):
         text = Path(regular_file(str(path))).read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        raise ValueError(f"config cannot be read: {str(path)!r} ({' '.join(str(error).split())})") from None
     if path.suffix.lower() == ".json":
         try:
             return json.loads(text)
@@ -196,14 +197,9 @@ def read_config(path: Path) -> dict[Any, Any]:
             raise ValueError(f"config {str(path)!r} is not valid JSON: {place}") from None
     if path.suffix.lower() != ".toml":
         raise ValueError(f"config must end in .toml or .json, got {str(path)!r}")
-    try:
-        import tomllib as toml
-    except ModuleNotFoundError:  # Python 3.10
-        import tomli as toml  # type: ignore[import-not-found,no-redef]
-    try:
+    toml = importlib.import_module("tomllib" if sys.version_info >= (3, 11) else "tomli")
+    with _validate.refusing(f"config {str(path)!r} is not valid TOML: ", toml.TOMLDecodeError, RecursionError):
         return toml.loads(text)
-    except (toml.TOMLDecodeError, RecursionError) as error:
-        raise ValueError(f"config {str(path)!r} is not valid TOML: {error}") from None
 
 
 def checked(config: Any, folder: Path) -> tuple[dict[Any, Any], list[dict[Any, Any]]]:

@@ -265,10 +265,9 @@ def _constant(value):
     """Return an array as NumPy's float64 without its gradient; a tuple as a tuple of them."""
     if isinstance(value, tuple):
         return tuple(_constant(v) for v in value)
-    try:
+    told = "the lengths determine the computation: they must not be vmapped over"
+    with _validate.refusing(lambda _: told, RuntimeError):
         return np.asarray(_validate.numbers(value)).reshape(value.shape)
-    except RuntimeError as error:
-        raise ValueError("the lengths determine the computation: they must not be vmapped over") from error
 
 
 def roll_off(excess: Array, width: Array, guard: float) -> Array:

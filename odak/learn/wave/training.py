@@ -68,14 +68,12 @@ def _captured(compute: Callable[[], list[Any]], device: torch.device) -> tuple[C
             for _ in range(3):
                 compute()
         torch.cuda.current_stream().wait_stream(stream)
-        try:
-            with torch.cuda.graph(graph):
-                outputs = compute()
-        except RuntimeError as error:
-            raise RuntimeError(
-                "graph must be False for this loss or display, whose computation cannot be recorded: it may read "
-                "numbers from the device"
-            ) from error
+        told = (
+            "graph must be False for this loss or display, whose computation cannot be recorded: it may read numbers "
+            "from the device"
+        )
+        with _validate.refusing(lambda _: told, RuntimeError, raised=RuntimeError), torch.cuda.graph(graph):
+            outputs = compute()
     return graph.replay, outputs
 
 

@@ -152,7 +152,7 @@ def load_splats(path: str | os.PathLike[str]) -> Splats:
     path = validate_path(path, [".ply"])
     if not os.path.exists(path):
         raise FileNotFoundError(f"there is no file {path!r}")
-    try:
+    with _validate.refusing(f"{path!r} cannot be read as Gaussians: ", *_BROKEN):
         vertices = read_elements(path)["vertex"].data
         names = set(vertices.dtype.names)
         rest = sum(name.startswith("f_rest_") for name in names)
@@ -173,8 +173,6 @@ def load_splats(path: str | os.PathLike[str]) -> Splats:
             columns("opacity")[:, 0],
             torch.cat([constant, *above], dim=1),
         )
-    except _BROKEN as error:
-        raise ValueError(f"{path!r} cannot be read as Gaussians: {error}") from error
 
 
 def is_antialiased(path: str) -> bool:
@@ -394,10 +392,9 @@ def _pose(quaternion, shift) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def _read_tables(file: Path, read: Callable[..., Any]):
-    try:
+    told = f"{str(file)!r} cannot be read as a file of COLMAP: "
+    with _validate.refusing(told, ValueError, IndexError, struct.error, UnicodeDecodeError):
         return read(file.read_bytes())
-    except (ValueError, IndexError, struct.error, UnicodeDecodeError) as error:
-        raise ValueError(f"{str(file)!r} cannot be read as a file of COLMAP: {error}") from error
 
 
 def _intrinsics(model: str, width: int, height: int, parameters):
@@ -505,11 +502,10 @@ def wrapped(phase: torch.Tensor) -> torch.Tensor:
 
 def picture_size(name: str, size: Any) -> tuple[int, int]:
     """Return the width and height of a picture as integers; raise ValueError for anything but two positive ones."""
-    try:
+    told = f"{name} must be two positive integers (width, height), got {size!r}"
+    with _validate.refusing(lambda _: told, TypeError, ValueError):
         width, height = size
         return _validate.side(name, width), _validate.side(name, height)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be two positive integers (width, height), got {size!r}") from None
 
 
 def lengths(values: Any) -> torch.Tensor:
