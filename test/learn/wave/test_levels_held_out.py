@@ -2,9 +2,10 @@
 
 The direct search is a program of its own in NumPy: of the display it asks what the light of each pixel alone does to
 the image, and then gives each pixel in turn, in each frame, the level of the least error. It begins where the solver
-does, with phases without levels that are rounded.
+does, with phases without levels that are rounded. Simulated annealing, of the same program, begins with random levels.
 """
 
+import itertools
 import warnings
 from dataclasses import replace
 from importlib.resources import files
@@ -84,6 +85,27 @@ class DirectSearch:
                 break
         return levels
 
+    def annealed(self, lights, sweeps, hot):
+        """Return the error of one frame after annealing pixel by pixel from random levels (Metropolis).
+
+        The temperature falls from some share of the first error to a hundredth of it; 0 is a direct search.
+        """
+        draw = np.random.default_rng(SEED)
+        levels = draw.integers(len(lights), size=SIDE**2)
+        field = np.tensordot(lights[levels], self.pixels, 1)
+        image = self.recorded((abs(field) ** 2)[None])
+        error = first = self.errors(image)[0]
+        for sweep in range(sweeps):
+            temperature = max(hot * first * 0.01 ** (sweep / (sweeps - 1)), 1e-30)
+            for pixel in draw.permutation(levels.size):
+                level = (levels[pixel] + draw.integers(1, len(lights))) % len(lights)
+                change = (lights[level] - lights[levels[pixel]]) * self.pixels[pixel]
+                tried = image + self.recorded((2 * (field.conj() * change).real + abs(change) ** 2)[None])
+                new = self.errors(tried)[0]
+                if new < error or draw.random() < np.exp((error - new) / temperature):
+                    error, image, field, levels[pixel] = new, tried, field + change, level
+        return error
+
 
 def compared(bits, frames, observer, picture, distance, seed):
     """Return the quality in decibels of rounding, the search and the direct search, and the errors of the latter."""
@@ -122,3 +144,18 @@ def test_as_good_as_a_direct_search_and_above_rounding(bits, frames, observer):
     cases = [(picture, z, SEED + 2 * i + j) for i, picture in enumerate(pictures()) for j, z in enumerate(DISTANCES)]
     rounded, searched, direct = np.mean([compared(bits, frames, OBSERVERS[observer], *case) for case in cases], axis=0)
     assert searched > direct - 0.5 and searched > rounded + 2.5
+
+
+@pytest.mark.slow
+def test_mirrors_are_as_good_as_annealed_ones():
+    """Means over two pictures at two distances: a direct search 17.6 dB, annealing 18.2 dB, the search 18.4 dB."""
+    panel, observer, found = Modulator.amplitude_only((SIDE, SIDE), 8e-6, bits=1), OBSERVERS["registered"], []
+    lights = panel.light(panel.phases_of(torch.arange(2)[:, None, None]))[:, 0, 0].numpy()
+    for picture, distance in itertools.product(pictures()[:2], DISTANCES):
+        display, run = Display(panel, 532e-9, distance), Run(ITERATIONS, progress=False, seed=SEED)
+        searched = optimise(display, picture, run=run, observer=observer)
+        direct = DirectSearch(display, observer, picture)
+        errors = [direct.annealed(lights, 30, hot) for hot in (0.0, 1e-3)]
+        found.append([float(searched.psnr), *(-10 * np.log10(errors))])
+    searched, greedy, annealed = np.mean(found, axis=0)
+    assert searched > annealed - 0.4 and searched > greedy + 0.5 and annealed > greedy + 0.3
