@@ -12,7 +12,7 @@ from typing import Any
 from odak import _array, _validate
 from odak._array import Array, cast, is_array, is_torch, namespace, phasor_of_cycles
 from odak._warnings import ConvergenceWarning, SamplingWarning, warn
-from odak.wave.transfer_functions import Grid, angular_spectrum, convolve, pitches
+from odak.wave.transfer_functions import Request, angular_spectrum, convolve, pitches
 
 METHODS = ("split-step", "wave propagation")
 
@@ -122,11 +122,10 @@ class _Step:
         self.xp, self.device, self.dtype = namespace(field), _array.device_of(field), field.dtype
         self.shape = tuple(field.shape[-2:])
         self.method, self.levels, self.reference = method, levels, reference
-        self.dz, self.wavelength = (cast(value, field, self.xp.float64) for value in (dz, wavelength))
-        steps = [_validate.number("dx", step, positive=True) for step in pitches(dx)]
-        self.pitch = tuple(self.xp.reshape(cast(step, field, self.xp.float64), (1, 1)) for step in steps)
+        given = [dz, wavelength, *(_validate.number("dx", step, positive=True) for step in pitches(dx))]
+        self.dz, self.wavelength, *pitch = (self.xp.reshape(cast(value, field, self.xp.float64), ()) for value in given)
+        self.pitch = tuple(pitch)
         self.damping = self._damping(absorber)
-        self.kernels: dict[Any, Any] = {}
         self.warned = False
 
     def through(self, field, slices: Iterable[Any]):
@@ -183,25 +182,8 @@ class _Step:
 
     def _kernel(self, index, part: float):
         """Return the transfer function of a part of a slice of a homogeneous medium."""
-        plain = not any(_array.is_traced(value) for value in (index, self.dz, self.wavelength))
-        key = (_validate.numbers(index)[0], part) if plain else None
-        if key not in self.kernels or key is None:
-            grid = Grid(
-                self.shape,
-                self.pitch,
-                self.xp.reshape(self.wavelength / index, (1, 1)),
-                self.xp.reshape(self.dz * part, (1, 1)),
-                self.xp,
-                self.device,
-                self.dtype,
-            )
-            kernel = angular_spectrum(grid)
-            if key is None:
-                return kernel
-            if len(self.kernels) > 2 * self.levels + 2:
-                self.kernels.clear()
-            self.kernels[key] = kernel
-        return self.kernels[key]
+        request = Request(self.pitch, self.wavelength / index, self.dz * part)
+        return request.transfer_function(angular_spectrum, self.shape, self.xp, self.device, self.dtype)
 
     def _damping(self, width):
         if not width:
@@ -212,7 +194,7 @@ class _Step:
             if n == 1:  # a field that does not depend on this axis
                 continue
             places = xp.arange(n, dtype=xp.float64, device=self.device)
-            inside = xp.minimum(places, n - 1 - places) * pitch[0, 0]
+            inside = xp.minimum(places, n - 1 - places) * pitch
             depth = xp.clip(1 - inside / width, 0.0, 1.0)
             # A wave that crosses the layer at 45 degrees is attenuated to 1e-4 of its amplitude.
             along = xp.exp(-(3 * math.log(1e4) / width) * depth**2 * self.dz)
