@@ -16,7 +16,7 @@ import scipy.special
 
 from odak import _array, _validate
 from odak._array import Array, Device, namespace
-from odak.wave.elements import grid_positions, share_in_disc, single_numbers, spiral_parts
+from odak.wave.elements import distance_from_axis, grid_positions, share_in_disc, single_numbers, spiral_parts
 from odak.wave.sampling import plain_numbers, warn_of_beam, warn_of_factor, warn_of_power, warn_of_tilt
 from odak.wave.transfer_functions import pitches
 
@@ -354,14 +354,12 @@ def bessel_beam(
     for step in dict.fromkeys(pitches(dx)):
         warn_of_tilt("bessel_beam", step, 2 * math.pi / given[0], given[1])
     y, x = y[:, None], x[None, :]
-    squared = y**2 + x**2
-    axis = squared == 0
-    safe = xp.sqrt(xp.where(axis, xp.ones_like(squared), squared))
-    radius = xp.where(axis, xp.zeros_like(squared), safe)
+    radius, axis = distance_from_axis(y, x)
+    safe = xp.where(axis, xp.ones_like(radius), radius)
     field = _bessel(order, 2 * math.pi / wavelength * xp.sin(angle * (math.pi / 180)) * radius)
     for width in waists:
-        field = field * xp.exp(-squared / width**2)
-    cosine, sine = xp.where(axis, xp.ones_like(squared), x / safe), y / safe
+        field = field * xp.exp(-(y**2 + x**2) / width**2)
+    cosine, sine = xp.where(axis, xp.ones_like(radius), x / safe), y / safe
     return xp.astype(field, xp.complex128) * _array.make_complex(*spiral_parts(cosine, sine, order))
 
 
@@ -681,11 +679,8 @@ def power_in_bucket(
     >>> round(float(power_in_bucket(beam, 8e-6, 100e-6)), 2)
     0.86
     """
-    _validate.number("radius", radius, positive=True)
-    xp, intensity = _intensity(field)
-    like = xp.zeros((), dtype=xp.float64, device=_array.device_of(intensity))
-    steps, (y, x) = grid_positions(intensity.shape[-2:], dx, offset, xp, _array.device_of(intensity))
-    share = share_in_disc(y, x, steps, xp.reshape(_array.cast(radius, like), ()))
+    xp, intensity, radius, steps, (y, x) = _about(field, dx, radius, offset)
+    share = share_in_disc(y, x, steps, radius)
     return xp.sum(intensity * share, axis=(-2, -1)) / xp.sum(intensity, axis=(-2, -1))
 
 
@@ -761,13 +756,10 @@ def fibre_coupling(
     >>> round(float(fibre_coupling(beam, 8e-6, 100e-6, (50e-6, 0.0))), 4)
     0.7788
     """
-    _validate.number("radius", radius, positive=True)
-    xp, intensity = _intensity(field)
-    like = xp.zeros((), dtype=xp.float64, device=_array.device_of(intensity))
-    steps, (y, x) = grid_positions(intensity.shape[-2:], dx, offset, xp, _array.device_of(intensity))
-    shape, numbers = tuple(intensity.shape[-2:]), (1.0, 0.0, radius, radius)
+    numbers = 1.0, 0.0, radius, radius
+    xp, intensity, radius, steps, (y, x) = _about(field, dx, radius, offset)
+    shape = tuple(intensity.shape[-2:])
     _array.outside_graphs(_warn_of_beam, "the mode of the fibre", shape, dx, offset, ((1.0,),) * 2, numbers)
-    radius = xp.reshape(_array.cast(radius, like), ())
     area = math.pi / 2 * radius**2 / (steps[0] * steps[1])
     mode = xp.astype(xp.exp(-(y**2 + x**2) / radius**2), xp.complex128)
     product = xp.sum(mode * xp.astype(_array.to_complex(field), xp.complex128), axis=(-2, -1))
@@ -780,6 +772,14 @@ def _intensity(field):
     xp = namespace(field)
     field = xp.astype(field, xp.complex128)
     return xp, xp.real(field) ** 2 + xp.imag(field) ** 2
+
+
+def _about(field, dx, radius, offset):
+    """Return the namespace and the intensity of a field, a radius as an array, and pitches and places of samples."""
+    _validate.number("radius", radius, positive=True)
+    xp, intensity = _intensity(field)
+    steps, places = grid_positions(intensity.shape[-2:], dx, offset, xp, _array.device_of(intensity))
+    return xp, intensity, xp.reshape(_array.cast(radius, intensity, xp.float64), ()), steps, places
 
 
 def _profiles(field, dx):

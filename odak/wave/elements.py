@@ -703,7 +703,7 @@ def axicon_phase(
 
 def _axicon(y, x, wavelength, angle, index):
     xp = namespace(y)
-    distance, _ = _radius(xp, y, x)
+    distance, _ = distance_from_axis(y, x)
     return -2 * math.pi / wavelength * (index - 1) * xp.tan(angle * (math.pi / 180)) * distance
 
 
@@ -1147,9 +1147,9 @@ def grid_positions(shape: Any, dx: Any, offset: Any, xp: ModuleType, device: Dev
     return steps, (y[:, None], x[None, :])
 
 
-def _radius(xp, y, x):
+def distance_from_axis(y: Any, x: Any) -> tuple[Any, Any]:
     """Return the distance from the axis, with a derivative of 0 on it, and where the axis is."""
-    squared = y**2 + x**2
+    xp, squared = namespace(y), y**2 + x**2
     centre = squared == 0
     return xp.where(centre, xp.zeros_like(squared), xp.sqrt(xp.where(centre, xp.ones_like(squared), squared))), centre
 

@@ -757,12 +757,14 @@ def _covered(fill, s):
     return (torch.where(high <= start + 1, high, start + 1) - torch.where(low >= start, low, start)).clamp_min(0)
 
 
-def pixel_fill_of(slm: Any, has_iris: bool) -> float | None:
-    """Return the fill factor of a modulator whose gaps are averaged over its pixels, None for any other.
+def checked_fill(pixel_fill: float | None, slm: Any, has_iris: bool) -> float | None:
+    """Return the share of a pixel's area that emits: given, or of a modulator with gaps; None for points.
 
-    Its field has the spectrum of pixels of finite size. Their orders beyond 1/(2·pitch) are not sampled, which an
-    AccuracyWarning says where no iris stops them.
+    A field of pixels of finite size has the spectrum of these. Its orders beyond 1/(2·pitch) are not sampled, which an
+    AccuracyWarning says where no iris stops those of a modulator.
     """
+    if pixel_fill is not None:
+        return checked_pixel_fill(pixel_fill)
     slm = slm.slm if isinstance(slm, temporal_modulator) else slm
     if not isinstance(slm, spatial_light_modulator) or slm.samples_per_pixel > 1 or not 0 < float(slm.fill_factor) < 1:  # type: ignore[arg-type]
         return None
@@ -773,13 +775,6 @@ def pixel_fill_of(slm: Any, has_iris: bool) -> float | None:
             AccuracyWarning,
         )
     return float(slm.fill_factor)  # type: ignore[arg-type]
-
-
-def checked_fill(pixel_fill: float | None, slm: Any, has_iris: bool) -> float | None:
-    """Return the share of a pixel's area that emits, given or taken from a modulator; None for points."""
-    if pixel_fill is None:
-        return pixel_fill_of(slm, has_iris)
-    return checked_pixel_fill(pixel_fill)
 
 
 def iris_cutoff(wavelength: float, iris_radius: Any, iris_focal_length: Any) -> float | None:
