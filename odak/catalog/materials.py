@@ -629,6 +629,7 @@ def air_index(
     carbon_dioxide = _validate.constant("carbon_dioxide", carbon_dioxide, least=0)
     check_weather(temperature, pressure, humidity)
     wide = _in_double(wavelength) * scale
+    _validate.fitting(wavelength=wide, temperature=temperature, pressure=pressure, humidity=humidity)
     _check_range(material("air"), wide, True)
     found = _ciddor(wide, temperature, pressure, humidity, carbon_dioxide)
     return _array.cast(found, wavelength, _array.real_dtype(wavelength)) if _array.is_array(wavelength) else found
@@ -883,6 +884,7 @@ def internal_transmittance(
     unit = _validate.one_of("unit", unit, MICROMETRES)
     wavelength, thickness = _in_unit("wavelength", wavelength, unit), in_unit("thickness", thickness, unit)
     _validate.real("thickness", thickness)
+    _validate.fitting(wavelength=wavelength, thickness=thickness)
     coefficient = absorption_coefficient(found, wavelength, unit)
     if not _array.is_array(coefficient) and not _array.is_array(thickness):
         return math.exp(-coefficient * thickness)
@@ -1065,8 +1067,8 @@ def nearest_materials(nd: float, vd: float, count: int = 3, makers: Iterable[str
     >>> nearest_materials(1.5168, 64.2, count=1)
     ('N-BK7',)
     """
-    _validate.real("nd", nd, positive=True)
-    _validate.real("vd", vd, positive=True)
+    _validate.number("nd", nd, positive=True)
+    _validate.number("vd", vd, positive=True)
     if makers is None:
         pool = list(_catalogue().values())
     else:

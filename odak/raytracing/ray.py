@@ -368,9 +368,9 @@ def rays_from_field(
     """
     field = _array.to_complex(_validate.image("field", field))
     pitches = _validate.pair("dx", dx, positive=True)
-    _validate.real("wavelength", wavelength, positive=True)
-    _validate.real("z", z)
-    _validate.real("threshold", threshold)
+    _validate.number("wavelength", wavelength, positive=True)
+    _validate.number("z", z)
+    _validate.number("threshold", threshold)
     xp = _array.namespace(field)
     real, imag = xp.real(field), xp.imag(field)
     power = real * real + imag * imag

@@ -431,8 +431,8 @@ def normalize_phase(
         period = _validate.real("period", 2 * math.pi if period is None else period, positive=True)
         multiplier = _validate.real("multiplier", 1.0 if multiplier is None else multiplier)
         return phase % period / period * multiplier
-    _validate.real("range_min", range_min)
-    _validate.real("range_max", range_max)
+    _validate.number("range_min", range_min)
+    _validate.number("range_max", range_max)
     if not range_max > range_min:
         raise ValueError(f"range_max must be larger than range_min = {range_min!r}, got {range_max!r}")
     xp = _array.namespace(phase)
@@ -827,9 +827,11 @@ def electric_field_per_plane_wave(
     given = {"amplitude": amplitude, "opd": opd, "phase": phase}
     arrays = {name: _validate.array(name, _validate.given(name, value)) for name, value in given.items()}
     if not any(array.ndim or _array.is_array(given[name]) for name, array in arrays.items()):
+        for name, value in (("k", k), ("w", w), ("t", t)):
+            _validate.number(name, value)
         angle = math.remainder(-w * t + k * opd + _validate.real("phase", phase), 2 * math.pi)
         return amplitude * complex(math.cos(angle), math.sin(angle)) / opd**2
-    _validate.fitting(**arrays)
+    _validate.fitting(**arrays, k=k, w=w, t=t)
     kinds = [value for value in given.values() if _array.is_array(value)] or list(arrays.values())
     xp = _array.namespace(*kinds)
     dtype = xp.complex128 if any(_array.is_double(value) for value in kinds) else xp.complex64
@@ -875,7 +877,7 @@ def propagate_plane_waves(field: Array, opd: float | Array, k: float, w: float =
     [-1.0]
     """
     field = _validate.given("field", field)
-    _validate.fitting(field=field, opd=_validate.array("opd", opd))
+    _validate.fitting(field=field, opd=_validate.array("opd", opd), k=k, w=w, t=t)
     return field * electric_field_per_plane_wave(1.0, opd, k, 0, w, t)
 
 
@@ -921,7 +923,7 @@ def propagate_field(points0: Array, points1: Array, field0: Array, wave_number: 
         if not _array.is_array(points) or points.ndim != 2 or points.shape[-1] != 3:
             raise ValueError(f"{name} must be an array of shape [n, 3], got {getattr(points, 'shape', type(points))}")
         _validate.array(name, points)
-    _validate.real("wave_number", wave_number)
+    _validate.number("wave_number", wave_number)
     if _validate.integer("direction", direction, minimum=-1) == 0 or direction > 1:
         raise ValueError(f"direction must be 1 or -1, got {direction}")
     _validate.shaped(

@@ -287,6 +287,8 @@ def propagate_on_disk(
     field = da.asarray(_array.to_complex(_validate.image("field", field)))
     if field.ndim != 2:
         raise ValueError(f"field must be [rows, columns], got the shape {tuple(field.shape)}")
+    _validate.number("distance", distance)
+    _validate.number("wavelength", wavelength, positive=True)
     if path.exists() and not any((path / name).is_file() for name in ("zarr.json", ".zarray")):
         raise ValueError(f"path must be new or a Zarr array, which is replaced; {str(path)!r} is something else")
     path.parent.mkdir(parents=True, exist_ok=True)

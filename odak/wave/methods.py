@@ -118,14 +118,16 @@ def _times_aperture(kernel, aperture, field):
         return kernel if aperture == 1 else kernel * complex(aperture)
     xp = _array.namespace(field)
     aperture = _array.cast(aperture, field)
-    if aperture.ndim >= 2:
-        for have, want in zip(aperture.shape[-2:], kernel.shape[-2:], strict=True):
-            if have not in (1, want):
-                raise ValueError(
-                    f"aperture must be a number or shaped like the grid of field, {tuple(kernel.shape[-2:])}, "
-                    f"got {tuple(aperture.shape)}"
-                )
-        aperture = xp.fft.ifftshift(aperture, axes=_AXES)
+    # One axis is that of the columns.
+    axes = _AXES[-aperture.ndim :] if aperture.ndim else ()
+    for axis in axes:
+        if aperture.shape[axis] not in (1, kernel.shape[axis]):
+            raise ValueError(
+                f"aperture must be a number or shaped like the grid of field, {tuple(kernel.shape[-2:])}, "
+                f"got {tuple(aperture.shape)}"
+            )
+    if axes:
+        aperture = xp.fft.ifftshift(aperture, axes=axes)
     return kernel * aperture
 
 

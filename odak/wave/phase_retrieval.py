@@ -609,8 +609,8 @@ def uniformity(intensities: Array, axis: int = -1) -> Array:
 def _lens_factors(points, resolution, wavelength, dx, focal):
     """Return the fields of the spots' lenses along columns ``[..., N, m]`` and along rows ``[..., N, n]``."""
     shape = _validate.size("resolution", resolution)
-    _validate.real("wavelength", wavelength, positive=True)
-    steps = [_validate.real("dx", step, positive=True) for step in pitches(dx)]
+    _validate.number("wavelength", wavelength, positive=True)
+    steps = [_validate.number("dx", step, positive=True) for step in pitches(dx)]
     if not _array.is_array(points):
         raise TypeError(f"points must be an array or a tensor, got {type(points).__name__}")
     _validate.real("points", points)

@@ -337,7 +337,7 @@ def thin_film_transfer(
     0.8
     """
     rows, columns = _validate.size("shape", shape)
-    _validate.real("wavelength", wavelength, positive=True)
+    _validate.number("wavelength", wavelength, positive=True)
     reflect = _validate.flag("reflect", reflect)
     given, values = check_stack(wavelength, 0.0, indices, thicknesses)
     if not any(is_array(value) for value in (*indices, *thicknesses, wavelength)):

@@ -1024,7 +1024,9 @@ def fraunhofer_equal_size_adjust(
     """
     field = _validate.image("field", field)
     check_geometry(None, distance, dx, wavelength)
-    _validate.real("distance", distance, nonzero=True)
+    _validate.number("distance", _validate.real("distance", distance, nonzero=True))
+    for name, value in (("wavelength", wavelength), *(("dx", pitch) for pitch in pitches(dx))):
+        _validate.number(name, value)
     sizes = [
         int(n * pitch**2 / (wavelength * abs(distance)) * n)
         for n, pitch in zip(field.shape[-2:], pitches(dx), strict=True)

@@ -168,9 +168,7 @@ def sampling_report(
     """
     shape = _validate.size("shape", shape)
     (dx,) = _validate.constants(dx=dx)
-    if not isinstance(dx, (tuple, list)):
-        dx = (_validate.real("dx", dx, positive=True),) * 2
-    rows, columns = (float(value) for value in _validate.several("dx", dx, 2, positive=True))
+    rows, columns = (float(value) for value in _validate.pair("dx", dx, positive=True))
     wavelength = _validate.constant("wavelength", wavelength, positive=True)
     distance = _validate.constant("distance", distance)
     tolerance = _validate.constant("tolerance", tolerance, positive=True)

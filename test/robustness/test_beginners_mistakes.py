@@ -466,3 +466,30 @@ def test_names_are_taken_in_any_case_by_what_acts_on_them():
     design = system.lens_design(lens, system.Operand("Focal_Length", 100.0), system.Variable("Curvature", 0))
     design.optimise(5)
     assert float(system.first_order(lens).focal_length.detach()) == pytest.approx(100.0, abs=1e-6)
+
+
+_SEVEN, _FIELD = np.full(7, 0.5), np.ones((16, 16), dtype=complex)
+
+
+@pytest.mark.parametrize(
+    ("name", "call"),
+    [
+        ("aperture", lambda: odak.wave.angular_spectrum(_FIELD, None, 1e-4, PITCH, WAVELENGTH, aperture=_SEVEN)),
+        ("range_max", lambda: odak.wave.normalize_phase(_SEVEN, 0.0, _SEVEN)),
+        ("k", lambda: odak.wave.propagate_plane_waves(_FIELD, 1.0, _SEVEN)),
+        ("k", lambda: odak.wave.electric_field_per_plane_wave(1.0, 1.0, _SEVEN)),
+        ("wave_number", lambda: odak.wave.propagate_field(np.zeros((2, 3)), np.ones((3, 3)), np.ones(2), _SEVEN)),
+        ("wavelength", lambda: odak.wave.fraunhofer_equal_size_adjust(_FIELD, 1e-3, PITCH, 1e-6 * _SEVEN)),
+        ("dx", lambda: odak.wave.sampling_report((16, 16), 2e-5 * _SEVEN, WAVELENGTH, 1e-3)),
+        ("wavelength", lambda: odak.wave.spot_hologram(np.ones((2, 3)), (16, 16), 1e-6 * _SEVEN, PITCH)),
+        ("wavelength", lambda: odak.wave.thin_film_transfer((16, 16), PITCH, 1e-6 * _SEVEN, [1.0, 1.5], [])),
+        ("wavelength", lambda: odak.raytracing.rays_from_field(_FIELD, PITCH, 1e-6 * _SEVEN)),
+        ("temperature", lambda: odak.catalog.air_index(np.array([5e-7, 6e-7]), _SEVEN)),
+        ("thickness", lambda: odak.catalog.internal_transmittance("N-BK7", np.array([5e-7, 6e-7]), _SEVEN)),
+        ("nd", lambda: odak.catalog.nearest_materials(1 + _SEVEN, 60.0)),
+    ],
+)
+def test_arrays_that_fit_no_other_argument_are_named(name, call):
+    with pytest.raises(ValueError, match=rf"\b{name}\b") as caught:
+        call()
+    assert "operands" not in str(caught.value) and "ambiguous" not in str(caught.value)

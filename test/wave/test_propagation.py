@@ -588,3 +588,14 @@ def test_lengths_with_axes_of_rows_and_columns_are_named(length, random, recwarn
     assert not recwarn.list
     with pytest.warns(odak.ArgumentWarning, match=rf"{length} broadcasts .* \(3,\) become \(3, 1, 3\); give .* \(3,\)"):
         assert propagated(field, (3, 1, 1)).shape == (3, 1, 3, 8, 10)
+
+
+def test_an_aperture_of_one_axis_is_centred_along_the_columns():
+    rng = np.random.default_rng(2)
+    field, mask = rng.normal(size=(6, 9)) + 0j, (np.arange(9) > 5).astype(float)
+    found, expected = (
+        odak.wave.custom(field, np.ones((6, 9), dtype=complex), aperture=given)
+        for given in (mask, np.broadcast_to(mask, (6, 9)))
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    np.testing.assert_allclose(np.fft.fft2(found), np.fft.fft2(field) * np.fft.ifftshift(mask), atol=1e-12)
