@@ -70,7 +70,7 @@ REASONS = {
         tools/matrix: quantize slice_rgbd_targets
         tools/transformation: quaternion_to_rotation_matrix
         wave/displays/display: _amplitudes _lit_by_points
-        wave/displays/panels: __post_init__
+        wave/displays/panels: __post_init__ phases_of
         wave/displays/sources: __post_init__
         wave/displays/parts: frames_lit
         wave/displays/paths/base: nearness
