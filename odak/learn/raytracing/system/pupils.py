@@ -709,7 +709,7 @@ def _search(system, given: tuple[Any, ...], wide: bool, known: tuple[Any, ...] |
         ends = nodes.expand(*shape[:-1], *nodes.shape)
         held = held._replace(chart=_chart(nodes, *_beside(errors, held, places_of(pupil, nodes), step, radius, ends)))
     if charted:
-        x, y, found = _by_chart(errors, held.chart, points, step, radius, goals)
+        x, y, found = _by_chart(errors, held.chart, points, step, radius, goals, fields)
     else:
         x, y, found = _beside(errors, held, places_of(pupil, points), step, radius, goals)
     lost = held.reached & ~found
@@ -881,17 +881,26 @@ def _chart(nodes, x, y, found) -> torch.Tensor:
     return torch.cat([whole, slopes[0] @ whole, slopes[1] @ whole], -1)
 
 
-def _by_chart(errors, chart, points, step, radius, goals):
+def _by_chart(errors, chart, points, step, radius, goals, fields):
     """Return coordinates of rays after steps with the derivatives of the chart, and which reach their points."""
-    x, y, xx, yx, xy, yy = (_powers(points) @ chart).unbind(-1)
+    places = (_powers(points) @ chart).movedim(-1, 0)
+    found = torch.zeros(places.shape[1:], dtype=torch.bool, device=places.device)
+    # Those that are not ended in any system of a batch, as fields of one ray each.
+    some, where = torch.ones_like(found[(0,) * (found.ndim - 2)]), fields.expand(*found.shape[-2:], 2)
     for _ in range(5):
-        ex, ey, kept = errors(x, y, goals)
+        x, y, xx, yx, xy, yy = places[..., some, None]
+        ex, ey, kept = errors(x, y, goals[..., some, None, :], where[some][:, None])
         dx, dy = (xx * ex + xy * ey) / radius, (yx * ex + yy * ey) / radius
         usable = kept & torch.isfinite(dx + dy)
-        x, y = x - torch.where(usable, dx, 0.0), y - torch.where(usable, dy, 0.0)
-        if bool(((torch.maximum(dx.abs(), dy.abs()) <= CLOSE * step.abs()) | ~usable).all()):
+        change = torch.where(usable, torch.stack([dx, dy]), 0.0)
+        places[:2, ..., some] -= change[..., 0]
+        found[..., some] = (usable & (torch.maximum(ex.abs(), ey.abs()) <= 1e-7 * radius))[..., 0]
+        # A ray that is lost stays where it is.
+        moves = (change.abs().amax(0) > CLOSE * step.abs())[..., 0].flatten(0, -2).any(0)
+        some[some.clone()] = moves
+        if not bool(moves.any()):
             break
-    return x, y, usable & (torch.maximum(ex.abs(), ey.abs()) <= 1e-7 * radius)
+    return *places[:2], found
 
 
 def _solve(errors, x, y, step, radius, *goals, rounds: int = 8, close: float = CLOSE):
