@@ -946,29 +946,32 @@ def _side_by_side(errors, places: list[Any], goals, *where) -> list[tuple[Any, .
 def _continuation(errors, x, y, step, radius, way, least=LEAST):
     """Return coordinates ``[..., N, 1]`` followed from s = 0 to s = 1, which rays were found, and how far they came.
 
-    Each march tries several steps along the tangent at once and takes those up to the first that fails.
+    Each march tries several steps along the secant of the last two places at once and takes those up to the first that
+    fails.
     """
     s, length = torch.zeros_like(x), torch.full_like(x, 0.25)
     x, y, good = _solve(errors, x, y, step, radius, *way(s))
     idle = ~good
     shares = torch.arange(1, SHARES + 1).to(x) / SHARES
+    # The first march has the tangent.
+    here, jacobian = _differences(errors, x, y, step, *way(s))
+    further = errors(x, y, *way(s + 1e-4))
+    ahead = _newton([(a - b) * 1e4 for a, b in zip(here[:2], further[:2], strict=True)], jacobian)
+    ahead = tuple(torch.where(torch.isfinite(a), a, 0.0) for a in ahead)
     for _ in range(MARCHES):
         active = ~idle & (s < 1)
         if not bool(active.any()):
             break
-        here, jacobian = _differences(errors, x, y, step, *way(s))
-        further = errors(x, y, *way(s + 1e-4))
-        tangent = _newton([(b - a) * 1e4 for a, b in zip(here[:2], further[:2], strict=True)], jacobian)
         target = torch.where(active, (s + length * shares).clamp(max=1.0), s)
-        tries = (
-            a - torch.where(torch.isfinite(b), b, 0.0) * (target - s) for a, b in zip((x, y), tangent, strict=True)
-        )
+        tries = (a + b * (target - s) for a, b in zip((x, y), ahead, strict=True))
         # Rays on the way need not be exact; those at its end are solved once more.
-        tx, ty, met = _solve(errors, *tries, step, radius, *way(target), rounds=3, close=NEAR)
-        count = met.long().cumprod(-1).sum(-1, keepdim=True)
-        last = (count - 1).clamp(min=0)
-        taken = active & (count > 0)
-        x, y, s = (torch.where(taken, a.gather(-1, last), b) for a, b in zip((tx, ty, target), (x, y, s), strict=True))
+        *tries, met = _solve(errors, *tries, step, radius, *way(target), rounds=3, close=NEAR)
+        count = torch.where(active, met.long().cumprod(-1).sum(-1, keepdim=True), 0)
+        ways = [torch.cat(pair, -1) for pair in zip((x, y, s), (*tries, target), strict=True)]
+        x, y, s = (value.gather(-1, count) for value in ways)
+        *before, s_before = (value.gather(-1, (count - 1).clamp(min=0)) for value in ways)
+        gone = s - s_before
+        ahead = tuple(torch.where(gone > 0, (a - b) / gone, c) for a, b, c in zip((x, y), before, ahead, strict=True))
         rate = torch.where(count == SHARES, 4.0, torch.where(count > 0, 2 / SHARES, 1 / SHARES))
         length = torch.where(active, rate * length, length)
         idle = idle | (length < least)
