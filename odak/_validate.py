@@ -483,7 +483,9 @@ def pair(name: str, value, *, positive: bool = False) -> tuple[Any, ...]:
 def few(name: str, value, count: int | None = None, *, positive: bool = False, rising: bool = False) -> list[float]:
     """Return constants in a row, of a list, an array or a tensor of any shape: `count` of them, or two or more."""
     (value,) = constants(**{name: value})
-    found = numbers(real(name, value, positive=positive))
+    for part in value if isinstance(value, (list, tuple)) else (value,):
+        real(name, part, positive=positive)
+    found = numbers(value)
     falls = rising and any(after <= before for before, after in itertools.pairwise(found))
     if falls or (len(found) < 2 if count is None else len(found) != count):
         words = [{None: "two or more", 2: "two", 3: "three"}.get(count, str(count))]

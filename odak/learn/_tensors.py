@@ -329,6 +329,18 @@ def tell_scale(name: str, values: torch.Tensor, remedy: str, white: float = 1.0)
         _validate.check_values(name, values, remedy, refuse=False, white=white)
 
 
+def places_between(knots: torch.Tensor, values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the rising knots below values, by index, and how far on to the next one the values lie, at most there."""
+    values = values.clamp(knots[0], knots[-1])
+    below = (torch.searchsorted(knots, values.detach().contiguous(), right=True) - 1).clamp(0, len(knots) - 2)
+    return below, (values - knots[below]) / (knots[below + 1] - knots[below])
+
+
+def weighted_channels(picture: torch.Tensor, weights: tuple[float, ...]) -> torch.Tensor:
+    """Return the weighted sum of the channels of ``[..., C, H, W]``, ``[..., 1, H, W]``."""
+    return sum(weight * one for weight, one in zip(weights, picture.split(1, -3), strict=True))
+
+
 def in_float64(values: torch.Tensor) -> torch.Tensor:
     """Return values in float64 where the device has it."""
     return values if values.device.type == "mps" else values.double()

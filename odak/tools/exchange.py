@@ -10,7 +10,7 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array
-from odak.tools.matrix import convert_to_numpy
+from odak.tools.matrix import on_host
 from odak.tools.paths import regular_file, temporary_name, validate_path
 
 AXES = "TZCYX"
@@ -80,7 +80,7 @@ def to_xarray(
     for argument, dim, given in (("wavelength", "wavelength", wavelength), ("distance", "z", distance)):
         if given is None:
             continue
-        lengths = _host(given)
+        lengths = on_host(given)
         _validate.several(argument, lengths.reshape(-1).tolist(), positive=argument == "wavelength")
         if several := lengths.ndim > 0:
             place -= 1
@@ -163,7 +163,7 @@ def save_ome_tiff(
         described |= {f"PhysicalSize{axis}": _divided(length, MICROMETRE), f"PhysicalSize{axis}Unit": "µm"}
     if wavelength is not None:
         colours = values.shape[axes.index("C")] if "C" in axes else 1
-        waves = _validate.several("wavelength", _host(wavelength).reshape(-1).tolist(), positive=True)
+        waves = _validate.several("wavelength", on_host(wavelength).reshape(-1).tolist(), positive=True)
         if len(waves) != colours:
             raise ValueError(f"wavelength must be one for each of {colours} colours of field, got {len(waves)}")
         written = [_divided(wave, NANOMETRE) for wave in waves]
@@ -294,7 +294,7 @@ def _numbers(name, value, least, most):
     """Return an array of numbers of at least `least` and at most `most` axes, none of them empty."""
     if not _array.is_array(value):
         raise TypeError(f"{name} must be an array [..., rows, columns], got {type(value).__name__}")
-    values = _host(value)
+    values = on_host(value)
     if values.dtype.kind not in "biufc":
         raise TypeError(f"{name} must hold numbers, got {values.dtype}")
     if values.ndim < least or (most is not None and values.ndim > most) or not values.size:
@@ -303,12 +303,8 @@ def _numbers(name, value, least, most):
     return values
 
 
-def _host(value):
-    return convert_to_numpy(value) if _array.is_torch(value) else np.asarray(value)
-
-
 def _pitches(pitch):
-    steps = _host(pitch)
+    steps = on_host(pitch)
     return _validate.pair("pitch", pitch if not steps.ndim else steps.tolist(), positive=True)
 
 

@@ -813,8 +813,7 @@ def _outside(values):
 
 
 def _utilization(model, percentile):
-    if not 0 <= percentile <= 100:
-        raise ValueError(f"weights['utilization']['percentile'] must be from 0 to 100, got {percentile!r}")
+    _validate.within("weights['utilization']['percentile']", percentile, least=0, most=100)
     columns = torch.cat([model.centers, model.scales, model.alphas], dim=1)
     count = len(columns)
     total = columns.std(dim=0).sum() if count > 1 else columns.sum() * 0
@@ -1136,4 +1135,3 @@ def _check_same_samples(name, samples, ground_truth):
     for key, value in ((name, samples), ("ground_truth", ground_truth)):
         _validate.instance(key, value, torch.Tensor, "a tensor")
     _validate.alike(**{name: samples, "ground_truth": ground_truth})
-    _validate.one_device(**{name: samples, "ground_truth": ground_truth})

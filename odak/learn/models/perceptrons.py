@@ -335,9 +335,7 @@ class hash_grid_encoder(nn.Module):
         levels, count = channels("levels", levels), channels("features", features)
         table_size, coarsest = channels("table_size", table_size), channels("coarsest", coarsest)
         _validate.integer("finest", finest, minimum=coarsest)
-        self.low, self.high = (_validate.constant(name, end) for name, end in (("low", low), ("high", high)))
-        if not self.low < self.high:
-            raise ValueError(f"low must be below high, got {low} and {high}")
+        self.low, self.high = _validate.few("low and high", (low, high), 2, rising=True)
         growth = (finest / coarsest) ** (1 / max(levels - 1, 1))
         cells = [int(coarsest * growth**level + 1e-9) for level in range(levels)]
         sizes = [min((n + 1) ** self.dimensions, table_size) for n in cells]

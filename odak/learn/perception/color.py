@@ -19,7 +19,7 @@ from torch.nn import functional
 from odak import _array, _torch_private, _validate
 from odak._torch_private import in_own_precision, is_plain_on_cpu
 from odak._warnings import ArgumentWarning, warn
-from odak.learn._tensors import as_pictures, floating_tensor, in_float32, in_float64, tell_scale
+from odak.learn._tensors import as_pictures, floating_tensor, in_float32, in_float64, tell_scale, weighted_channels
 from odak.learn.perception.hdr import pq_decode, pq_encode
 from odak.tools.paths import regular_file
 
@@ -890,9 +890,9 @@ def rgb_to_gray(image: torch.Tensor) -> torch.Tensor:
     """
     floating_tensor("image", image)
     if image.ndim > 2 and image.shape[-3] == 3:
-        return _luma(image).unsqueeze(-3)
+        return weighted_channels(image, LUMA)
     if image.ndim == 3 and image.shape[-1] == 3:
-        return _luma(image.permute(2, 0, 1))
+        return weighted_channels(image.permute(2, 0, 1), LUMA)[0]
     raise ValueError(f"image must be [..., 3, H, W] or [H, W, 3], got {tuple(image.shape)}")
 
 
@@ -917,11 +917,6 @@ def _xyz_matrices(white):
         return _XYZ_MATRICES
     matrix = _rgb_to_xyz_rows(*_checked_space(BT709_PRIMARIES, white))
     return rows(matrix), rows(np.linalg.inv(matrix))
-
-
-def _luma(image):
-    red, green, blue = image.unbind(-3)
-    return LUMA[0] * red + LUMA[1] * green + LUMA[2] * blue
 
 
 def _single(name, image):

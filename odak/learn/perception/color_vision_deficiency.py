@@ -171,14 +171,13 @@ class CVDLoss(nn.Module):
         ValueError, TypeError
             If the shapes differ or the pictures are not ``[B, 3, H, W]`` of real floats.
         """
-        for name, picture in (("image", image), ("target", image if target is None else target)):
+        target = image if target is None else target
+        for name, picture in (("image", image), ("target", target)):
             as_pictures(name, picture)
             _validate.shaped(name, picture, "[B, C, H, W]")
             check_values(1.0, **{name: picture})
-        if target is not None and target.shape != image.shape:
-            raise ValueError(f"target must have the image's shape {tuple(image.shape)}, got {tuple(target.shape)}")
-        _validate.one_device(image=image, target=target)
-        image, target = in_float32(image), in_float32(image if target is None else target)
+        _validate.alike(image=image, target=target)
+        image, target = in_float32(image), in_float32(target)
         simulated = simulate_color_vision_deficiency(image, self.deficiency, self.severity, self.method)
         return cvd_loss(target, simulated, self.alpha, self.beta)[0]
 
@@ -314,7 +313,6 @@ def compute_local_contrast_similarity(
         floating_tensor(name, patch)
     _validate.shaped("patch_x", patch_x, "[D, N]")
     _validate.alike(patch_x=patch_x, patch_y=patch_y)
-    _validate.one_device(patch_x=patch_x, patch_y=patch_y)
     _validate.number("epsilon", epsilon, positive=True)
     return _similarity(patch_x, patch_y, 0, epsilon)
 

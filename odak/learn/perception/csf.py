@@ -16,7 +16,16 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _torch_private, _validate
-from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, floating, in_float32, tensor
+from odak.learn._tensors import (
+    as_pictures,
+    check_loss_inputs,
+    check_values,
+    floating,
+    in_float32,
+    places_between,
+    tensor,
+    weighted_channels,
+)
 from odak.learn.perception.color import srgb_decoded, srgb_to_lab
 from odak.learn.perception.foveation import make_eccentricity_distance_maps
 from odak.learn.perception.pyramids import FrequencySteerablePyramid
@@ -337,7 +346,7 @@ def half_spectrum_weights(picture: torch.Tensor) -> torch.Tensor:
 def _luminance(light, viewing):
     """Return the luminance in cd/m² of pictures ``[..., C, H, W]`` of one or three primaries, ``[..., 1, H, W]``."""
     if light.shape[-3] == 3:
-        light = sum(weight * one for weight, one in zip(_BT709_LUMINANCE, light.split(1, -3), strict=True))
+        light = weighted_channels(light, _BT709_LUMINANCE)
     return viewing.luminance(light)
 
 
@@ -404,17 +413,10 @@ def castle_contrast_sensitivity(
     frequency, luminance = torch.broadcast_tensors(frequency, luminance)
     tables = _tables()
     values = tables[f"o{temporal_frequency}_c{CHANNELS.index(channel) + 1}"].to(frequency)
-    rows, down = _place(luminance.log10(), tables["L_bkg"].log10().to(frequency))
-    columns, across = _place(frequency.log10(), tables["rho"].log10().to(frequency))
+    rows, down = places_between(tables["L_bkg"].log10().to(frequency), luminance.log10())
+    columns, across = places_between(tables["rho"].log10().to(frequency), frequency.log10())
     near, far = (torch.lerp(values[rows + step, columns], values[rows + step, columns + 1], across) for step in (0, 1))
     return 10 ** torch.lerp(near, far, down)
-
-
-def _place(value, knots):
-    """Return the intervals of knots that hold values, and the positions within them, 0 to 1."""
-    value = value.clamp(knots[0], knots[-1])
-    index = (torch.searchsorted(knots, value.detach().contiguous(), right=True) - 1).clamp(0, len(knots) - 2)
-    return index, (value - knots[index]) / (knots[index + 1] - knots[index])
 
 
 def _tables():
@@ -648,10 +650,8 @@ class VisibilityLoss(Seen):
         super().__init__()
         view = real_image_width, real_viewing_distance, peak_luminance, black_luminance
         self.viewing: Viewing = viewing_of(viewing, *view)
-        self.colour: float = _validate.constant("colour", colour)
-        self.masking: float = _validate.constant("masking", masking)
-        if self.colour < 0 or not 0 <= self.masking <= 1:
-            raise ValueError(f"colour must not be negative and masking be 0 to 1, got {colour} and {masking}")
+        self.colour: float = _validate.constant("colour", colour, least=0)
+        self.masking: float = _validate.constant("masking", masking, least=0, most=1)
         self.pyramid = FrequencySteerablePyramid(_validate.integer("n_levels", n_levels, minimum=2), 1)
         self._kept = Kept()
 

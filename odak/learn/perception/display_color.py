@@ -21,7 +21,7 @@ from torch import nn
 from odak import _array, _validate
 from odak._attributes import Prepared
 from odak._torch_private import in_own_precision
-from odak.learn._tensors import as_pictures, checked_device, floating, floating_tensor, in_float32
+from odak.learn._tensors import as_pictures, checked_device, floating, floating_tensor, in_float32, places_between
 from odak.learn.perception.color import ciede2000, mix, xyz_to_lab
 from odak.tools.paths import regular_file
 
@@ -307,10 +307,8 @@ def _from_table(name, wavelengths):
 def _interpolated(table, axis):
     places = axis.double()
     knots, *columns = torch.as_tensor(table.T.copy(), device=axis.device)
-    nearest = torch.searchsorted(knots, places.detach(), right=True).clamp(1, len(knots) - 1)
-    start, end = knots[nearest - 1], knots[nearest]
-    share = (places - start) / (end - start)
-    values = torch.stack([column[nearest - 1].lerp(column[nearest], share) for column in columns])
+    below, share = places_between(knots, places)
+    values = torch.stack([column[below].lerp(column[below + 1], share) for column in columns])
     return values.where((places >= knots[0]) & (places <= knots[-1]), 0.0).to(axis)
 
 
@@ -616,13 +614,9 @@ class display_color_hvs(Prepared, nn.Module):
         ValueError, TypeError
             If the wavelength is not a positive number or the values are not 301 finite ones.
         """
-        wavelength, function = _validate.constants(wavelength=wavelength, function=function)
-        _validate.number("wavelength", wavelength, positive=True)
-        if len(_validate.numbers(_validate.real("function", function))) != LAST - FIRST + 1:
-            raise ValueError(
-                f"function must hold {LAST - FIRST + 1} numbers, at {FIRST} … {LAST} nm, got {len(function)}"
-            )
-        return float(function[min(max(round(float(wavelength)), FIRST), LAST) - FIRST])
+        wavelength = _validate.constant("wavelength", wavelength, positive=True)
+        values = _validate.few("function", function, LAST - FIRST + 1)
+        return values[min(max(round(wavelength), FIRST), LAST) - FIRST]
 
     def cone_response_to_spectrum(self, cone_spectrum: torch.Tensor, light_spectrum: torch.Tensor) -> torch.Tensor:
         """Return the sum of cone response times spectrum over the samples, a scalar tensor.

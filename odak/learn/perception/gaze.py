@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from odak import _validate
-from odak.learn._tensors import tensor
+from odak.learn._tensors import places_between, tensor
 from odak.learn.perception.csf import not_negative
 from odak.learn.perception.sight import Viewing, checked_viewing
 from odak.tools.paths import naming, regular_file, validate_path
@@ -106,12 +106,8 @@ class GazeTrace:
         """
         wanted = tensor("seconds", seconds, self.seconds.dtype, self.seconds.device)
         _validate.shaped("seconds", wanted, "[F]")
-        wanted = wanted.clamp(float(self.seconds[0]), float(self.seconds[-1]))
-        after = torch.searchsorted(self.seconds, wanted.detach().contiguous(), right=True)
-        after = after.clamp(1, len(self.seconds) - 1)
-        first, last = self.seconds[after - 1], self.seconds[after]
-        share = ((wanted - first) / (last - first)).to(self.gaze)
-        return torch.lerp(self.gaze[after - 1], self.gaze[after], share[:, None])
+        before, share = places_between(self.seconds, wanted)
+        return torch.lerp(self.gaze[before], self.gaze[before + 1], share.to(self.gaze)[:, None])
 
     def speed(self) -> torch.Tensor:
         """Return the angular speed between the samples in degrees per second ``[N − 1]``."""

@@ -12,7 +12,15 @@ from typing import overload
 import torch
 
 from odak import _validate
-from odak.learn._tensors import above_zero, as_pictures, floating_tensor, in_float32, in_float64, tell_scale
+from odak.learn._tensors import (
+    above_zero,
+    as_pictures,
+    floating_tensor,
+    in_float32,
+    in_float64,
+    tell_scale,
+    weighted_channels,
+)
 
 PQ_PEAK = 10000.0
 _M1, _M2 = 2610 / 16384, 2523 / 4096 * 128
@@ -238,7 +246,7 @@ def hlg_to_luminance(
     """
     peak, gamma, lift = _hlg_display(peak_luminance, black_luminance)
     light = hlg_decode((1 - lift) * _rgb("signal", signal) + lift)
-    return peak * _luminance(light).clamp_min(_DARKEST) ** (gamma - 1) * light
+    return peak * weighted_channels(light, _BT2020_LUMA).clamp_min(_DARKEST) ** (gamma - 1) * light
 
 
 def luminance_to_hlg(
@@ -276,7 +284,7 @@ def luminance_to_hlg(
     """
     peak, gamma, lift = _hlg_display(peak_luminance, black_luminance)
     emitted = _rgb("luminance", luminance).clamp_min(0) / peak
-    light = _luminance(emitted).clamp_min(_DARKEST**gamma) ** (1 / gamma - 1) * emitted
+    light = weighted_channels(emitted, _BT2020_LUMA).clamp_min(_DARKEST**gamma) ** (1 / gamma - 1) * emitted
     return (hlg_encode(light) - lift) / (1 - lift)
 
 
@@ -402,11 +410,6 @@ def _single(name, value, *, positive=False):
     """Return a checked number as a float; a tensor stays a tensor without axes, which keeps its gradient."""
     value = _validate.number(name, value, positive=positive)
     return value.double().reshape(()) if isinstance(value, torch.Tensor) else float(value)
-
-
-def _luminance(rgb):
-    red, green, blue = rgb.unbind(-3)
-    return (_BT2020_LUMA[0] * red + _BT2020_LUMA[1] * green + _BT2020_LUMA[2] * blue).unsqueeze(-3)
 
 
 def _rgb(name, picture):

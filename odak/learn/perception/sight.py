@@ -81,11 +81,8 @@ class Viewing:
         )
         if black >= peak:
             raise ValueError(f"black_luminance must be less than the peak {peak:g}, got {black:g}")
-        ambient, reflectivity = (
-            _validate.constant(name, getattr(self, name), least=0) for name in ("ambient_light", "reflectivity")
-        )
-        if reflectivity > 1:
-            raise ValueError(f"reflectivity must be 0 to 1, got {reflectivity:g}")
+        ambient = _validate.constant("ambient_light", self.ambient_light, least=0)
+        reflectivity = _validate.constant("reflectivity", self.reflectivity, least=0, most=1)
         size = None if self.resolution is None else _validate.size("resolution", self.resolution)
         values = float(width), float(distance), size, gaze_of("gaze", self.gaze), peak, black, ambient, reflectivity
         for one, value in zip(fields(self), values, strict=True):

@@ -274,7 +274,7 @@ def test_gradients_and_refusals_of_the_hash_grid():
     for wrong, message in (
         ({"dimensions": 8}, "dimensions must be at most 7"),
         ({"coarsest": 64, "finest": 32}, "finest must be at least 64"),
-        ({"low": 1.0, "high": 1.0}, "low must be below high"),
+        ({"low": 1.0, "high": 1.0}, "low and high must be two rising numbers"),
         ({"levels": 0}, "levels must be at least 1"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -222,7 +222,7 @@ def test_loss_names_the_picture_that_came():
     picture = torch.rand(1, 3, 8, 8)
     with pytest.raises(ValueError, match=r"^image must hold finite values"):
         p.CVDLoss()(torch.full_like(picture, torch.nan))
-    with pytest.raises(ValueError, match=r"^target must have the image's shape"):
+    with pytest.raises(ValueError, match=r"^image and target must have the same shape"):
         p.CVDLoss()(picture, picture[..., :-1])
     with pytest.raises(ValueError, match=r"^lc_patch_size must be at least 1"):
         p.cvd_loss(picture, picture, lc_patch_size=0)

@@ -68,7 +68,7 @@ def test_a_head_mounted_display():
         (lambda: Viewing(-1), "real_image_width must be positive"),
         (lambda: Viewing(black_luminance=200), "black_luminance must be less than the peak 100, got 200"),
         (lambda: Viewing(ambient_light=-1), "ambient_light must be at least 0"),
-        (lambda: Viewing(reflectivity=2), "reflectivity must be 0 to 1, got 2"),
+        (lambda: Viewing(reflectivity=2), "reflectivity must be from 0 to 1, got 2"),
         (lambda: Viewing(gaze=(1, 2, 3)), "gaze must be two finite numbers"),
         (lambda: Viewing().pixels_per_degree, "resolution must be given for pixels_per_degree"),
         (lambda: Viewing.head_mounted((10, 10)), "field_of_view or pixels_per_degree must be given, not both"),
