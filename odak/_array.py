@@ -431,6 +431,14 @@ def product(first, second):
     return _torch_private.product(first, second)
 
 
+def on_host(value):
+    """Return an array of any library, or a tensor, as one of NumPy."""
+    if not is_torch(value):
+        return numpy_namespace.asarray(value)
+    held = value.detach().cpu().resolve_conj().resolve_neg()
+    return (held.float() if str(held.dtype) == "torch.bfloat16" else held).numpy()
+
+
 def convolve_plainly(field, kernel):
     """Return :func:`odak.wave.transfer_functions.convolve` by the array library's own transforms."""
     fft, (rows, columns) = namespace(field).fft, field.shape[-2:]

@@ -9,7 +9,6 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array, ArrayT
-from odak.tools.matrix import on_host
 
 _WINDOWS = ("hamming", "tukey")
 
@@ -43,7 +42,7 @@ class SlantedEdge:
 
     def frequency_at(self, level: float = 0.5) -> float:
         """Return the lowest frequency at which the modulation has fallen to `level`, e.g. MTF50; NaN if it does not."""
-        frequency, mtf = (on_host(value) for value in (self.frequency, self.mtf))
+        frequency, mtf = (_array.on_host(value) for value in (self.frequency, self.mtf))
         below = np.flatnonzero(mtf <= level)
         if not below.size or below[0] == 0:
             return float("nan")
@@ -121,7 +120,7 @@ def slanted_edge_mtf(
     correct_bins = _validate.flag("correct_bins", correct_bins)
     xp = _array.namespace(image)
     image = xp.astype(image, _array.real_dtype(image), copy=False)
-    still = on_host(image).astype(np.float64)
+    still = _array.on_host(image).astype(np.float64)
     if not np.isfinite(still).all():
         raise ValueError("image must be finite everywhere")
     if _runs_along_rows(still):
@@ -366,7 +365,7 @@ def polynomial_fit(line_x: Array, line_y: Array, fit_degree: int = 3) -> np.poly
     """
     degree = _validate.integer("fit_degree", fit_degree)
     line_x, line_y = _validate.constants(line_x=line_x, line_y=line_y)
-    x, y = (on_host(_validate.array(n, v)) for n, v in (("line_x", line_x), ("line_y", line_y)))
+    x, y = (_array.on_host(_validate.array(n, v)) for n, v in (("line_x", line_x), ("line_y", line_y)))
     x = np.asarray(_validate.real("line_x", x), dtype=np.float64)
     if x.ndim != 1 or x.shape != y.shape or len(x) <= degree:
         raise ValueError(f"line_x and line_y must be [n] with n > {degree}, got {x.shape} and {y.shape}")

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import plyfile
 
-from odak import _validate
-from odak.tools.matrix import on_host
+from odak import _array, _validate
 from odak.tools.paths import regular_file, replacing, validate_path
 from odak.tools.transformation import rotate_points
 
@@ -186,7 +185,7 @@ _BYTES |= {"int": 4, "uint": 4, "float": 4, "int32": 4, "uint32": 4, "float32": 
 
 def _in_float32(name, value) -> np.ndarray:
     """Return an array, a list or a tensor, which may have a gradient, as a NumPy array of float32."""
-    return np.asarray(on_host(_validate.array(name, value)), dtype=np.float32)
+    return np.asarray(_array.on_host(_validate.array(name, value)), dtype=np.float32)
 
 
 def write_mesh(filename: str, vertices: np.ndarray, faces: np.ndarray, text: bool = False) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array
-from odak.tools.matrix import on_host
 from odak.tools.paths import regular_file, temporary_name, validate_path
 
 AXES = "TZCYX"
@@ -80,7 +79,7 @@ def to_xarray(
     for argument, dim, given in (("wavelength", "wavelength", wavelength), ("distance", "z", distance)):
         if given is None:
             continue
-        lengths = on_host(given)
+        lengths = _array.on_host(given)
         _validate.several(argument, lengths.reshape(-1).tolist(), positive=argument == "wavelength")
         if several := lengths.ndim > 0:
             place -= 1
@@ -163,7 +162,7 @@ def save_ome_tiff(
         described |= {f"PhysicalSize{axis}": _divided(length, MICROMETRE), f"PhysicalSize{axis}Unit": "µm"}
     if wavelength is not None:
         colours = values.shape[axes.index("C")] if "C" in axes else 1
-        waves = _validate.several("wavelength", on_host(wavelength).reshape(-1).tolist(), positive=True)
+        waves = _validate.several("wavelength", _array.on_host(wavelength).reshape(-1).tolist(), positive=True)
         if len(waves) != colours:
             raise ValueError(f"wavelength must be one for each of {colours} colours of field, got {len(waves)}")
         written = [_divided(wave, NANOMETRE) for wave in waves]
@@ -294,7 +293,7 @@ def _numbers(name, value, least, most):
     """Return an array of numbers of at least `least` and at most `most` axes, none of them empty."""
     if not _array.is_array(value):
         raise TypeError(f"{name} must be an array [..., rows, columns], got {type(value).__name__}")
-    values = on_host(value)
+    values = _array.on_host(value)
     if values.dtype.kind not in "biufc":
         raise TypeError(f"{name} must hold numbers, got {values.dtype}")
     if values.ndim < least or (most is not None and values.ndim > most) or not values.size:
@@ -304,7 +303,7 @@ def _numbers(name, value, least, most):
 
 
 def _pitches(pitch):
-    steps = on_host(pitch)
+    steps = _array.on_host(pitch)
     return _validate.pair("pitch", pitch if not steps.ndim else steps.tolist(), positive=True)
 
 

@@ -761,10 +761,4 @@ def convert_to_numpy(a: "torch.Tensor") -> np.ndarray:
     """
     if not _array.is_torch(a):
         raise TypeError(f"a must be a tensor, got {type(a).__name__}")
-    held = a.detach().cpu().resolve_conj().resolve_neg()
-    return (held.float() if str(held.dtype) == "torch.bfloat16" else held).numpy()
-
-
-def on_host(value: Any) -> np.ndarray:
-    """Return an array of any library, or a tensor, as one of NumPy."""
-    return convert_to_numpy(value) if _array.is_torch(value) else np.asarray(value)
+    return _array.on_host(a)

@@ -16,7 +16,6 @@ import numpy as np
 
 from odak import _array, _show, _validate
 from odak._bars import tqdm
-from odak.tools.matrix import on_host
 from odak.tools.paths import validate_path, write_file
 
 # Most pictures of one page, each of which is some tens of kilobytes.
@@ -180,7 +179,7 @@ def _picture(drawn: Any) -> bytes:
         return stream.getvalue()
     if not _array.is_array(drawn):
         raise TypeError(f"draw must return a figure, axes or a picture, got {type(drawn).__name__}")
-    values = on_host(drawn)
+    values = _array.on_host(drawn)
     if values.ndim == 3 and values.shape[0] in (1, 3) and values.shape[-1] != 3:
         values = np.moveaxis(values, 0, -1)
     values = values[..., 0] if values.ndim == 3 and values.shape[-1] == 1 else values
