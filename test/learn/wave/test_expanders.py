@@ -88,7 +88,7 @@ def test_a_mask_of_phases_keeps_all_light_and_spreads_it():
         sight = display_of(cells, Eyes(DISTANCE, diameter=0.4), 0.8).path.sight(0, 0)
         light = np.repeat(np.exp(1j * phases_of(12).numpy()), max(cells, 1))
         light = light * np.exp(1j * phases_of(light.size, seed=1).numpy() * (cells > 0))
-        (points, step), emitting = sight._points(1), math.sqrt(0.8)
+        (points, step), emitting = sight.points(1), math.sqrt(0.8)
         seen = abs(sight.to_pupil(1) @ light) ** 2 * step
         assert seen.sum() == pytest.approx(12 * sight.box(1) / emitting, rel=0.01)
         inside[cells] = seen[abs(points) < sight.box(1) / 2].sum() / seen.sum()

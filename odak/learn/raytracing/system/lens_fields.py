@@ -223,6 +223,8 @@ class Passage:
     ----------
     pitch : float or tuple of float
         Pixel pitch of the result in metres.
+    error : float
+        How far paths of other rays lie from the polynomials, in wavelengths; 0 where a number requires a gradient.
     """
 
     def __init__(self, axes: Sequence["_Axis"], path: "_Characteristic", counts: Sequence[int], unit: float):
@@ -232,6 +234,7 @@ class Passage:
         self._products = list(path.products(tolerance))
         out = [one.out * unit for one in axes]
         self.pitch: Any = out[0] if out[0] == out[1] else tuple(out)
+        self.error: float = path.error
 
     def __call__(self, field: torch.Tensor) -> torch.Tensor:
         """Return the field behind the system of a field ``[..., rows, columns]`` in front of it."""
@@ -369,6 +372,17 @@ def _interpolation(places: np.ndarray, n: int) -> torch.Tensor:
     return torch.from_numpy(np.polynomial.chebyshev.chebvander(held, n - 1) @ _coefficients(n))
 
 
+@torch.no_grad()
+def _enough(cycles: torch.Tensor, axis: int) -> int:
+    """Return the odd number of Chebyshev points along an axis that hold phasors of cycles at such points.
+
+    A polynomial of degree m holds exp(iωx) where m exceeds ω by some ten.
+    """
+    n = cycles.shape[axis]
+    steepest = torch.tensordot(_slopes(n).to(cycles), cycles.detach(), dims=([1], [axis])).abs().max()
+    return max(2 * n + 3, 2 * math.ceil(math.pi * float(steepest)) + 11)
+
+
 def _slopes(n: int) -> torch.Tensor:
     """Return the matrix of the derivatives at the Chebyshev points."""
     chebyshev = np.polynomial.chebyshev
@@ -402,7 +416,7 @@ class _Characteristic:
         middle = grid[0] // 2, grid[1] // 2, element.points // 2
         self.first = self.path[:, :, middle[2], middle[2]] - self.path[middle[0], middle[1], middle[2], middle[2]]
         self.second = self.path[middle[0], middle[1]]
-        self._check()
+        self.error = self._checked()
 
     def _at(self, points, side: str) -> list[torch.Tensor]:
         """Return places along both axes of points of −1 … 1."""
@@ -430,12 +444,9 @@ class _Characteristic:
 
         The rest, at finer Chebyshev points, is a matrix; its singular vectors are the shortest such sum.
         """
-        sizes = [2 * n + 3 for n in (*self.element.grid, *(self.element.points,) * 2)]
-        finer = [
-            _interpolation(_nodes(m), n).to(self.device)
-            for m, n in zip(sizes, (*self.element.grid, *(self.element.points,) * 2), strict=True)
-        ]
         rest = self.path - self.first[:, :, None, None] - self.second
+        sizes = [_enough(rest, axis) for axis in range(4)]
+        finer = [_interpolation(_nodes(m), n).to(self.device) for m, n in zip(sizes, rest.shape, strict=True)]
         rest, size = (
             _spread(_spread(part, finer[2:]).movedim((0, 1), (2, 3)), finer[:2]).movedim((2, 3), (0, 1))
             for part in (rest, self.amplitude)
@@ -506,10 +517,10 @@ class _Characteristic:
         return (one.reshape(shape) for one in (path, sent.v * front, sent.u * front, losses))
 
     @torch.no_grad()
-    def _check(self):
-        """Warn if traced paths between the nodes of the polynomials differ from the polynomials."""
+    def _checked(self) -> float:
+        """Return how much traced paths between the nodes of the polynomials differ from these; warn if that is much."""
         if not is_readable(self.path) or self.path.requires_grad:
-            return
+            return 0.0
         between = [np.array([(t[0] + t[1]) / 2]) for t in map(_nodes, self.element.grid)]
         inside = [np.array([-0.85, 0.65])] * 2
         wanted, *_ = self._traced(self._at(between, "near"), self._at(inside, "far"))
@@ -525,3 +536,4 @@ class _Characteristic:
                 f"than {self.element.grid} points, or more than {self.element.points} rays along each axis",
                 AccuracyWarning,
             )
+        return error

@@ -31,6 +31,8 @@ _AIRY = 64
 # Pixels beyond each rim of a panel from which light reaches an eyepiece of traced rays, and pixels at least in a
 # period behind the stop, which is that of four panels otherwise.
 _RIM_BY_RAYS, _PERIOD_BY_RAYS = 32, 2048
+# Points of a panel and of a pupil along an axis between which rays are traced.
+_RAYS_OF_PANEL, _RAYS_OF_PUPIL = 11, 21
 # Rows of a spectrum that are multiplied at a time.
 _ROWS = 64
 _Factor = Callable[[slice], torch.Tensor]
@@ -340,7 +342,7 @@ def _by_fresnel(light, sight: Sight, expander: Expander | None, axes, wide: int)
 
 
 def _by_rays(light, sight: Sight, expander: Expander | None, axes, wide: int):
-    """Return what :func:`_by_fresnel` does, of an eyepiece whose rays are traced, more of them than a display traces.
+    """Return what :func:`_by_fresnel` does, of an eyepiece whose rays are traced.
 
     The field behind the stop is sampled twice in each pixel.
     """
@@ -355,16 +357,25 @@ def _by_rays(light, sight: Sight, expander: Expander | None, axes, wide: int):
         comb = torch.fft.ifft(torch.fft.fft(comb, dim=axis) * (passed if axis == -1 else passed[:, None]), dim=axis)
         side = n + 2 * _RIM_BY_RAYS
         light = comb.narrow(axis, count - side, 2 * side)
-    (_, b, d), steps, inside = sight.ray_matrix(), [], []
-    for _, n, _, box, _, half in axes:
-        steps.append(box / (2 * n * wide))
-        count = math.ceil(half / steps[-1]) + 2
-        inside.append(steps[-1] * torch.arange(-count, count + 1, dtype=torch.float64, device=light.device))
+    (a, b, d), inside = sight.ray_matrix(), []
+    sides: list[int] = []
+    window: dict[str, tuple[Any, ...]] = {"output_dx": (), "output_shape": (), "output_center": ()}
+    for _, n, pitch, box, middle, half in axes:
+        step = box / (2 * n * wide)
+        count = math.ceil(half / step) + 2
+        inside.append(step * torch.arange(-count, count + 1, dtype=torch.float64, device=light.device))
+        # The order of no pixel reaches further, even if the lens bends its light a quarter more than in first order.
+        reach = 1.25 * (box / 2 + abs(a) * (n / 2 + _RIM_BY_RAYS) * pitch)
+        first = min(2 * count, max(0, math.ceil((-reach - middle) / step) + count))
+        last = max(first + 1, min(2 * count + 1, math.floor((reach - middle) / step) + count + 1))
+        sides = [first, 2 * count + 1 - last, *sides]
+        there = step, last - first, middle + step * (first + (last - first) // 2 - count)
+        window = {name: (*kept, value) for (name, kept), value in zip(window.items(), there, strict=True)}
     element: Any = sight.eyes.distance
-    more = {"grid": tuple(n + 2 for n in element.grid), "points": element.points + 4}
-    window = {"output_dx": tuple(steps), "output_shape": tuple(map(len, inside)), "output_center": sight.pupil()[0]}
-    finer = dataclasses.replace(element, **more, **window, tolerance=element.tolerance / 100)
+    more = {"grid": (_RAYS_OF_PANEL,) * 2, "points": _RAYS_OF_PUPIL}
+    finer = dataclasses.replace(element, **more, **window, tolerance=element.tolerance / 10)
     light = finer.passage(light.shape, [pitch / 2 for _, _, pitch, *_ in axes], sight.wavelength)(light)
+    light = torch.nn.functional.pad(light, sides)
     down, across = (u + middle for u, (*_, middle, _) in zip(inside, axes, strict=True))
     # Sums over pixels have no 1/(λB), and the eye sees light without the curvature that the first order gives it.
     turn = _array.phasor_of_cycles(-d / (2 * sight.wavelength * b) * (down[:, None] ** 2 + across**2))

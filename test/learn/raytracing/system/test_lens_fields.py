@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -13,6 +14,7 @@ from odak.learn.raytracing.system import (
     coordinate_break,
     exit_field,
     first_order,
+    lens_fields,
     optical_system,
     retinal_field,
     surface,
@@ -192,3 +194,27 @@ def test_what_rays_cannot_tell_is_refused_or_warned_of():
     )
     with pytest.warns(AccuracyWarning, match="aperture"):
         TracedSystem(small).apply(field, 8e-6, WAVE)
+
+
+@pytest.mark.slow
+def test_products_add_up_to_phases_of_many_waves():
+    """What couples field and pupil varies by many waves over a large field, which few points do not hold."""
+    parts = [surface(30.0, thickness=3.0, material="N-BK7"), surface(-30.0, thickness=24.0)]
+    lens = optical_system(parts, 1.2, wavelengths=1e3 * WAVE, object_distance=27.9)
+    passage = TracedSystem(lens, 4e-6, (720, 720)).passage((668, 1088), 4e-6, WAVE)
+    path, random = passage._path, np.random.default_rng(0)
+    places = [random.uniform(-1, 1, 9) for _ in range(4)]
+
+    def at(values, places=places):
+        """Return the polynomials through values at the places along each axis."""
+        for axis, place in enumerate(places):
+            matrix = lens_fields._interpolation(place, values.shape[axis]).to(values.dtype)
+            values = torch.tensordot(matrix, values, dims=([1], [axis])).movedim(0, axis)
+        return values
+
+    rest = at(path.path - path.first[:, :, None, None] - path.second)
+    assert float(rest.max() - rest.min()) > 2
+    wanted = torch.polar(at(path.amplitude), 2 * math.pi * rest)
+    products = ((at(before, places[:2]), at(behind, places[2:])) for before, behind in passage._products)
+    found = sum(torch.tensordot(before, behind, dims=0) for before, behind in products)
+    assert float((found - wanted).norm() / wanted.norm()) < 5e-3

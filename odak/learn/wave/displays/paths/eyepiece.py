@@ -3,12 +3,14 @@
 import copy
 import dataclasses
 import math
+import warnings
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
 
 from odak._array import phasor_of_cycles
+from odak._warnings import AccuracyWarning
 from odak.learn.wave.displays.observers import REACH
 from odak.learn.wave.displays.panels import Modulator
 from odak.learn.wave.displays.paths.retina import RetinaPath
@@ -18,6 +20,8 @@ from odak.learn.wave.eyes import Eyepiece, Eyes, Sight
 _RIM = 32
 # Times the width of what is lit of a pupil in first order, up to which light is followed.
 _BEYOND = 1.1
+# Wavelengths to which paths are to be known, and points of the panel along an axis that are traced for it at most.
+_SURE, _MOST = 3e-3, 15
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,13 +46,11 @@ class EyepiecePath(RetinaPath):
 
     def _in_pupil(self, kept, light, colour, eye):
         system = self.ends.distance.system
+        element, sides, passage = kept(EyepiecePath._traced, self, colour, eye)
         if any(number.requires_grad for number in system.parameters()):
-            passage = self._traced(kept.device, colour, eye)
-        else:
-            passage = kept(EyepiecePath._traced, self, colour, eye)
+            passage = self._passage(element, colour)
         (pupil,) = self._parts(kept, light, colour, eye, (2,))
-        found, sides = passage
-        return torch.nn.functional.pad(found(self._stopped(kept, light)), sides) * pupil
+        return torch.nn.functional.pad(passage(self._stopped(kept, light)), sides) * pupil
 
     def _from_pupil(self, kept, there, light, colour, eye):
         with torch.enable_grad():
@@ -65,7 +67,10 @@ class EyepiecePath(RetinaPath):
         return torch.from_numpy(found * _without_curvature(sight) if part == 2 else found).to(device, dtype)
 
     def _traced(self, device, colour, eye):
-        """Return what the eyepiece does to light on its way to lit points of a pupil, and how many lie around them."""
+        """Return the eyepiece with as many rays as its paths need, dark points around its window, and its passage.
+
+        The window is what may be lit of a pupil.
+        """
         sight, element = self.sight(colour, eye), self.ends.distance
         if element.system.surfaces[0].thickness.device != device:
             element = dataclasses.replace(element, system=copy.deepcopy(element.system).to(device))
@@ -80,8 +85,18 @@ class EyepiecePath(RetinaPath):
             sides = [first, len(points) - first - count, *sides]
             for name, value in zip(window, (step, count, middle + float(points[first + count // 2])), strict=True):
                 window[name] += (value,)
+        element = dataclasses.replace(element, **window)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AccuracyWarning)
+            while self._passage(element, colour).error > _SURE and max(element.grid) < _MOST:
+                more = {"grid": tuple(n + 2 for n in element.grid), "points": element.points + 2}
+                element = dataclasses.replace(element, **more)
+        return element, sides, self._passage(element, colour)
+
+    def _passage(self, element, colour):
+        """Return what a traced system does to light behind the stop."""
         shape, halves = [2 * (n + 2 * _RIM) for n in self.sizes], [pitch / 2 for pitch in self.pitches]
-        return dataclasses.replace(element, **window).passage(shape, halves, sight.wavelength), sides
+        return element.passage(shape, halves, self.wavelengths[colour])
 
     def _stopped(self, kept, light):
         """Return the light of square pixels behind the stop, at two samples of each along both axes.
