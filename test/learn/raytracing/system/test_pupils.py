@@ -600,7 +600,8 @@ def test_wide_fields_are_aimed_in_few_traces(monkeypatch):
     first = launch(lens, points, aim="real")
     counted = len(traced)
     again = launch(lens, points, aim="real")
-    assert counted < 80 and len(traced) - counted < 20
+    # A march of the continuation takes no trace for its tangent: with them there were 62.
+    assert counted < 56 and len(traced) - counted < 20
     assert all(torch.equal(a, b) for a, b in zip(first, again, strict=True))
     with torch.no_grad():
         lens.surfaces[0].radius_value.mul_(1.001)
@@ -608,6 +609,27 @@ def test_wide_fields_are_aimed_in_few_traces(monkeypatch):
     pupils._CHIEF_RAYS.clear()
     assert all(torch.equal(a, b) for a, b in zip(bent, launch(lens, points, aim="real"), strict=True))
     assert not torch.equal(bent.y, first.y)
+
+
+def test_rays_of_a_chart_are_traced_until_they_meet_their_points_or_are_lost():
+    """Of rays that miss by x³/10, some are met at once, some in a few steps; one does not exist."""
+    traced = []
+
+    def errors(x, y, goals, where):
+        traced.append(x.numel())
+        return x + 0.1 * x**3 - goals[..., 0], y - goals[..., 1], x < 0.5
+
+    chart = torch.zeros(1, 1, len(pupils.POWERS), 6, dtype=F64)
+    for column, powers in enumerate([(1, 0), (0, 1), (0, 0), None, None, (0, 0)]):
+        if powers is not None:
+            chart[..., pupils.POWERS.index(powers), column] = 1.0
+    points = torch.tensor([[0.0, 0.2], [0.01, 0.0], [0.3, -0.1], [0.6, 0.0]], dtype=F64)
+    one, fields = torch.ones((), dtype=F64), torch.zeros(1, 1, 2, dtype=F64)
+    x, y, found = pupils._by_chart(errors, chart, points, 1e-4 * one, one, points[None, None], fields)
+    assert traced == [4, 2, 1, 1, 1]
+    assert found.tolist() == [[[True, True, True, False]]]
+    assert float((x + 0.1 * x**3 - points[:, 0])[found].abs().max()) < 1e-8
+    assert torch.equal(y, points[None, None, :, 1]) and float(x[0, 0, 3]) == 0.6
 
 
 def shaped():
