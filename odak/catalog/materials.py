@@ -192,7 +192,9 @@ def tabulated(name: str, wavelengths: Iterable[float], values: Iterable[float], 
     return OpticalMaterial(name, "table", {"W": places, "N": indices}, reach, "air", source)
 
 
-def model_glass(nd: float, vd: float, dpgf: float = 0.0) -> OpticalMaterial:
+def model_glass(
+    nd: float, vd: float, dpgf: float = 0.0, *, like: str | OpticalMaterial | None = None
+) -> OpticalMaterial:
     """Return a model glass of given index and dispersion, as patents and lens files state them.
 
     Parameters
@@ -204,6 +206,9 @@ def model_glass(nd: float, vd: float, dpgf: float = 0.0) -> OpticalMaterial:
     dpgf : float
         Deviation of the relative partial dispersion (n_g − n_F)/(n_F − n_C) from the normal line
         0.6438 − 0.001682·vd of Schott's glasses.
+    like : str or OpticalMaterial, optional
+        Material whose expansion and constants of dn/dT it has, such as the nearest of :func:`nearest_materials`: an
+        index and an Abbe number do not tell them. Without, both are unknown.
 
     Returns
     -------
@@ -213,7 +218,7 @@ def model_glass(nd: float, vd: float, dpgf: float = 0.0) -> OpticalMaterial:
     Raises
     ------
     ValueError
-        If nd is not above 1 or vd not positive.
+        If nd is not above 1 or vd not positive, or `like` is not known or has no known expansion or dn/dT.
 
     Examples
     --------
@@ -227,7 +232,17 @@ def model_glass(nd: float, vd: float, dpgf: float = 0.0) -> OpticalMaterial:
         raise ValueError(f"nd must be above 1, got {nd}")
     coefficients = {"A": cauchy_through(nd, vd, dpgf)}
     name = f"model {nd:g} {vd:g}" + (f" {dpgf:g}" if dpgf else "")
-    return OpticalMaterial(name, "cauchy", coefficients, (0.35, 1.1), "air", "index and Abbe number", nd, vd)
+    glass = OpticalMaterial(name, "cauchy", coefficients, (0.35, 1.1), "air", "index and Abbe number", nd, vd)
+    if like is None:
+        return glass
+    try:
+        other = material(like) if isinstance(like, str) else like
+    except ValueError as error:
+        raise ValueError(f"like: {error}") from None
+    thermal, expansion, measured_at = thermal_of(_validate.instance("like", other, OpticalMaterial, "a material"))
+    if thermal is None or expansion is None:
+        raise ValueError(f"like must be a material whose expansion and dn/dT are known, got {other.name}")
+    return replace(glass, thermal=thermal, expansion=expansion, measured_at=measured_at)
 
 
 def cauchy_through(nd: Any, vd: Any, dpgf: Any = 0.0) -> tuple[Any, ...]:

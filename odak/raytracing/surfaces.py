@@ -71,7 +71,8 @@ class Shape(Parametric):
 
     A shape is a frozen dataclass whose fields are its parameters: numbers, or arrays that broadcast against x and y. It
     must define :meth:`sag`. Intersections, apertures, placement, optical systems, files, drawings and gradients are
-    derived from it.
+    derived from it. A method ``scaled(factor)``, if it has one, returns it with all its lengths multiplied, by which it
+    expands with temperature.
 
     Notes
     -----
@@ -466,6 +467,19 @@ class OddAsphere(Conic):
         given = terms(self.coefficients)
         curvature = self.curvature + 2 * given[1] if len(given) > 1 else self.curvature
         return curvature, curvature
+
+    def scaled(self, factor: Any) -> "OddAsphere":
+        """Return the surface with all its lengths multiplied by a positive factor.
+
+        Parameters
+        ----------
+        factor : float or array
+            Of r^n, the coefficient is multiplied by factor^(1 − n).
+        """
+        grown = [value / factor**n for n, value in enumerate(terms(self.coefficients))]
+        xp = namespace(*grown, self.curvature)
+        made = xp.stack(grown, -1) if grown and is_array(grown[0]) else tuple(grown)
+        return type(self)(self.curvature / factor, self.conic, made)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Iterable
+from dataclasses import fields
 from typing import Any, NamedTuple
 
 import torch
@@ -52,12 +53,12 @@ def in_environment(
     Raises
     ------
     ValueError
-        If a surface has a shape of its own, which does not expand by a formula, or a graded medium.
+        If a surface has a shape of its own without a method ``scaled``, other than an OddAsphere, or a graded medium.
 
     Warns
     -----
     odak.AccuracyWarning
-        If the expansion or dn/dT of a glass is not known: it is set to 0.
+        If the expansion or dn/dT of a glass is not known, or a medium is given by its index alone: both are set to 0.
 
     Notes
     -----
@@ -112,15 +113,17 @@ def tell_unknown(systems: Iterable[Any]) -> None:
                 raise ValueError(
                     f"surfaces[{i}] has a graded medium behind it, whose change with temperature is not known"
                 )
-            if item.own_shape is not None:
+            if item.own_shape is not None and not hasattr(item.own_shape.kind, "scaled"):
                 raise ValueError(f"surfaces[{i}] is a {item.own_shape.kind.__name__}, whose expansion is not known")
-            if isinstance(item.material, OpticalMaterial) and None in thermal_of(item.material)[:2]:
+            if item.material is None and float(item.index.detach()) != 1:
+                unknown.append(f"the index {float(item.index.detach()):g}")
+            elif isinstance(item.material, OpticalMaterial) and None in thermal_of(item.material)[:2]:
                 unknown.append(item.material.name)
     if unknown:
         names = ", ".join(dict.fromkeys(unknown))
         warn(
             f"the expansion or dn/dT of {names} is not known and counts as 0; give an OpticalMaterial with `thermal` "
-            "and `expansion`, or load a maker's catalogue (AGF)",
+            "and `expansion`, a model_glass `like` a material with both, or load a maker's catalogue (AGF)",
             AccuracyWarning,
         )
 
@@ -141,11 +144,15 @@ def expanded_system(system: optical_system, given: Environment) -> optical_syste
     copies = [shared_copy(item) for item in items]
     growth = _growth(items, given, p.curvature.device)[0]
     for i, (item, other) in enumerate(zip(items, copies, strict=True)):
-        if not _is_fixed(item):
+        if item.own_shape is not None:
+            other.own_shape = shared_copy(item.own_shape)
+            for field, value in zip(fields(p.shape(i)), p.shape(i).parameters(), strict=True):
+                put(other.own_shape, (field.name,), field.name, value)
+        elif not _is_fixed(item):
             replaced(other, "curvature", p.curvature[i])
             replaced(other, "coefficients", p.coefficients[i, : item.coefficients.numel()])
-            if item.semi_diameter is not None:
-                other.semi_diameter = float((item.semi_diameter * growth[i]).detach())
+        if item.semi_diameter is not None:
+            other.semi_diameter = float((item.semi_diameter * growth[i]).detach())
         replaced(other, "thickness", p.thickness[i])
         if isinstance(item.material, OpticalMaterial):
             other.material = item.material.at(given.temperature, given.pressure)
@@ -171,7 +178,10 @@ def expanded(system: optical_system, p: Prescription, given: Environment) -> Pre
     growth, rates, change = _growth(items, given, p.curvature.device)
     powers = torch.arange(1, p.coefficients.shape[-1] + 1).to(p.coefficients)
     curvature, coefficients = p.curvature / growth, p.coefficients * growth[:, None] ** (1 - 2 * powers)
-    grown = p._replace(curvature=curvature, coefficients=coefficients)
+    shapes = p.shapes and tuple(
+        None if shape is None else shape.scaled(factor) for shape, factor in zip(p.shapes, growth, strict=True)
+    )
+    grown = p._replace(curvature=curvature, coefficients=coefficients, shapes=shapes)
     thickness: list[Any] = []
     for i, (value, rate) in enumerate(zip(p.thickness.unbind(-1), rates, strict=True)):
         if rate is None:
@@ -246,8 +256,15 @@ def shared_copy(module: Any) -> Any:
 
 def replaced(item: Any, name: str, value: torch.Tensor) -> None:
     """Replace a number of a surface by a tensor of any graph."""
-    held = ("curvature_value", "radius_value") if name == "curvature" else (name,)
-    for old in held:
-        item._parameters.pop(old, None)
-        item._buffers.pop(old, None)
-    item._buffers["curvature_value" if name == "curvature" else name] = value
+    if name == "curvature":
+        put(item, ("curvature_value", "radius_value"), "curvature_value", value)
+    else:
+        put(item, (name,), name, value)
+
+
+def put(item: Any, old: Iterable[str], name: str, value: torch.Tensor) -> None:
+    """Put a tensor of any graph in the place of parameters or buffers."""
+    for held in old:
+        item._parameters.pop(held, None)
+        item._buffers.pop(held, None)
+    item._buffers[name] = value

@@ -225,7 +225,11 @@ class configurations(torch.nn.Module):
         stacked: list[Any] = [
             None if row[0] is None else torch.stack(row) if isinstance(row[0], torch.Tensor) else row[0] for row in rows
         ]
-        return Prescription(*stacked)._replace(wavelengths=parts[0].wavelengths)
+        shapes = parts[0].shapes
+        if shapes is not None and self._environment(0) is not None:
+            # Shapes of their own expand, so that they differ between temperatures.
+            shapes = tuple(many[0] and _stacked_shape(many) for many in zip(*(p.shapes for p in parts), strict=True))
+        return Prescription(*stacked)._replace(wavelengths=parts[0].wavelengths, shapes=shapes)
 
     @overload
     def each(self, function: Callable[..., Stacked], *arguments: Any, **options: Any) -> Stacked: ...
@@ -276,3 +280,9 @@ def _stacked(results: list[Any]) -> Any:
     if isinstance(first, tuple) and hasattr(first, "_fields"):
         return type(first)(*map(_stacked, map(list, zip(*results, strict=True))))
     return results
+
+
+def _stacked_shape(many: Sequence[Any]) -> Any:
+    """Return shapes of one kind as one, whose numbers have an axis of configurations in front."""
+    rows = zip(*(shape.parameters() for shape in many), strict=True)
+    return type(many[0])(*(torch.stack(row) if isinstance(row[0], torch.Tensor) else row[0] for row in rows))

@@ -1,10 +1,12 @@
 """Systems at other temperatures and in vacuum, against closed forms; gradients by the temperature."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from odak import AccuracyWarning
-from odak.catalog import material, refractive_index
+from odak.catalog import material, model_glass, refractive_index
 from odak.catalog.materials import thermal_of
 from odak.learn.raytracing.system import (
     Operand,
@@ -22,11 +24,12 @@ from odak.learn.raytracing.system import (
     surface,
     system_from_dict,
     system_to_dict,
+    trace,
     trace_fields,
     write_zmx,
     zoom_design,
 )
-from odak.raytracing import Toroid
+from odak.raytracing import OddAsphere, Toroid
 
 
 def singlet(**last):
@@ -353,3 +356,104 @@ def test_settings_of_temperatures_are_checked():
     bent.settings = (("temperature", None, (0.0, 40.0)),)
     with pytest.raises(ValueError, match=r"settings of temperatures change the coefficients of surfaces\[0\]"):
         write_zmx(bent, "never.zmx")
+
+
+# US patent 7,535,658 as the documentation of Ray Optics states it: radius, conic constant + 1, coefficients of r³ to
+# r¹⁰, distance to the next, and the index and Abbe number behind.
+TELEPHONE = (
+    (1.962, 2.153, "-1.895e-2 2.426e-2 -5.123e-2 8.371e-4 7.850e-3 4.091e-3 -7.732e-3 -4.265e-3", 1.19, (1.471, 76.6)),
+    (33.398, 40.18, "-4.966e-3 -1.434e-2 -6.139e-3 -9.284e-5 6.438e-3 -5.72e-3 -2.385e-2 1.108e-2", 0.93, None),
+    (-2.182, 2.105, "-4.388e-2 -2.555e-2 5.16e-2 -4.307e-2 -2.831e-2 3.162e-2 4.63e-2 -4.877e-2", 0.75, (1.603, 27.5)),
+    (-6.367, 3.382, "-1.131e-1 -7.863e-2 1.094e-1 6.228e-3 -2.216e-2 -5.89e-3 4.123e-3 1.041e-3", 0.1, None),
+    (5.694, -221.1, "-7.876e-2 7.02e-2 1.575e-3 -9.958e-3 -7.322e-3 6.914e-4 2.54e-3 -7.65e-4", 0.89, (1.51, 56.2)),
+    (9.192, 0.9331, "9.694e-3 -2.516e-3 -3.606e-3 -2.497e-4 -6.84e-4 -1.414e-4 2.932e-4 -7.284e-5", 0.16, None),
+    (1.674, -7.617, "7.429e-2 -6.933e-2 -5.811e-3 2.396e-3 2.1e-3 -3.119e-4 -5.552e-5 7.969e-6", 0.85, (1.51, 56.2)),
+    (1.509, -2.707, "1.767e-3 -4.652e-2 1.625e-2 -3.522e-3 -7.106e-4 3.825e-4 6.271e-5 -2.631e-5", 0.7, None),
+)
+LIKE = {1.471: "N-PK52A", 1.603: "OKP4", 1.51: "Zeonex 480R", 1.516: "N-BK7"}
+
+
+def telephone_lens(glass=lambda n, v: model_glass(n, v, like=LIKE[n])):
+    items = [surface(stop=True)]
+    for radius, bend, given, gap, medium in TELEPHONE:
+        shape = OddAsphere(1 / radius, bend - 1, [0.0, 0.0, *map(float, given.split())])
+        items.append(surface(shape=shape, thickness=gap, material=glass(*medium) if medium else "air"))
+    items += [surface(thickness=0.4, material=glass(1.516, 64.1)), surface(thickness=0.64)]
+    return optical_system(items, 5.555 / 3.5, wavelengths=[587.5618e-6])
+
+
+def test_a_published_telephone_lens_has_its_published_focus_and_rays():
+    lens = telephone_lens()
+    found = first_order(lens)
+    assert float(found.focal_length) == pytest.approx(5.555, abs=5e-4)
+    assert float(found.image_distance) == pytest.approx(0.5678, abs=5e-5)
+    # The marginal ray at y = 1 and the chief ray of 24° in the image, as printed by Ray Optics.
+    rays = torch.tensor([[[0.0, 1, 0], [0, 0, 1]], [[0, 0, 0], [0, 0.406953, 0.913449]]], dtype=torch.float64)
+    traced = trace(lens, rays)
+    assert traced.y.flatten().tolist() == pytest.approx([-0.02573, 2.56912], abs=1e-5)
+    assert traced.v.flatten().tolist() == pytest.approx([-0.185004, 0.436135], abs=1e-6)
+
+
+@pytest.mark.parametrize("warmth", [-40.0, 40.0])
+def test_a_plastic_lens_of_odd_aspheres_expands_as_a_paraxial_ray_says(warmth):
+    """Against radii, lengths and indices that are warmed here, and a ray traced here."""
+    lens, mount = telephone_lens(), 7e-5
+    warm = in_environment(lens, 20 + warmth, mount=mount)
+    height, slope, index = 1.0, 0.0, 1.0
+    for radius, _, _, gap, medium in (*TELEPHONE, (1e99, 1.0, "", 0.4, (1.516, 64.1)), (1e99, 1.0, "", 0.64, None)):
+        if medium:
+            like = material(LIKE[medium[0]])
+            expansion = thermal_of(like)[1]
+        n = 1.0
+        if medium:
+            glass = replace(model_glass(*medium), thermal=thermal_of(like)[0])
+            n = float(refractive_index(glass, 587.5618e-9, medium="air", temperature=20 + warmth))
+        slope, index = slope - height * (n - index) / (radius * (1 + expansion * warmth)), n
+        end = height, slope
+        height += slope / n * gap * (1 + (expansion if medium else mount) * warmth)
+    found = first_order(warm)
+    assert float(found.focal_length) == pytest.approx(-1 / end[1], rel=1e-12)
+    assert float(found.image_distance) == pytest.approx(-end[0] / end[1], rel=1e-12)
+    # Marginal rays as well: a surface of one material is the cold one, enlarged, to any height.
+    cold, hot, scale = lens.surfaces[7].shape, warm.surfaces[7].shape, 1 + 7e-5 * warmth
+    x, y = torch.tensor([0.3, 1.1]), torch.tensor([0.4, 0.7])
+    expected = scale * cold.sag(x.double(), y.double()).height
+    assert hot.sag(scale * x.double(), scale * y.double()).height.tolist() == pytest.approx(
+        expected.tolist(), rel=1e-12
+    )
+
+
+def test_the_temperature_of_odd_aspheres_has_a_gradient_and_is_a_setting():
+    lens = telephone_lens()
+    degrees = torch.tensor(30.0, dtype=torch.float64, requires_grad=True)
+    coefficients = lens.surfaces[1].vary("coefficients")
+
+    def height(t):
+        rays = torch.tensor([[[0.0, 0.7, 0], [0, 0, 1]]], dtype=torch.float64)
+        return trace(in_environment(lens, t, mount=7e-5), rays).y.sum()
+
+    slope, by_shape = torch.autograd.grad(height(degrees), [degrees, coefficients])
+    assert float(slope) == pytest.approx((height(31.0) - height(29.0)).item() / 2, rel=1e-3)
+    assert bool((by_shape[2:] != 0).all())
+    zoom = configurations(telephone_lens(), [("temperature", None, [-20.0, 60.0]), ("mount", None, [7e-5] * 2)])
+    focal = first_order(zoom.system, prescription=zoom.prescription()).focal_length
+    each = [float(first_order(in_environment(lens, t, mount=7e-5)).focal_length.detach()) for t in (-20.0, 60.0)]
+    assert focal.tolist() == pytest.approx(each, rel=1e-12)
+    rays = torch.tensor([[0.0, 0.7, 0], [0, 0, 1]], dtype=torch.float64)
+    found = trace(zoom.system, rays, prescription=zoom.prescription()).y.flatten()
+    each = [trace(in_environment(lens, t, mount=7e-5), rays).y.item() for t in (-20.0, 60.0)]
+    assert found.tolist() == pytest.approx(each, abs=1e-12)
+
+
+def test_media_without_thermal_data_are_named():
+    with pytest.warns(
+        AccuracyWarning, match=r"dn/dT of model 1.51 56.2, the index 1.6 is not known.*model_glass `like`"
+    ):
+        in_environment(
+            optical_system(
+                [surface(9.0, thickness=1.0, material=model_glass(1.51, 56.2)), surface(5.0, material=1.6)], 1.0
+            ),
+            40.0,
+        )
+    with pytest.raises(ValueError, match="like must be a material whose expansion and dn/dT are known, got Optorez"):
+        model_glass(1.51, 56.2, like="Optorez 1330")
