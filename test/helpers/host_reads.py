@@ -55,7 +55,7 @@ REASONS = {
         raytracing/system/operands: glass_hull nearest_glasses
         raytracing/system/environment: expanded_system
         raytracing/system/eye: _traced_terms
-        raytracing/system/lens_fields: __init__ _check _traced passage
+        raytracing/system/lens_fields: __init__ _checked _traced passage
         raytracing/system/image_simulation: _chief _response point_spread_map
         raytracing/system/optimise: _deviated _dispersed _irregular_shapes iso_10110_tolerances
         raytracing/system/paraxial: _check_forward _near_reach ghost_system medium met seidel_sums
