@@ -468,7 +468,7 @@ class OddAsphere(Conic):
         curvature = self.curvature + 2 * given[1] if len(given) > 1 else self.curvature
         return curvature, curvature
 
-    def scaled(self, factor: Any) -> "OddAsphere":
+    def scaled(self, factor: float) -> "OddAsphere":
         """Return the surface with all its lengths multiplied by a positive factor.
 
         Parameters

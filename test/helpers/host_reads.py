@@ -53,7 +53,7 @@ REASONS = {
         raytracing/system/automatic: _standard_limits _what_varies glasses standard_design
         raytracing/system/design: __init__ _now
         raytracing/system/operands: glass_hull nearest_glasses
-        raytracing/system/environment: expanded_system
+        raytracing/system/environment: expanded_system tell_unknown
         raytracing/system/eye: _traced_terms
         raytracing/system/lens_fields: __init__ _checked _traced passage
         raytracing/system/image_simulation: _chief _response point_spread_map

@@ -48,7 +48,8 @@ class Eyes:
     places. With an eyepiece, give the :class:`odak.instruments.Lens` between the panel and the pupil, whose distance
     from the lens is `after`. Light is followed from the pixels to the pupil by direct sums of Fresnel's integral. Or
     give a :class:`odak.learn.raytracing.system.TracedSystem` from the panel to the plane of the pupils: images then
-    have the aberrations, distortion and colours of the eyepiece.
+    have the aberrations, distortion and colours of the eyepiece. Such eyes are not rotated, their display has the stop
+    "order" and no mask, and `torch.compile` does not take it.
 
     Parameters
     ----------

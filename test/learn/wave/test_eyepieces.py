@@ -45,12 +45,15 @@ def test_free_space_by_rays_is_free_space(focus):
 
 
 @pytest.mark.parametrize(
-    ("shape", "pitch"), [((15, 18), (8e-6, 6.4e-6)), pytest.param((96, 144), PITCH, marks=pytest.mark.slow)]
+    ("shape", "pitch", "colours"),
+    [((15, 18), (8e-6, 6.4e-6), [638e-9]), pytest.param((96, 144), PITCH, [GREEN, 638e-9], marks=pytest.mark.slow)],
 )
-def test_the_judge_agrees_in_all_colours_and_eyes(shape, pitch):
-    eyes = Eyes(eyepiece(), [(0, 0), (2e-4, -1e-4)], [1e-3, 7e-4], [math.inf, 0.3])
-    shown = display(shape, eyes, [GREEN, 638e-9], pitch)
-    assert float(shown.judge(pattern(2, *shape)).error.max()) < 3e-3
+def test_the_judge_agrees(shape, pitch, colours):
+    """In one colour and an eye beside the axis, and in several of each."""
+    several = len(colours) > 1
+    eyes = Eyes(eyepiece(), [(2e-4, -1e-4), (0, 0)][: 1 + several], 7e-4, 0.3)
+    shown = display(shape, eyes, colours, pitch)
+    assert float(shown.judge(pattern(len(colours), *shape)).error.max()) < 3e-3
 
 
 def test_a_pixel_is_seen_where_its_rays_come_from():

@@ -1,5 +1,6 @@
 """Fields through a lens system: diffraction between two planes, with phase and amplitude from rays."""
 
+import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -229,12 +230,16 @@ class Passage:
 
     def __init__(self, axes: Sequence["_Axis"], path: "_Characteristic", counts: Sequence[int], unit: float):
         self._axes, self._path, self._counts = axes, path, counts
-        # Derivatives of what a sum leaves out are many times larger than what it leaves out.
-        tolerance = path.element.tolerance * (_FOR_DERIVATIVES if path.path.requires_grad else 1.0)
-        self._products = list(path.products(tolerance))
         out = [one.out * unit for one in axes]
         self.pitch: Any = out[0] if out[0] == out[1] else tuple(out)
         self.error: float = path.error
+
+    @functools.cached_property
+    def _products(self) -> list[tuple[torch.Tensor, torch.Tensor]]:
+        # Derivatives of what a sum leaves out are many times larger than what it leaves out.
+        path = self._path
+        tolerance = path.element.tolerance * (_FOR_DERIVATIVES if path.path.requires_grad else 1.0)
+        return list(path.products(tolerance))
 
     def __call__(self, field: torch.Tensor) -> torch.Tensor:
         """Return the field behind the system of a field ``[..., rows, columns]`` in front of it."""

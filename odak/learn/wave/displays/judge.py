@@ -1,7 +1,8 @@
 """Images of a display by another computation than its own, which judges holograms.
 
 It imports no path of light and shares no arithmetic with one: of a display it asks for the panels, lengths and stops,
-and for the image that it states its difference from.
+and for the image that it states its difference from. Of a traced eyepiece, both have the rays of its system: the judge
+traces others, and samples the light and the pupil in another way.
 """
 
 import collections
@@ -32,7 +33,7 @@ _AIRY = 64
 # period behind the stop, which is that of four panels otherwise.
 _RIM_BY_RAYS, _PERIOD_BY_RAYS = 32, 2048
 # Points of a panel and of a pupil along an axis between which rays are traced.
-_RAYS_OF_PANEL, _RAYS_OF_PUPIL = 11, 21
+_RAYS_OF_PANEL, _RAYS_OF_PUPIL = 9, 15
 # Rows of a spectrum that are multiplied at a time.
 _ROWS = 64
 _Factor = Callable[[slice], torch.Tensor]
@@ -48,7 +49,8 @@ class Judgement(tuple[torch.Tensor, torch.Tensor]):
     error : torch.Tensor
         Root mean square of the difference of `areas` from the image by :meth:`odak.learn.wave.Display.forward`, divided
         by that of `areas`, ``[D, C]``. The two computations share no arithmetic, so that this is about the error of the
-        worse of them. NaN where the image by the display has other orders, or distances that are drawn.
+        worse of them; behind a traced eyepiece both believe its rays, whose own error it does not show. NaN where the
+        image by the display has other orders, or distances that are drawn.
     compared : torch.Tensor
         What an observer sees compared with a target, ``[D, C, places, 3]``; see :meth:`Observer.compared`.
     sharp : torch.Tensor

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -15,6 +15,9 @@ from odak.learn.wave.eyes import Sight
 from odak.learn.wave.holograms.eyeboxes import EyeboxMap, draw_over_focus, draw_over_pupils, eyebox_map, written_map
 from odak.learn.wave.holograms.optimising import optimise
 from odak.learn.wave.holograms.scenery import DepthScene, Scenery
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Share of what is seen at a frequency that belongs to the picture, and contrast over that of the picture, which are
 # resolved at least: as much picture as error, and the tenth that lenses are commonly judged by.
@@ -72,7 +75,7 @@ class EyeReport:
 
         return _show.page(self, lambda shown: _show.View(repr(shown), [("what an eye has", svg(shown.figure()))]))
 
-    def figure(self) -> Any:
+    def figure(self) -> "Figure":
         """Return a figure of Matplotlib: maps over pupils and over the field, and the quality over focus."""
         from odak._drawn import subplots
 
