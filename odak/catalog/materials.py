@@ -643,6 +643,7 @@ def air_index(
     wavelength = _in_unit("wavelength", wavelength, unit)
     carbon_dioxide = _validate.constant("carbon_dioxide", carbon_dioxide, least=0)
     check_weather(temperature, pressure, humidity)
+    temperature, pressure, humidity = map(_listed, (temperature, pressure, humidity))
     wide = _in_double(wavelength) * scale
     _validate.fitting(wavelength=wide, temperature=temperature, pressure=pressure, humidity=humidity)
     _check_range(material("air"), wide, True)
@@ -652,8 +653,12 @@ def air_index(
 
 def _in_unit(name: str, value: Any, unit: str) -> Any:
     """Return a length, or an array of lengths for a list of them, in a unit."""
-    value = in_unit(name, value, unit)
-    return _validate.array(name, value) if isinstance(value, (list, tuple)) else value
+    return _listed(in_unit(name, value, unit))
+
+
+def _listed(value: Any) -> Any:
+    """Return a list of numbers that were checked as an array, and what else comes as it is."""
+    return np.asarray(value) if isinstance(value, (list, tuple)) else value
 
 
 def check_weather(
@@ -665,7 +670,7 @@ def check_weather(
     `where` follows the name in messages.
     """
     given = {"temperature": temperature, "pressure": pressure, "humidity": humidity}
-    for name, (low, high) in {"temperature": (-273.15, 1000), "pressure": (0, math.inf), "humidity": (0, 1)}.items():
+    for name, (low, high) in {"temperature": (-273, 1000), "pressure": (0, math.inf), "humidity": (0, 1)}.items():
         value: Any = given[name]
         if value is not None:
             _validate.real(name, value)
@@ -699,9 +704,8 @@ def _ciddor(wide, temperature, pressure, humidity=0.0, carbon_dioxide: float = 4
     exponent = 1.2378847e-5 * kelvin**2 - 1.9121316e-2 * kelvin + 33.93711047 - 6.3431645e3 / kelvin
     saturated = _array.namespace(exponent).exp(exponent) if _array.is_array(exponent) else math.exp(exponent)
     vapour = humidity * (1.00062 + 3.14e-8 * pressure + 5.6e-7 * temperature**2) * saturated
-    # Without vapour, or without air, there is no share to divide for: a pressure of 0 is vacuum.
-    none = any(not _array.is_array(value) and value == 0 for value in (humidity, pressure))
-    share = 0.0 * vapour if none else vapour / pressure
+    # A pressure of 0 is vacuum, without vapour either; the share in it is not divided for.
+    share = vapour * (pressure > 0) / (pressure + (pressure == 0))
     mass = 0.0289635 + 1.2011e-8 * (carbon_dioxide - 400)
     air = pressure * mass * (1 - share) / (_compressibility(kelvin, pressure, share) * kelvin)
     water = pressure * 0.018015 * share / (_compressibility(kelvin, pressure, share) * kelvin)
@@ -783,6 +787,7 @@ def refractive_index(
     _check_range(found, wide, extrapolate)
     index = found.index(wide)
     check_weather(temperature, pressure)
+    temperature, pressure = map(_listed, (temperature, pressure))
     _validate.fitting(wavelength=wide, temperature=temperature, pressure=pressure)
     _tell_constant(found, temperature)
     if temperature is not None or pressure is not None or found.environment is not None:

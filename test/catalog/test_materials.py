@@ -453,12 +453,28 @@ def test_kelvin_and_hectopascal_are_pointed_out(ask, weather, warning, words):
 def test_percent_of_humidity_and_impossible_weather_are_refused():
     with pytest.raises(ValueError, match="humidity must be between 0 and 1, got 50: percent"):
         air_index(550e-9, humidity=50)
-    with pytest.raises(ValueError, match=r"temperature must be between -273\.15 and 1000, got 15000"):
+    with pytest.raises(ValueError, match="temperature must be between -273 and 1000, got 15000"):
         air_index(550e-9, 15e3)
+    for ask in (air_index, partial(refractive_index, "N-BK7")):
+        with pytest.raises(ValueError, match=r"temperature must be between -273 and 1000, got -273\.15"):
+            ask(550e-9, temperature=-273.15)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert air_index(550e-9, -40.0, 0.0) == 1
         air_index(550e-9, torch.tensor([-40.0, 100.0]), 80e3, 1.0)
+
+
+@pytest.mark.parametrize("kind", [list, np.asarray, partial(torch.tensor, dtype=torch.float64)])
+def test_several_states_of_the_air_are_each_as_alone(kind):
+    """Vacuum among other pressures is vacuum, with humidity too, and lists are what arrays are."""
+    for states in ({"pressure": [0.0, 101325.0]}, {"temperature": [10.0, 35.0]}, {"humidity": [0.0, 0.7]}):
+        ((name, values),) = states.items()
+        found = air_index(633e-9, **{"humidity": 0.5, name: kind(values)})
+        alone = [air_index(633e-9, **{"humidity": 0.5, name: value}) for value in values]
+        np.testing.assert_allclose(np.asarray(found), alone, rtol=0, atol=1e-15)
+    found = refractive_index("N-BK7", 633e-9, temperature=kind([20.0, 40.0]))
+    alone = [refractive_index("N-BK7", 633e-9, temperature=value) for value in (20.0, 40.0)]
+    np.testing.assert_allclose(np.asarray(found), alone, rtol=0, atol=1e-15)
 
 
 def test_wavelengths_may_have_units():

@@ -1,6 +1,7 @@
 """Copies of systems: multiplied by a factor, and with some of their surfaces turned around."""
 
 import copy
+from dataclasses import fields
 from typing import Any
 
 import torch
@@ -31,7 +32,8 @@ def scaled_system(system: optical_system, factor: float) -> optical_system:
     Raises
     ------
     ValueError
-        If a surface has a shape, a phase or a graded medium of its own, naming it, or the factor is not positive.
+        If a surface has a phase, a graded medium, or a shape of its own without a method ``scaled``, naming it, or the
+        factor is not positive.
 
     Examples
     --------
@@ -46,7 +48,13 @@ def scaled_system(system: optical_system, factor: float) -> optical_system:
     items: list[Any] = [*found.surfaces, *([] if found.image is None else [found.image])]
     with torch.no_grad():
         for i, item in enumerate(items):
-            _check_plain(item, "the image" if i == len(found.surfaces) else f"surfaces[{i}]", "scaled")
+            held = item.own_shape if item.own_shape is not None and hasattr(item.own_shape.kind, "scaled") else None
+            where = "the image" if i == len(found.surfaces) else f"surfaces[{i}]"
+            _check_plain(item, where, "scaled", None if held is None else held.kind)
+            if held is not None:
+                shape: Any = held.build().scaled(factor)
+                for name in (field.name for field in fields(shape)):
+                    getattr(held, name).copy_(torch.as_tensor(getattr(shape, name)))
             for name, power in (("radius_value", 1), ("curvature_value", -1), ("thickness", 1), ("shift", 1)):
                 if hasattr(item, name):
                     getattr(item, name).mul_(factor**power)
@@ -145,8 +153,8 @@ def flipped_system(system: optical_system, first: int = 0, last: int = -1) -> op
     return found
 
 
-def _check_plain(item: Any, where: str, what: str) -> None:
-    """Raise ValueError for a surface whose shape, phase or medium has numbers of its own."""
-    held = [part for part in (item.own_shape, item.own_phase, item.own_gradient) if part is not None]
+def _check_plain(item: Any, where: str, what: str, known: type[Any] | None = None) -> None:
+    """Raise ValueError for a surface whose shape, phase or medium has numbers of its own, other than a known kind."""
+    held = [part for part in (item.own_shape, item.own_phase, item.own_gradient) if part and part.kind is not known]
     if held:
         raise ValueError(f"{where} has a {held[0].kind.__name__}, which cannot be {what}")

@@ -53,7 +53,7 @@ def in_environment(
     Raises
     ------
     ValueError
-        If a surface has a shape of its own without a method ``scaled``, other than an OddAsphere, or a graded medium.
+        If a surface has a shape of its own without a method ``scaled``, or a graded medium.
 
     Warns
     -----

@@ -17,6 +17,7 @@ from odak.learn.raytracing.system import (
     surface,
     system_to_dict,
 )
+from odak.raytracing import OddAsphere
 from odak.raytracing.interfaces import IdealLens
 
 
@@ -47,6 +48,20 @@ def test_lengths_of_a_scaled_system_grow_by_the_factor(options):
     spots = [configurations(system).each(rms_spot) for system in (lens, large)]
     torch.testing.assert_close(spots[1], 2.5 * spots[0], rtol=1e-9, atol=0)
     assert lens.aperture == 16.0
+
+
+def test_odd_aspheres_of_a_scaled_system_grow_with_it():
+    shape = OddAsphere(1 / 60, -0.3, [0.0, 1e-3, 2e-5, -1e-6])
+    lens = optical_system(
+        [surface(shape=shape, thickness=6.0, material=1.5), surface(-80.0, thickness=90.0)], 16.0, fields=[0.0, 3.0]
+    )
+    lens.vary(coefficients=0)
+    large = scaled_system(lens, 2.5)
+    torch.testing.assert_close(rms_spot(large), 2.5 * rms_spot(lens), rtol=1e-9, atol=0)
+    assert isinstance(large.surfaces[0].own_shape.coefficients, torch.nn.Parameter)
+    both = surface(shape=shape, phase=IdealLens(50.0), thickness=50.0)
+    with pytest.raises(ValueError, match=r"surfaces\[0\] has a IdealLens, which cannot be scaled"):
+        scaled_system(optical_system([both, surface()], 5.0), 2.0)
 
 
 def test_a_lens_turned_around_has_its_other_focal_distance():

@@ -339,7 +339,7 @@ def test_a_design_over_temperatures_is_better_over_them():
 
 def test_settings_of_temperatures_are_checked():
     lens = load_system("cooke_triplet")
-    with pytest.raises(ValueError, match=r"temperature in settings must be between -273.15 and 1000, got -300"):
+    with pytest.raises(ValueError, match=r"temperature in settings must be between -273 and 1000, got -300"):
         configurations(lens, [("temperature", None, [-300.0])])
     with pytest.raises(ValueError, match="place in settings must be None for mount"):
         configurations(lens, [("mount", 1, [0.0])])

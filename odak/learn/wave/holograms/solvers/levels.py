@@ -77,11 +77,11 @@ class LevelSearch:
     far as 99 % of its light reach along each axis, and takes a time that grows with that area: sweeps take place in
     free space without crosstalk or jitter, for the mean squared error seen by a camera along rows and columns, where a
     search with them takes up to about three times as long. This is where a pixel reaches 64 pixels along each axis, to
-    5 mm for pixels of 8 µm and green light, and frames, planes and colours have 512 × 512 pixels together on a CPU, and
-    128 × 128 elsewhere. Where there are no sweeps, of more than two frames two change at a time beside the images of
-    the others, in turn and several times each, which are kept as a sum: memory grows by about 20 bytes for each pixel
-    of a frame. One frame at a time changes where a frame takes more than 1 GiB, or half of the `memory_budget` of the
-    run.
+    4.8 mm for pixels of 8 µm and green light, and frames, planes and colours have 512 × 512 pixels together on a CPU,
+    and 128 × 128 elsewhere. Where there are no sweeps, of more than two frames two change at a time beside the images
+    of the others, in turn and several times each, which are kept as a sum: memory grows by about 20 bytes for each
+    pixel of a frame. One frame at a time changes where a frame takes more than 1 GiB, or half of the `memory_budget` of
+    the run.
 
     Examples
     --------
