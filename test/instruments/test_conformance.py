@@ -1,5 +1,7 @@
 """The test kit finds each fault of a driver, and only it; what conforms passes."""
 
+import gc
+import mmap
 import time
 
 import numpy as np
@@ -82,9 +84,29 @@ class Exposed(Altered):
         return self.camera.capture(count)
 
 
-def leaking(frames, camera, kept=[]):  # noqa: B006
-    kept.append(np.ones((len(frames), 1 << 17)))
-    return frames
+def leaking(keep):
+    """Return a change of frames that takes a megabyte with each, and how often it was called."""
+    kept = []
+
+    def change(frames, camera):
+        kept.append(keep())
+        return frames
+
+    return change, kept
+
+
+def mapped():
+    """Return memory that the process takes from the system, and of which Python does not know."""
+    block = mmap.mmap(-1, 1 << 20, **({"flags": mmap.MAP_PRIVATE} if hasattr(mmap, "MAP_PRIVATE") else {}))
+    block[:] = b"1" * (1 << 20)
+    return block
+
+
+class Ring:
+    """What is only freed when garbage is collected."""
+
+    def __init__(self, size):
+        self.data, self.ring = np.ones(size), self
 
 
 FAULTS = {
@@ -101,7 +123,8 @@ FAULTS = {
     "exposure ignored": ("exposure", lambda camera: Exposed(camera, lambda seconds: 0.2)),
     "exposure in steps": ("exposure", lambda camera: Exposed(camera, lambda s: max(0.1 * int(s / 0.1), 0.1))),
     "limit in silence": ("exposure", lambda camera: Exposed(camera, lambda s: max(s, 0.15))),
-    "memory": ("captures", lambda camera: Altered(camera, leaking)),
+    "memory": ("captures", lambda camera: Altered(camera, leaking(lambda: np.ones(1 << 17))[0])),
+    "memory of a library": ("captures", lambda camera: Altered(camera, leaking(mapped)[0])),
     "dark": ("frames", lambda camera: Altered(camera, lambda f, _: np.full_like(f, 20))),
     "one frame for several": ("frames", lambda camera: Altered(camera, lambda f, _: f[:1])),
 }
@@ -115,6 +138,33 @@ def test_each_fault_of_a_camera_is_found_and_only_it(fault):
     assert failed(found) == [check], found
     (finding,) = (one for one in found if one.passed is False)
     assert finding.found and finding.remedy
+
+
+@pytest.mark.parametrize("fault", [True, False])
+def test_other_work_of_the_process_does_not_change_what_is_found_of_its_memory(fault, monkeypatch):
+    """Garbage that is freed hides no loss, and memory that is taken once, or is garbage, is none."""
+    change, kept = leaking(lambda: np.ones(1 << 17) if fault else Ring(1 << 17))
+    once, many = [], instruments.conformance._many
+
+    def work(frames, camera):
+        if len(kept) == 35:
+            gc.collect()
+            once.append(np.ones(0 if fault else 1 << 23))
+        out = change(frames, camera)
+        if not fault:
+            kept[-1] = None
+        return out
+
+    def begin(bench):
+        kept.clear()
+        for _ in range(8 * fault):
+            Ring(1 << 20)
+        return many(bench)
+
+    monkeypatch.setitem(instruments.conformance.CAMERA, "captures", (begin, "frames"))
+    found = instruments.check_instruments(Altered(table_of().camera, work), captures=40)
+    assert once
+    assert failed(found) == ["captures"] * fault, found
 
 
 class Slow:
