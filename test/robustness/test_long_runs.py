@@ -38,12 +38,13 @@ print(os.waitpid(child, 0)[1])
 
 
 def resident():
-    """Return the memory of this process in MB, without what the allocator keeps for later requests."""
+    """Return the memory of this process in MB, without pages of files and what the allocator keeps for later."""
     gc.collect()
     if trim := getattr(ctypes.CDLL(None), "malloc_trim", None):
         trim(0)
     with open("/proc/self/statm") as stream:
-        return int(stream.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+        held, files = map(int, stream.read().split()[1:3])
+    return (held - files) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def calls():

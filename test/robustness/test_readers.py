@@ -20,6 +20,7 @@ import pytest
 import structure
 import torch
 from PIL import Image
+from processes import LIMIT
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
@@ -98,7 +99,7 @@ def test_named_pipes_are_refused_and_not_waited_for(tmp_path):
             os.mkfifo(pipe)
             call = threading.Thread(target=refused, args=(READERS[name].call, str(pipe)), daemon=True)
             call.start()
-            call.join(10)
+            call.join(LIMIT)
             if call.is_alive():
                 waited.append(pipe.name)
                 os.close(os.open(pipe, os.O_RDWR))
