@@ -351,7 +351,7 @@ def bessel_beam(
     xp, (y, x), (wavelength, angle, *waists) = _prepare(
         shape, dx, offset, xp, device, wavelength=wavelength, angle=angle, waist=() if waist is None else (waist,)
     )
-    for step in dict.fromkeys(pitches(dx)):
+    for step in dx if isinstance(dx, (tuple, list)) else (dx,):
         warn_of_tilt("bessel_beam", step, 2 * math.pi / given[0], given[1])
     y, x = y[:, None], x[None, :]
     radius, axis = distance_from_axis(y, x)

@@ -1138,13 +1138,18 @@ def single_numbers(xp: ModuleType | None, device: Device, **numbers: Any) -> Any
 def grid_positions(shape: Any, dx: Any, offset: Any, xp: ModuleType, device: Device) -> Any:
     """Return the pitches (rows, columns) and the positions of the samples, ``[rows, 1]`` and ``[1, columns]``."""
     shape = _validate.size("shape", shape)
-    steps = [_validate.number("dx", step, positive=True) for step in pitches(dx)]
-    offset = _validate.several("offset", offset, 2)
+    steps = [_of_library(xp, "dx", _validate.number("dx", step, positive=True)) for step in pitches(dx)]
+    offset = [_of_library(xp, "offset", shift) for shift in _validate.several("offset", offset, 2)]
     y, x = (
         (xp.arange(n, dtype=xp.float64, device=device) - n // 2) * step - shift
         for n, step, shift in zip(shape, steps, offset, strict=True)
     )
     return steps, (y[:, None], x[None, :])
+
+
+def _of_library(xp: ModuleType, name: str, value: Any) -> Any:
+    """Return a number as it is, and an array of another library as a number."""
+    return _validate.constant(name, value) if _array.is_array(value) and namespace(value) is not xp else value
 
 
 def distance_from_axis(y: Any, x: Any) -> tuple[Any, Any]:

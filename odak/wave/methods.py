@@ -450,7 +450,7 @@ def choose_method(shape: tuple[int, int], request: Request) -> tuple[Method, flo
     geometries = _geometries(request)
     if not geometries:
         return method_named("Linear Angular Spectrum"), math.nan
-    if _array.is_array(request.aperture) and not request.window:
+    if _array.is_array(request.aperture) and request.aperture.ndim and not request.window:
         return method_named("Bandlimited Angular Spectrum"), math.nan
     axes = tuple(axes_of(shape, pitch, wavelength, z) for z, wavelength, pitch in geometries)
     name, error = recommend(axes, request.tolerance)

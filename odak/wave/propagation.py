@@ -142,6 +142,8 @@ def propagate_beam(
             transfer = _kernel_in_graphs(tuple(field.shape), field.dtype, str(field.device), *options)
             if transfer:
                 return _array.convolve_plainly(field, transfer[0])
+    if _array.is_array(axes):
+        axes = tuple(int(axis) for axis in _validate.numbers(axes))
     if axes != (-2, -1) and axes != [-2, -1]:
         others = (kernel is None, type(aperture) in (int, float) and aperture == 1, scale == 1)
         if not all(others):
@@ -303,7 +305,7 @@ def _plan(
 ):
     """Check the arguments of a propagation; return its method, request, padding, warnings and predicted error."""
     check_geometry(k, distance, dx, wavelength, shape[:-2])
-    _check_aperture(aperture)
+    aperture = _checked_aperture(aperture)
     pad, fine, crop = padding_flags(zero_padding)
     request = Request(
         dx,
@@ -1039,14 +1041,18 @@ def fraunhofer_equal_size_adjust(
     return crop_center(field, sizes)
 
 
-def _check_aperture(aperture) -> None:
-    plain = isinstance(aperture, Number)
+def _checked_aperture(aperture):
+    """Return a checked aperture; an array of one number without derivatives is that number."""
     if _array.is_array(aperture):
         _validate.array("aperture", aperture)
-    elif not plain:
+        if aperture.ndim or not _array.is_readable(aperture) or getattr(aperture, "requires_grad", False):
+            return aperture
+        aperture = complex(aperture)
+    if not isinstance(aperture, Number):
         raise TypeError(f"aperture must be a number or an array, got {type(aperture).__name__}")
-    elif not abs(aperture) < math.inf:
+    if not abs(aperture) < math.inf:
         raise ValueError(f"aperture must be finite, got {aperture!r}")
+    return aperture
 
 
 def _check_method(method, request: Request) -> None:

@@ -3,6 +3,7 @@
 import math
 import re
 import warnings
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,15 +13,19 @@ import odak
 from odak.wave import (
     aspheric_lens_phase,
     axicon_phase,
+    beam_width,
+    bessel_beam,
     circular_aperture,
     cylindrical_lens_phase,
     dammann_grating,
     fresnel_zone_plate,
+    gaussian_beam,
     lens_phase,
     metalens_phase,
     propagate_beam,
     rectangular_aperture,
     spiral_phase,
+    zernike_phase,
 )
 
 SHAPE, PITCH, WAVELENGTH, FOCAL = (128, 120), 4e-6, 532e-9, 0.05
@@ -248,3 +253,23 @@ def test_lengths_of_a_lens_may_be_arrays(element, place, as_array):
     found = element(*lengths)
     assert type(found) is type(lengths[place])
     np.testing.assert_allclose(np.asarray(found), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("library", [np.asarray, partial(torch.tensor, dtype=torch.float64)])
+def test_pitch_and_position_may_be_arrays_of_any_library(library):
+    """A pitch that a measurement holds is a number to an element of another library."""
+    shape, pitch, place = (6, 7), 8e-6, (1e-6, 2e-6)
+    calls = {
+        "lens": lambda dx, at: lens_phase(shape, 0.1, dx, 532e-9, at),
+        "disc": lambda dx, at: circular_aperture(shape, dx, 2e-5, at),
+        "Bessel": lambda dx, at: bessel_beam(shape, dx, 532e-9, 0.1, offset=at),
+        "Zernike": lambda dx, at: zernike_phase(*shape, {(1, 1): 0.5}, 3e-5, dx, at),
+        "width": lambda dx, _: beam_width(gaussian_beam((64, 64), 8e-6, 532e-9, 6e-5), dx),
+    }
+    for name, call in calls.items():
+        found, expected = call(library(pitch), library(place)), call(pitch, place)
+        assert isinstance(found, np.ndarray), name
+        np.testing.assert_allclose(found, expected, rtol=1e-12, err_msg=name)
+    # A gradient that another library could not hold is said to be lost.
+    with pytest.warns(odak.AccuracyWarning, match="dx requires a gradient, which is lost here"):
+        lens_phase(shape, 0.1, torch.tensor(pitch, dtype=torch.float64, requires_grad=True), 532e-9)

@@ -1,6 +1,7 @@
 """What callers may pass to propagate_beam, and what they get back."""
 
 import warnings
+from functools import partial
 
 import numpy as np
 import pytest
@@ -599,3 +600,20 @@ def test_an_aperture_of_one_axis_is_centred_along_the_columns():
     )
     np.testing.assert_allclose(found, expected, atol=1e-12)
     np.testing.assert_allclose(np.fft.fft2(found), np.fft.fft2(field) * np.fft.ifftshift(mask), atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.asarray, torch.tensor, partial(torch.tensor, requires_grad=True)])
+def test_an_aperture_of_one_number_leaves_the_choice_of_the_method(kind):
+    """An open aperture is no mask, whatever its number is held in: the same method propagates."""
+    field = np.random.default_rng(3).normal(size=(16, 16)) + 0j
+    lengths = (None, 0.02, 8e-6, 532e-9)
+    for number in (1.0, 0.5):
+        found = odak.learn.wave.propagate_beam(torch.tensor(field), *lengths, aperture=kind(number)).detach()
+        np.testing.assert_allclose(found, odak.wave.propagate_beam(field, *lengths, aperture=number), atol=1e-12)
+
+
+def test_axes_may_be_an_array():
+    field = np.random.default_rng(3).normal(size=(1, 16)) + 0j
+    for axes in ((-1,), (-2, -1)):
+        found = [odak.wave.propagate_beam(field, None, 1e-3, 8e-6, 532e-9, axes=a) for a in (axes, np.asarray(axes))]
+        np.testing.assert_array_equal(*found)
