@@ -4,13 +4,16 @@
 
 The ```python blocks of a page run top to bottom in one namespace, in an empty folder. The PNG files found there
 afterwards go to docs/pictures/<page>/. A ```text block right after a ```python block is that block's output and is
-rewritten with what the block printed. test/docs/test_pages.py checks that both still agree.
+rewritten with what the block printed. A ```bash block before a ```text block is run too: its commands are `odak …`, and
+a ```toml block that begins with `# name.toml` is a file that they find. test/docs/test_pages.py checks that outputs
+still agree.
 """
 
 import contextlib
 import io
 import os
 import re
+import shlex
 import shutil
 import sys
 import tempfile
@@ -24,15 +27,17 @@ LARGE = 120_000  # bytes
 _FENCE = re.compile(
     r"^(?P<indent> *)```(?P<language>\w+)[^\n]*\n(?P<body>.*?)^(?P=indent)```$", re.MULTILINE | re.DOTALL
 )
+_FILE = re.compile(r"# (\w+\.toml)\n")
 
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced ```python block: its code, its line in the page, and the place and text of its output (or None)."""
+    """A fenced block: its code, its line in the page, the place and text of its output (or None), and its language."""
 
     code: str
     line: int
     output: tuple[int, int, str, str] | None = None
+    language: str = "python"
 
     @property
     def expected(self) -> str:
@@ -51,18 +56,38 @@ def pictures_of(path: Path) -> Path:
 
 
 def read_blocks(path: Path) -> list[Block]:
-    """Return the ```python blocks of a page, each with the ```text block right after it."""
+    """Return the ```python blocks of a page, each with the ```text block right after it, and what else is run."""
     text = path.read_text(encoding="utf-8")
     fences = list(_FENCE.finditer(text))
     blocks = []
     for fence, after in zip(fences, [*fences, None][1:], strict=True):
-        if fence["language"] != "python":
-            continue
-        output = None
+        output, language, code = None, fence["language"], textwrap.dedent(fence["body"])
         if after is not None and after["language"] == "text" and not text[fence.end() : after.start()].strip():
             output = (after.start("body"), after.end("body"), after["indent"], after["body"])
-        blocks.append(Block(textwrap.dedent(fence["body"]), text.count("\n", 0, fence.start()) + 2, output))
+        if language == "python" or (language == "bash" and output) or (language == "toml" and _FILE.match(code)):
+            blocks.append(Block(code, text.count("\n", 0, fence.start()) + 2, output, language))
     return blocks
+
+
+def commands(code: str) -> list[list[str]]:
+    """Return the words of each command of a ```bash block, without comments."""
+    lines = code.replace("\\\n", " ").replace("&&", "\n").splitlines()
+    return [words for line in lines if (words := shlex.split(line, comments=True))]
+
+
+def _run(block: Block, path: Path, namespace: dict) -> None:
+    """Run the code of a block, its commands, or write the file that it is."""
+    if block.language == "python":
+        # With the newlines in front, a traceback states line numbers of the page.
+        exec(compile("\n" * (block.line - 1) + block.code, str(path), "exec"), namespace)
+    elif block.language == "toml":
+        Path(_FILE.match(block.code)[1]).write_text(block.code, encoding="utf-8")
+    else:
+        from odak.cli import main
+
+        for words in commands(block.code):
+            if words[0] != "odak" or main(words[1:]) != 0:
+                raise RuntimeError(f"{path}:{block.line}: {shlex.join(words)} fails, or is no command of odak")
 
 
 def run_page(path: Path, folder: Path) -> list[tuple[Block, str]]:
@@ -74,10 +99,8 @@ def run_page(path: Path, folder: Path) -> list[tuple[Block, str]]:
     try:
         for block in read_blocks(path):
             printed = io.StringIO()
-            # With the newlines in front, a traceback states line numbers of the page.
-            code = compile("\n" * (block.line - 1) + block.code, str(path), "exec")
             with contextlib.redirect_stdout(printed):
-                exec(code, namespace)
+                _run(block, path, namespace)
             results.append((block, printed.getvalue()))
     finally:
         os.chdir(before)
