@@ -415,6 +415,10 @@ def design(settings: DesignSettings) -> None:
     for item in report["elements"]:
         sizes = " ".join(f"{name} {item[name]:.3g} {unit}" for name in ("diameter", "center", "edge"))
         _say(settings, f"element of {item['material']}: {sizes}")
+    for item in report["limits"]:
+        value = "rays lost" if item["value"] is None else f"{item['value']:.3g}"
+        met = "met" if item["met"] else "NOT MET"
+        _say(settings, f"limit of {item['name']}: {item['kind']} {item['limit']:.3g}, the lens has {value}: {met}")
     lens = settings.output / "lens.json"
     _say(settings, f"{', '.join(report['files'])} in {settings.output}; `odak trace {lens}` analyses the lens")
 

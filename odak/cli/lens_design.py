@@ -5,6 +5,7 @@ import math
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from odak.cli.report import about, finite, versions
 from odak.cli.settings import LENS_LENGTHS, DesignSettings
 from odak.cli.trace import read_glasses, read_system
 from odak.learn.raytracing import system as lenses
-from odak.learn.raytracing.system.automatic import STANDARD_LIMITS
+from odak.learn.raytracing.system.automatic import STANDARD_LIMITS, standard_limits
 from odak.learn.raytracing.system.operands import View, clear_heights, edge_thicknesses
 from odak.learn.raytracing.system.sketches import field_label
 from odak.learn.raytracing.system.surfaces import is_break
@@ -85,15 +86,13 @@ def run(job: DesignSettings, notices: files.Notices = files.SILENT) -> dict[str,
     begun = time.perf_counter()
     bar = tqdm(desc="design", unit="step", disable=job.quiet)
     with bar, refusing(lambda text: _of_options(text, job), TypeError, ValueError):
-        start, lens, did, merit = (_from_plates if job.system is None else _from_system)(job, bar.update)
-    if job.track is not None:
-        track = sum(float(item.thickness) for item in lens.surfaces) * MICROMETRES[lens.unit] * 1e-6
-        if track > 1.01 * job.track:
-            warn(
-                f"--track {job.track * 1e3:g}mm was not reached: the lens is {track * 1e3:.4g} mm long; "
-                "ask for a longer one",
-                ArgumentWarning,
-            )
+        start, lens, did, merit, limits = (_from_plates if job.system is None else _from_system)(job, bar.update)
+    rows = lenses.lens_limits(lens, limits, aim=job.aim)
+    for row in rows:
+        if not row.met and job.values().get(row.name) is not None:
+            option = option_name(row.name)
+            told = f"{option} was not reached: {row.kind} {row.limit:.4g} was asked for, the lens has {row.value:.4g}"
+            warn(told, ArgumentWarning)
     report = {
         "did": did,
         "asked": {name: value for name, value in asked.items() if value not in (None, False)},
@@ -106,6 +105,7 @@ def run(job: DesignSettings, notices: files.Notices = files.SILENT) -> dict[str,
             for degrees, spots in _over_temperatures(job, start, lens)
         ],
         "elements": elements_of(lens, job.aim),
+        "limits": [row._asdict() | {"value": finite(row.value)} for row in rows],
         "merit": merit,
         "seconds": time.perf_counter() - begun,
         **about("design"),
@@ -177,15 +177,29 @@ def _drawing(lens: lenses.optical_system):
     return lenses.layout_figure(shown)
 
 
+def _asked(job: DesignSettings, metre: float) -> dict[str, Any]:
+    """Return the numbers that are asked for by the names of the library, lengths in units of which a metre has some."""
+    names = {"field": "half_field"}
+    return {
+        names.get(name, name): value * metre if name in LENS_LENGTHS else value
+        for name, value in job.values().items()
+        if value is not None
+    }
+
+
+def _of(kind: type[Any], asked: dict[str, Any]) -> dict[str, Any]:
+    """Return the numbers that are fields of a dataclass."""
+    return {item.name: asked[item.name] for item in fields(kind) if item.name in asked}
+
+
 def _from_plates(job: DesignSettings, step: Callable[[], Any]):
-    """Return the plates, the lens, what was done and the merit of each stage for first-order demands."""
+    """Return the plates, the lens, what was done, the merit of each stage and the limits for first-order demands."""
     materials = materials_of(job)
     read_glasses(job.glasses)
-    size = {name: None if getattr(job, name) is None else 1e3 * getattr(job, name) for name in LENS_LENGTHS}
-    f, speed, field = float(size["focal_length"] or 0), float(job.f_number or 0), float(job.field or 0)
-    limits: dict[str, Any] = {"axial_color": size["axial_color"], "chief_ray_angle": job.chief_ray_angle}
-    limits |= {"distortion": job.distortion} if job.distortion else {}
-    requirements = lenses.LensRequirements(f, speed, field, **limits)
+    asked = _asked(job, 1e3)
+    requirements = lenses.LensRequirements(**_of(lenses.LensRequirements, asked))
+    room = lenses.LensDimensions(**_of(lenses.LensDimensions, asked))
+    f, speed, field = requirements.focal_length, requirements.f_number, requirements.half_field
     search = lenses.DesignSearch(
         job.starts or None, iterations=job.iterations or None, seed=job.seed, callback=lambda _: step()
     )
@@ -197,7 +211,7 @@ def _from_plates(job: DesignSettings, step: Callable[[], Any]):
         found = lenses.automatic_design(
             materials,
             requirements,
-            dimensions=lenses.LensDimensions(edge=size["edge"], back=size["back"], track=size["track"]),
+            dimensions=room,
             aspheric_terms=job.aspheric_terms,
             makers=makers,
             search=search,
@@ -227,7 +241,7 @@ def _from_plates(job: DesignSettings, step: Callable[[], Any]):
         surfaces: list[Any] = list(lens.surfaces)
         names = (getattr(item.material, "name", item.material) for item in surfaces)
         did.append(_substituted([name for name in names if name not in (None, "air")]))
-    return start, lens, did, merit
+    return start, lens, did, merit, requirements.limits(room, molded=steep)
 
 
 def _substituted(names: Sequence[str]) -> str:
@@ -243,7 +257,7 @@ def _set_semi_diameters(system: lenses.optical_system, aim: str) -> None:
 
 
 def _from_system(job: DesignSettings, step: Callable[[], Any]):
-    """Return the start, the lens, what was done and the merits of the last run for a given system."""
+    """Return the start, the lens, what was done, the merits of the last run and the limits for a given system."""
     read_glasses(job.glasses)
     system, did = read_system(str(job.system))
     did = [f"ignored in the file: {line}" for line in did]
@@ -276,7 +290,7 @@ def _from_system(job: DesignSettings, step: Callable[[], Any]):
             item.coefficients = torch.cat([item.coefficients, torch.zeros(lacking, dtype=torch.float64)])
     start = copy.deepcopy(system)
     start.aperture, start.fields = goal
-    merit, names, chosen = _optimised(system, own, goal, job, f, metre, step)
+    merit, names, chosen, limits = _optimised(system, own, goal, job, f, metre, step)
     _set_semi_diameters(system, job.aim)
     did.append("varied " + ", ".join(names))
     if job.temperature is not None:
@@ -286,7 +300,7 @@ def _from_system(job: DesignSettings, step: Callable[[], Any]):
         did.append(_substituted(chosen))
     did.append(f"held the focal length at {f:.9g} {system.unit}; semi-diameters follow the beam")
     system.source = f"{system.source}; optimised by odak {versions()['odak']}, seed {job.seed}".lstrip("; ")
-    return start, system, did, merit
+    return start, system, did, merit, limits
 
 
 def _check_start(system: lenses.optical_system, job: DesignSettings) -> None:
@@ -319,7 +333,8 @@ def _fields_to(own: tuple, largest: float | None) -> tuple:
 def _optimised(system, own, goal, job: DesignSettings, f: float, metre: float, step):
     """Optimise a system in place in steps from its own aperture and fields to the requested ones.
 
-    Returns the merits of the last run, what varied in words, and the names of the glasses that were substituted.
+    Returns the merits of the last run, what varied in words, the names of the glasses that were substituted, and the
+    limits.
     """
 
     def set_conditions(share: float) -> None:
@@ -332,11 +347,7 @@ def _optimised(system, own, goal, job: DesignSettings, f: float, metre: float, s
         both = zip(points, goal[1], strict=True)
         system.fields = tuple(tuple(a + share * (b - a) for a, b in zip(p, q, strict=True)) for p, q in both)
 
-    limits = {
-        name: getattr(job, name) * (metre if name in LENS_LENGTHS else 1.0)
-        for name in STANDARD_LIMITS
-        if getattr(job, name) is not None
-    }
+    limits = {name: value for name, value in _asked(job, metre).items() if name in STANDARD_LIMITS}
 
     def problem(makers: Sequence[str] | None = job.makers() or None) -> lenses.lens_design:
         return lenses.standard_design(
@@ -362,6 +373,7 @@ def _optimised(system, own, goal, job: DesignSettings, f: float, metre: float, s
     while True:
         share = min(1.0, here + way)
         set_conditions(share)
+        held = standard_limits(system, limits, abs(f), job.aim)
         design = problem()
         if keeps_rays(design):
             result = design.optimise(iterations, tolerance=1e-6, rounds=2 if share == 1 else 1, callback=told)
@@ -382,7 +394,7 @@ def _optimised(system, own, goal, job: DesignSettings, f: float, metre: float, s
         chosen = design.substitute_glasses(job.makers(), iterations=iterations)
         # The glasses are fixed now, and with them the terms of the merit.
         history = list(problem(None).optimise(iterations, tolerance=1e-6, rounds=2, callback=told).history)
-    return history, names, chosen
+    return history, names, chosen, held
 
 
 def _varied(design: lenses.lens_design) -> list[str]:

@@ -38,7 +38,7 @@ from odak.cli.options import (
 AIMS = ("paraxial", "real")
 # Metres above which a width or a distance is taken for centimetres without their unit.
 LARGEST_SCREEN = 15.0
-LENS_LENGTHS = ("focal_length", "track", "back", "edge", "axial_color")
+LENS_LENGTHS = ("focal_length", "track", "back", "edge", "axial_color", "lateral_color")
 DEMANDS = ("focal_length", "f_number", "field", "elements")
 
 
@@ -294,6 +294,8 @@ class DesignSettings(RunSettings):
         Largest distortion.
     axial_color : float, optional
         Largest distance between the foci of two wavelengths.
+    lateral_color : float, optional
+        Largest distance in the image of chief rays from that of the middle wavelength.
     chief_ray_angle : float, optional
         Largest angle of chief rays in the image.
     aim : str
@@ -327,7 +329,8 @@ class DesignSettings(RunSettings):
     back: float | None = length(check=not_negative)
     edge: float | None = length(check=not_negative)
     distortion: float | None = option(None, metavar="RATIO", check=positive, shown="0.02, or the SYSTEM's if larger")
-    axial_color: float | None = length()
+    axial_color: float | None = length(shown="2·F·c, c = diagonal of the image/1500, or the SYSTEM's if larger")
+    lateral_color: float | None = length(shown="c/2, or the SYSTEM's if larger")
     chief_ray_angle: float | None = option(None, metavar="DEGREES", check=positive)
     aim: str = option("paraxial", of=AIMS)
     starts: int | None = option(

@@ -116,6 +116,12 @@ def test_a_lens_is_improved_to_what_is_asked(name, asked, tmp_path, capsys):
         widest = 2 * max(items[k].semi_diameter for k in (i, i + 1))
         assert element["diameter"] == pytest.approx(widest, rel=2e-3) and element["edge"] > 0
     assert f"element of {report['elements'][0]['material']}: diameter" in out.out
+    limits = {row["name"]: row for row in report["limits"]}
+    assert limits["edge"]["value"] == pytest.approx(min(item["edge"] for item in report["elements"]), rel=0.05)
+    for row in limits.values():
+        assert f"limit of {row['name']}: {row['kind']}" in out.out
+        room = row["value"] - row["limit"] if row["kind"] == "least" else row["limit"] - row["value"]
+        assert row["met"] == (room >= -0.01 * row["limit"])
     again, _ = read_zmx(tmp_path / "lens.zmx")
     thicknesses = [float(item.thickness) for item in again.surfaces]
     assert thicknesses == [item["thickness"] for item in json.loads((tmp_path / "lens.json").read_text())["surfaces"]]
@@ -313,6 +319,6 @@ def test_lengths_not_reached_and_doubtful_ones_are_warned_of(tmp_path, capsys):
     # A singlet of 100 mm cannot have its image within 1 mm.
     options = ["--iterations", "1", "--quiet", "-o", str(tmp_path)]
     assert main(["design", "singlet", "--track", "1mm", *options]) == 0
-    assert "--track 1mm was not reached: the lens is " in capsys.readouterr().err
+    assert "--track was not reached: largest 1 was asked for, the lens has " in capsys.readouterr().err
     assert main(["design", "singlet", "--focal-length", "50", *options]) == 0
     assert "--focal-length 50 is 50 metres; did you mean 50mm?" in capsys.readouterr().err

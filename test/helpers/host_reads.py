@@ -21,6 +21,7 @@ REASONS = {
         raytracing/system/design: report
         raytracing/system/drawing: *
         raytracing/system/sketches: *
+        raytracing/system/limits: *
         raytracing/system/system_files: *
         raytracing/system/codev: *
         raytracing/system/oslo: *
@@ -50,7 +51,7 @@ REASONS = {
         perception/metameric: _metamer
         perception/quality: _require_positive
         raytracing/system/analysis: paraxial_points
-        raytracing/system/automatic: _standard_limits _what_varies glasses standard_design
+        raytracing/system/automatic: _image_height _is_correctable _what_varies glasses standard_design standard_limits
         raytracing/system/design: __init__ _now
         raytracing/system/operands: glass_hull nearest_glasses
         raytracing/system/environment: expanded_system tell_unknown

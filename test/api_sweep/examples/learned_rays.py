@@ -255,6 +255,7 @@ BY_CALL = {
         "iterations": 1,
         "polish": 0,
     },
+    f"{HERE}.system.lens_limits": {"limits": {"track": 50.0}},
     f"{HERE}.system.lens_design": DESIGN,
     f"{HERE}.system.lens_design.optimise": {"iterations": 1},
     f"{HERE}.system.lens_design.restarts": {"count": 2, "spread": 0.2, "iterations": 1},

@@ -82,6 +82,8 @@ from .image_simulation import expose_sensor as expose_sensor
 from .image_simulation import point_spread_map as point_spread_map
 from .image_simulation import simulate_image as simulate_image
 from .lens_fields import TracedSystem as TracedSystem
+from .limits import LensLimit as LensLimit
+from .limits import lens_limits as lens_limits
 from .operands import Operand as Operand
 from .optimise import LevenbergMarquardtResult as LevenbergMarquardtResult
 from .optimise import Perturbation as Perturbation

@@ -48,7 +48,7 @@ from odak.learn.raytracing.system.surfaces import (
     wavelength_shares,
     wavelengths_of,
 )
-from odak.learn.raytracing.system.tracing import Rays, in_surface_frame, spread_rays, trace
+from odak.learn.raytracing.system.tracing import Rays, Traced, in_surface_frame, spread_rays, trace
 from odak.raytracing.geometry import safe_sqrt
 from odak.tools.zernike import fringe_to_nm, noll_to_nm, osa_to_nm, zernike_norm, zernike_polynomial
 
@@ -309,9 +309,13 @@ def lateral_color(system: optical_system, **options: "Unpack[TraceOptions]") -> 
     True
     """
     options.setdefault("vignetting", False)
-    chief = trace_fields(system, CENTRE, **options)
-    place = torch.stack([chief.x[..., 0], chief.y[..., 0]], -1)
-    number = reference_of(system, options.get("prescription"))
+    return outward_distances(trace_fields(system, CENTRE, **options), system, options.get("prescription"))
+
+
+def outward_distances(traced: Traced, system: optical_system, prescription: Prescription | None) -> torch.Tensor:
+    """Return what :func:`lateral_color` does, of rays whose first ones are the chief rays."""
+    place = torch.stack([traced.x[..., 0], traced.y[..., 0]], -1)
+    number = reference_of(system, prescription)
     middle = place[..., number : number + 1, :, :]
     size = middle.square().sum(-1, keepdim=True)
     off = size > 0

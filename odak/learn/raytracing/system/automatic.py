@@ -13,9 +13,9 @@ from odak._lengths import expansion_in, focal_length_in, in_unit, light_in
 from odak._warnings import ConvergenceWarning, warn
 from odak.catalog import OpticalMaterial, glass_makers
 from odak.catalog.materials import MICROMETRES
-from odak.learn.raytracing.system.analysis import distortion as relative_distortion
 from odak.learn.raytracing.system.analysis import rms_spot
 from odak.learn.raytracing.system.design import Solve, Variable, lens_design, zoom_design
+from odak.learn.raytracing.system.limits import EDGE_SHARES, lens_limits, places_of
 from odak.learn.raytracing.system.operands import Operand, glass_pool
 from odak.learn.raytracing.system.paraxial import first_order, matrix, signed_indices
 from odak.learn.raytracing.system.pupils import trace_fields
@@ -41,7 +41,15 @@ SCREENINGS, SCREENING_STEPS = 3, 4
 
 # Least and largest thicknesses of elements and of gaps of the usual design of a given lens, in focal lengths.
 STANDARD_GLASS, STANDARD_AIR = (0.02, 0.2), (0.002, 0.5)
-STANDARD_LIMITS = ("track", "back", "distortion", "axial_color", "chief_ray_angle", "edge")
+STANDARD_LIMITS = (
+    *("track", "back", "edge", "air_edge"),
+    *("distortion", "axial_color", "lateral_color", "chief_ray_angle"),
+)
+# Circles of confusion in the diagonal of an image, the usual number, by which colour is bounded; a diagonal counts as
+# half a focal length at least, since the axial colour of narrow fields is left by the dispersion of glass.
+CIRCLES, LEAST_DIAGONAL_OF_IMAGE = 1500, 0.5
+# Weight of lateral colour: its bound is as much smaller than that of axial colour at f/2.5.
+LATERAL_WEIGHT = 10.0
 # Least thickness of elements at the rim and in the middle, in diameters of the beam, where thicknesses are not given.
 # Edmund Optics (Understanding Optical Specifications) asks for a sixth in precise flats and less in lenses. Published
 # lenses among the samples have rims of 1/45 to 1/8, where they pass the whole beam, and negatives of 1/16 to 1/8.
@@ -164,16 +172,24 @@ class LensRequirements:
     distortion : float
         Largest magnitude of the relative distortion.
     axial_color : float, optional
-        Largest distance between the paraxial images of two wavelengths, in `unit`.
+        Largest distance between the paraxial images of two wavelengths, in `unit`; by default the depth of focus
+        2·f_number·c of a circle of confusion c, for elements of different glasses.
     chief_ray_angle : float, optional
         Largest angle of the chief rays against the axis in the image, in degrees.
     unit : str
         Unit of all lengths, also of :class:`LensDimensions`.
+    lateral_color : float, optional
+        Largest distance in the image between chief rays of a wavelength and of the middle one, in `unit`; by default
+        c/2, for elements of different glasses.
 
     Raises
     ------
     ValueError, TypeError
         If a number is out of range.
+
+    Notes
+    -----
+    The circle of confusion c is 1/1500 of the diagonal of the image, which counts as half the focal length at least.
 
     Examples
     --------
@@ -190,15 +206,17 @@ class LensRequirements:
     axial_color: float | None = None
     chief_ray_angle: float | None = None
     unit: str = "mm"
+    lateral_color: float | None = None
 
     def __post_init__(self) -> None:
         unit = _validate.one_of("unit", self.unit, MICROMETRES)
         waves = light_in("wavelengths", self.wavelengths, unit)
         object.__setattr__(self, "wavelengths", _validate.several("wavelengths", waves, positive=True))
-        object.__setattr__(self, "axial_color", in_unit("axial_color", self.axial_color, unit))
+        for name in ("axial_color", "lateral_color"):
+            object.__setattr__(self, name, in_unit(name, getattr(self, name), unit))
         focus = focal_length_in("focal_length", self.focal_length, self.wavelengths, unit)
         object.__setattr__(self, "focal_length", focus)
-        for name in ("focal_length", "f_number", "distortion", "axial_color", "chief_ray_angle"):
+        for name in ("focal_length", "f_number", "distortion", "axial_color", "lateral_color", "chief_ray_angle"):
             _set_number(self, name, positive=True)
         _set_number(self, "half_field", least=0)
         if self.half_field >= 80:
@@ -207,7 +225,54 @@ class LensRequirements:
     @property
     def _distortion_weight(self) -> float:
         """Weight at which distortion counts as half the height that it displaces the image of the largest field."""
-        return 0.5 * self.focal_length * math.tan(math.radians(self.half_field))
+        return 0.5 * self._image_height
+
+    @property
+    def _image_height(self) -> float:
+        return self.focal_length * math.tan(math.radians(self.half_field))
+
+    def limits(self, dimensions: "LensDimensions | None" = None, molded: bool = False) -> dict[str, Any]:
+        """Return all limits with their defaults, for :func:`lens_limits`.
+
+        Parameters
+        ----------
+        dimensions : LensDimensions, optional
+            The room that the lens has.
+        molded : bool
+            Whether the elements are moulded, as aspheres behind a stop in front: ground ones have limits by diameter.
+
+        Returns
+        -------
+        dict
+            Limits by name.
+
+        Examples
+        --------
+        >>> from odak.learn.raytracing.system import LensRequirements
+        >>> LensRequirements(50.0, 2.8, 20.0).limits()["center_per_diameter"]
+        0.1
+        """
+        given = LensDimensions() if dimensions is None else dimensions
+        molded = _validate.flag("molded", molded)
+        room, wanted = given._around(self.focal_length), self._with_color(True)
+        found = {name: getattr(room, name) for name in ("track", "back", "glass", "air", "edge")}
+        found["air_edge"] = room.edge
+        by_diameter = (0.0, 0.0) if molded else given._ground
+        found |= dict(zip(("edge_per_diameter", "center_per_diameter"), by_diameter, strict=True))
+        for name in ("distortion", "axial_color", "lateral_color", "chief_ray_angle"):
+            found[name] = getattr(wanted, name)
+        return {name: limit for name, limit in found.items() if limit}
+
+    def _with_color(self, correctable: bool) -> "LensRequirements":
+        """Return the requirements with the default bounds of colour, where the glasses can correct it."""
+        if not correctable:
+            return self
+        axial, lateral = _color_bounds(self.focal_length, self.f_number, self._image_height)
+        return replace(
+            self,
+            axial_color=axial if self.axial_color is None else self.axial_color,
+            lateral_color=lateral if self.lateral_color is None else self.lateral_color,
+        )
 
 
 @dataclass(frozen=True)
@@ -340,6 +405,20 @@ class DesignSearch:
         return replace(self, starts=self.starts or starts, iterations=self.iterations or iterations)
 
 
+def _color_bounds(focal_length: float, f_number: float, height: float) -> tuple[float, float]:
+    """Return the usual bounds of axial and lateral colour of an image of a largest height."""
+    circle = max(2 * height, LEAST_DIAGONAL_OF_IMAGE * focal_length) / CIRCLES
+    return 2 * f_number * circle, 0.5 * circle
+
+
+def _is_correctable(system: optical_system) -> bool:
+    """Whether colour can be corrected: several wavelengths, and glasses of different dispersion."""
+    index = system.prescription().index.detach()
+    powers = (index - 1)[:, (index[system.reference] > 1.01)]
+    relative = powers / powers[system.reference]
+    return len(index) > 1 and bool((relative.amax(-1) - relative.amin(-1) > 1e-4).any())
+
+
 def _set_number(holder: Any, name: str, **limits: Any) -> None:
     """Check a number of a value class, which may be None, and keep it as a float."""
     if getattr(holder, name) is not None:
@@ -442,6 +521,7 @@ def automatic_design(
     dimensions, search = dimensions._around(f), search._filled(steep, makers)  # type: ignore[union-attr]
     system, curved, spaces = _flat_plates(elements, terms, steep, dimensions, requirements)
     start = copy.deepcopy(system)
+    requirements = requirements._with_color((bool(makers) and len(system.wavelengths) > 1) or _is_correctable(system))
     problem = _Problem(requirements, dimensions, ground, terms, makers, system, curved, spaces, search.callback)
     design = (_designed_aspheres if steep else _designed_spheres)(problem, search)
     if not bool(trace_fields(system, "rings", 8, vignetting=False).arrived.all()):
@@ -481,10 +561,11 @@ def standard_design(
         default the focal length of the system.
     limits : mapping, optional
         "track", largest distance from the first vertex to the image; "back", least one from the last vertex, by default
-        a tenth of the focal length or what it is; "distortion", by default 0.02 or what it is; "axial_color", largest
-        distance between the paraxial images of two wavelengths; "chief_ray_angle", largest angle of the chief rays in
-        the image in degrees; "edge", least thickness of elements at the rim of the beam, by default a fiftieth of the
-        focal length or what it is.
+        a tenth of the focal length or what it is; "distortion", by default 0.02 or what it is; "axial_color" and
+        "lateral_color", by default as in :class:`LensRequirements` or what they are; "chief_ray_angle", largest angle
+        of the chief rays in the image in degrees; "edge" and "air_edge", least thickness of elements and of gaps
+        between them at the rim of the beam, by default 1/50 and 1/500 of the focal length or what it is.
+        :func:`lens_limits` tells more.
     makers : sequence of str, optional
         Makers of glass, in the catalogues of which the glasses vary.
     aspheric : bool
@@ -520,15 +601,9 @@ def standard_design(
     True
     """
     checked_system(system)
-    limits = {} if limits is None else limits
-    _validate.instance("limits", limits, Mapping, "a mapping")
     makers = _checked_makers(makers)
     aspheric = _validate.flag("aspheric", aspheric)
     mount = expansion_in("mount", _validate.constant("mount", mount))
-    limits = {
-        _validate.one_of("name of limits", name, STANDARD_LIMITS): _validate.number(f"{name} of limits", value, least=0)
-        for name, value in limits.items()
-    }
     if focal_length is None:
         focal_length = float(first_order(system).focal_length.detach())
     waves, unit = system.wavelengths, system.unit
@@ -558,19 +633,17 @@ def standard_design(
         options = {"surfaces": varied, "makers": makers}
         operands.append(Operand("glass", weight=1e-5 * size, options=options))
     solves = [Solve("focal_length", curved[-1], focal_length), Solve("marginal_height", last)]
-    for places, least in (
-        ([i for i in glass if i in free], STANDARD_GLASS[0]),
-        ([i for i in free if i not in glass and {i, i + 1} <= set(curved)], STANDARD_AIR[0]),
-    ):
-        if places:
-            options = {"surfaces": places, "shares": (0.5, 0.75, 1.0)}
-            edges = [Operand("edge_thickness", options=options)]
-            trial = lens_design(system, edges, variables, solves=solves, aim=aim)
-            # Edges may stay as thin as they are, and become no thinner.
-            now = float(trial.report()[0][1].min())
-            lower = limits["edge"] if "edge" in limits and places[0] in glass else min(least * size, now)
-            operands.append(Operand("edge_thickness", lower=lower, options=options))
-    operands += _standard_limits(system, limits, size, aim)
+    limits = standard_limits(system, limits, size, aim)
+    places = places_of(system)
+    for name, of in (("edge", "elements"), ("air_edge", "facing")):
+        if name in limits:
+            options = {"surfaces": places[of], "shares": EDGE_SHARES}
+            operands.append(Operand("edge_thickness", lower=limits[name], options=options))
+    if "back" in limits:
+        operands.append(Operand("thickness", lower=limits["back"], options={"surfaces": [last]}))
+    if "track" in limits:
+        operands.append(Operand("total_track", upper=limits["track"]))
+    operands += _image_operands(limits, size, 0.5 * _image_height(system, aim))
     if temperatures is None:
         return lens_design(system, operands, variables, solves=solves, aim=aim)
     degrees = _validate.several("temperatures", temperatures)
@@ -598,29 +671,77 @@ def _what_varies(system: optical_system) -> tuple[list[int], list[int], list[int
     return glass, curved, free
 
 
-def _standard_limits(system: optical_system, limits: Mapping[str, float], size: float, aim: str) -> list[Operand]:
-    """Return the operands of the limits of :func:`standard_design`, but for edges; `size` is the focal length."""
-    operands: list[Operand] = []
-    items: list[Any] = list(system.surfaces)
-    last = len(items) - 1
-    distance = float(items[last].thickness)
-    if "back" in limits or distance > 0:
-        least = limits.get("back", min(0.1 * size, distance))
-        operands.append(Operand("thickness", lower=least, options={"surfaces": [last]}))
-    if "track" in limits:
-        operands.append(Operand("total_track", upper=limits["track"]))
-    if "axial_color" in limits:
-        operands.append(Operand("axial_color", upper=limits["axial_color"]))
-    if "chief_ray_angle" in limits:
-        operands.append(Operand("chief_ray_angle", weight=0.002 * size, upper=limits["chief_ray_angle"]))
+def standard_limits(
+    system: optical_system, limits: Mapping[str, float] | None, size: float, aim: str = "paraxial"
+) -> dict[str, float]:
+    """Return the limits of :func:`standard_design` with its defaults, which a lens keeps as it is.
+
+    Parameters
+    ----------
+    system : optical_system
+        The lens.
+    limits : mapping or None
+        Limits that are asked for.
+    size : float
+        Magnitude of its focal length.
+    aim : str
+        How :func:`launch` aims.
+    """
+    limits = {} if limits is None else limits
+    _validate.instance("limits", limits, Mapping, "a mapping")
+    asked = {
+        _validate.one_of("name of limits", name, STANDARD_LIMITS): _validate.number(f"{name} of limits", value, least=0)
+        for name, value in limits.items()
+    }
+    height = _image_height(system, aim)
+    usual = {"back": 0.1 * size, "edge": STANDARD_GLASS[0] * size, "air_edge": STANDARD_AIR[0] * size}
+    if float(system.surfaces[-1].thickness) <= 0:  # type: ignore[arg-type]
+        del usual["back"]
+    if height:
+        usual["distortion"] = 0.02
+    if _is_correctable(system):
+        speed = abs(float(first_order(system).f_number.detach()))
+        usual["axial_color"], usual["lateral_color"] = _color_bounds(size, speed, height)
+    for row in lens_limits(system, usual, aim=aim):
+        worse = min if row.kind == "least" else max
+        asked.setdefault(row.name, worse(row.limit, row.value) if math.isfinite(row.value) else row.limit)
+    return asked
+
+
+def _image_height(system: optical_system, aim: str) -> float:
+    """Return the largest distance of a chief ray from the axis in the image."""
     with torch.no_grad():
         chief = trace_fields(system, torch.zeros(1, 2, dtype=torch.float64), vignetting=False, aim=aim)
-        height = float(torch.nan_to_num((chief.x**2 + chief.y**2).sqrt()).max())
-    if height:
-        now = float(relative_distortion(system, aim=aim)[system.reference].detach().abs().max())
-        limit = limits.get("distortion", max(0.02, now if math.isfinite(now) else 0.0))
-        operands.append(Operand("distortion", weight=0.5 * height, lower=-0.9 * limit, upper=0.9 * limit))
-    return operands
+        return float(torch.nan_to_num((chief.x**2 + chief.y**2).sqrt()).max())
+
+
+def _image_operands(limits: Mapping[str, Any], size: float, distortion: float, share: float = 1.0) -> list[Operand]:
+    """Return the operands of the limits of the image.
+
+    Parameters
+    ----------
+    limits : mapping
+        Limits by name, as :func:`lens_limits` takes them.
+    size : float
+        Magnitude of the focal length.
+    distortion : float
+        Weight of the distortion.
+    share : float
+        Share of the bounds of colour that is taken, since least squares exceed limits a little.
+    """
+    # Of the distortion a tenth remains for the fields between the fields of the operand.
+    rows = (
+        ("distortion", 0.9, distortion, True),
+        ("axial_color", share, 1.0, False),
+        ("lateral_color", share, LATERAL_WEIGHT, True),
+        ("chief_ray_angle", 1.0, 0.002 * size, False),
+    )
+    found = []
+    for name, part, weight, has_signs in rows:
+        if limits.get(name) is not None and weight:
+            bound = part * limits[name]
+            found.append(Operand(name, weight=weight, lower=-bound if has_signs else None, upper=bound))
+    return found
 
 
 def _checked_makers(makers: Any) -> tuple[str, ...] | None:
@@ -713,20 +834,13 @@ class _Problem:
             if share:
                 options = {"surfaces": self.curved[::2], "shares": at, "per_diameter": share}
                 found.append(Operand("edge_thickness", weight=edges, lower=margin, options=options))
-        if wanted.half_field:
-            weight = wanted._distortion_weight if distortion is None else distortion
-            # A tenth remains for the fields between the fields of the operand.
-            bound = 0.9 * wanted.distortion
-            found.append(Operand("distortion", weight=weight, lower=-bound, upper=bound))
-        if wanted.axial_color is not None:
-            found.append(Operand("axial_color", upper=0.95 * wanted.axial_color))
         if self.free_glasses:
             options = {"surfaces": self.curved[::2], "makers": self.makers, "hull": True}
             found.append(Operand("glass", weight=GLASS_WEIGHT * f, upper=0.0, options=options))
         if room.track is not None:
             found.append(Operand("total_track", weight=edges, upper=room.track - margin, options={"first": self.first}))
-        if wanted.chief_ray_angle is not None:
-            found.append(Operand("chief_ray_angle", weight=0.002 * f, upper=wanted.chief_ray_angle))
+        weight = wanted._distortion_weight if distortion is None else distortion
+        found += _image_operands(vars(wanted), f, weight if wanted.half_field else 0.0, share=0.95)
         return found
 
 
@@ -751,7 +865,7 @@ def _designed_spheres(problem: _Problem, search: DesignSearch):
             Operand("spot", options={"fields": weights}),
             # The curvature that is solved for the focal length, in units of 1/f.
             Operand(lambda _, p: f * p.curvature[..., curved[0]], weight=0.1 * f, lower=-limit * f, upper=limit * f),
-            *problem.limits((0.5, 0.75, 1.0), margin=MARGIN * f),
+            *problem.limits(EDGE_SHARES, margin=MARGIN * f),
         ]
         bounds = () if aspheric else (-limit, limit)
         variables = [

@@ -17,6 +17,7 @@ from odak.learn.raytracing.system.operands import (
     View,
     checked_operands,
     clear_heights,
+    given_heights,
     merit_deviations,
     merit_residuals,
     nearest_glasses,
@@ -357,9 +358,7 @@ class lens_design(_show.Shown):
 
         Otherwise they are those of the rays, at whatever values of the variables an operand is evaluated.
         """
-        given = [item.semi_diameter for item in self.system.surfaces]
-        known = all(value is not None for value in given)
-        self.heights: torch.Tensor | None = torch.tensor(given, dtype=torch.float64) if known else None
+        self.heights: torch.Tensor | None = given_heights(self.system)
 
     def clear_heights(self, values: torch.Tensor) -> torch.Tensor:
         """Return the largest distance from the axis of rays on each surface, ``[..., S]``, for values ``[..., V]``."""

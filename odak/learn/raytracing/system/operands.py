@@ -15,7 +15,7 @@ from odak.catalog.materials import OpticalMaterial
 from odak.learn.raytracing.system.analysis import (
     Wavefront,
     axial_color,
-    lateral_color,
+    outward_distances,
     paraxial_points,
     relative_deviation,
     wavefront,
@@ -344,7 +344,7 @@ def _distortion(view: View) -> torch.Tensor:
 
 def _lateral_color(view: View) -> torch.Tensor:
     """Distances of the chief rays from the chief ray at the reference wavelength, at all wavelengths and fields."""
-    return lateral_color(view.system, **view.options).flatten(-2)
+    return outward_distances(view._all, view.system, view.prescription).flatten(-2)
 
 
 def _axial_color(view: View) -> torch.Tensor:
@@ -527,6 +527,12 @@ def merit_deviations(operands: list[Operand], view: View) -> tuple[torch.Tensor,
     lead = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
     bounds = [bool(k % 2) for k, part in enumerate(parts) for _ in range(part.shape[-1])]
     return torch.cat([part.expand(*lead, part.shape[-1]) for part in parts], -1), bounds
+
+
+def given_heights(system: optical_system) -> torch.Tensor | None:
+    """Return the semi-diameters of the surfaces ``[S]``, None if one of them has none."""
+    given = [item.semi_diameter for item in system.surfaces]
+    return torch.tensor(given, dtype=torch.float64) if all(value is not None for value in given) else None
 
 
 def clear_heights(
