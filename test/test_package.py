@@ -337,8 +337,10 @@ def test_the_package_does_not_grow():
 
 # Modules whose tests stand in a file of another name; those of internal modules are the tests of what uses them.
 TESTED_IN = {
+    "odak.cli.eye_settings": "cli/test_eyebox.py",
     "odak.cli.eyebox_views": "cli/test_eyebox.py",
     "odak.cli.job": "cli/test_hologram.py",
+    "odak.cli.light_field": "cli/test_eyebox.py",
     "odak.cli.settings": "cli/test_options.py",
     "odak.cli.target": "cli/test_hologram.py",
     "odak.instruments.array_files": "instruments/test_captures.py",

@@ -167,6 +167,9 @@ def hologram(values: dict[str, Any], spread: SpreadSettings) -> None:
     of each are written to a folder of its name in the output folder. Results of the same options that exist already
     are kept; results of other options are listed before they are replaced.
 
+    Views of a scene from places of the pupil (--views), a mesh (--mesh) or Gaussian splats (--splats) are computed for
+    eyes in an eyebox at --distance; views.png has what pupils see for which the hologram was not optimised.
+
     Films (.mp4, .mov, .avi, .mkv, .webm) are computed frame by frame, each from the patterns of the one before; their
     folders, frame_00001 and so on, and summary.json with the quality and the flicker are written to the output folder.
 
@@ -174,6 +177,7 @@ def hologram(values: dict[str, Any], spread: SpreadSettings) -> None:
 
         odak hologram photo --grey --output output
         odak hologram photo.png --quality good --frames 4
+        odak hologram --mesh bust.ply --eyebox 3mm --frames 3
     """
     from odak.cli.files import completed
     from odak.cli.job import is_film
@@ -268,13 +272,17 @@ def _summarise(job: Job, report: dict[str, Any]) -> None:
     if report["seconds_per_iteration"] is not None:
         typer.echo(f"{report['seconds_per_iteration']:.3g} s per iteration on {report['device']}")
     others = [*(["focal_stack.png"] if job.planes > 1 else []), "report.json"]
+    if job.scene is not None:
+        typer.echo(f"PSNR at least {report['psnr_unseen_db']:.2f} dB at pupils that it was not optimised for")
+        others.insert(0, "views.png")
     if ssim:
         others = ["reconstruction.png", "comparison.png", *others]
     typer.echo(f"{', '.join([*report['pattern']['files'], *others])} in {job.output}")
     if ssim:
         typer.echo(
             f"{job.output / 'comparison.png'} shows the picture, the image that the saved pattern forms "
-            f"{job.distance:g} m behind the modulator (computed), their difference and the pattern"
+            f"{f'{job.distance:g} m behind the modulator' if job.scene is None else 'in an eye in the middle'} "
+            "(computed), their difference and the pattern"
         )
 
 

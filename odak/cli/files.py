@@ -289,11 +289,24 @@ def sources(job: Job) -> list[Path]:
     """Return the files of the picture and, if there are any, of its depth map, the response and the start."""
     known = [Path(os.path.expanduser(name)) for name in (job.calibration, job.lut) if name is not None]
     return [
-        image_path(job.image),
+        *_pictures_of(job),
         *([] if job.depth_map is None else [depth_map_path(job.depth_map)]),
         *(path for path in known if path.is_file()),
         *([] if job.start is None else sorted(Path(os.path.expanduser(job.start)).glob("hologram*.png"))),
     ]
+
+
+def _pictures_of(job: Job) -> list[Path]:
+    """Return the files of the picture, or those of a scene that eyes look at."""
+    if job.scene is None:
+        return [image_path(job.image)]
+    if job.scene != "views" or not job.scene_path.is_file():
+        return [job.scene_path]
+    from odak.learn.wave.holograms.scenery import listed_views
+
+    with refusing("--views ", OSError, ValueError):
+        pictures, _ = listed_views(job.scene_path)
+    return [job.scene_path, *(picture for picture in pictures if picture.is_file())]
 
 
 def read_report(path: Path) -> dict[str, Any]:

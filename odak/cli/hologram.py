@@ -27,6 +27,7 @@ from odak.cli.job import (
     Job,
     pattern_name,
 )
+from odak.cli.light_field import eyes_of, judged, load_light_field, load_pupils, write_views
 from odak.cli.options import InputError, refusing
 from odak.cli.target import Target, Volume, load_target, load_volume, on_screen
 from odak.instruments import Lens
@@ -78,15 +79,16 @@ def run(job: Job, notices: files.Notices = files.SILENT) -> dict[str, Any]:
             check_behind_lens(job, lens)
         check_propagation_type(job.propagation_type)
         device = report.find_device(job.device)
-        target = load_target(job)
+        target = load_target(job) if job.scene is None else load_light_field(job)
         if job.method == "network":
             check_training_range(job, target.wavelengths)
         folder = files.writable_folder(job.output)
         names = [name for _, group in _groups(job, target) for name in group]
         others = ["reconstruction.png", "comparison.png", files.REPORT, *["focal_stack.png"] * (job.planes > 1)]
+        others += ["views.png"] * (job.scene is not None)
         files.announce(folder, [*names, *others], notices)
         result = _compute(job, target, folder, device)
-        images, phases = result.pop("images"), result.pop("phases")
+        images, phases, maps = (result.pop(name) for name in ("images", "phases", "maps"))
         quality = report.overall(target, images, result["channels"])
         figures = ["psnr_area_db", "psnr_points_db", *([] if _shares_frames(job) else ["psnr_db"])]
         quality |= {name: report.mean_decibels(result["channels"], name) for name in figures}
@@ -95,6 +97,9 @@ def run(job: Job, notices: files.Notices = files.SILENT) -> dict[str, Any]:
         quality["psnr_encoded_db"] = report.psnr(shown[window], wanted[window])
         files.write_png(folder / "reconstruction.png", report.to_image(shown))
         files.write_png(folder / "comparison.png", comparison(job, target, images, phases, names, quality))
+        if maps:
+            write_views(folder / "views.png", job, target, maps)
+            quality["psnr_unseen_db"] = min(float(one.psnr.min()) for one in maps)
     summary = {
         **quality,
         **result,
@@ -103,7 +108,7 @@ def run(job: Job, notices: files.Notices = files.SILENT) -> dict[str, Any]:
         **report.parameters_of(job, target, names, device),
         "seconds_total": time.perf_counter() - start,
     }
-    written = [*names, "reconstruction.png", "comparison.png"]
+    written = [*names, "reconstruction.png", "comparison.png", *["views.png"] * (job.scene is not None)]
     # What was cut short is not the result that a second run looks for.
     mark = "" if result["interrupted"] else files.fingerprint_of(job)
     return files.write_report(folder, summary, mark, written)
@@ -211,6 +216,7 @@ def comparison(
     """Return target, reconstruction, their difference and the patterns side by side."""
     psnr = "" if quality["psnr_db"] is None else f", PSNR {quality['psnr_db']:.1f} dB"
     where = "in focus" if job.planes > 1 else f"at {job.distance * 1e3:.4g} mm"
+    where = where if job.scene is None else "from the middle of the eyebox"
     if (lens := lens_of(job)) is not None:
         where = f"behind a lens of {lens.focal_length * 1e3:.4g} mm"
     first = [
@@ -242,6 +248,8 @@ def _verification(job: Job, target: Target) -> dict[str, Any]:
     behind, observer = {}, observer_of(job, target)
     if (lens := lens_of(job)) is None:
         kinds = [verification_type(job, wavelength) for wavelength in target.wavelengths]
+        if job.scene is not None:
+            kinds = ["Fresnel's integral to points of each pupil, and from these to the retina"]
     else:
         kinds = ["Fourier sums over all pixels, at twice as many points along each axis as the picture has"]
         behind = {"lens": dataclasses.asdict(lens), "picture_pitch": list(files.image_pitches(job))}
@@ -307,6 +315,7 @@ def _compute(job: Job, target: Target, folder: Path, device: torch.device) -> di
         **results[0],
         "images": torch.cat([result["images"] for result in results]),
         "phases": torch.cat([result["phases"] for result in results]),
+        "maps": [one for result in results for one in result["maps"]],
         "channels": [channel for result in results for channel in result["channels"]],
         "interrupted": any(result["interrupted"] for result in results),
         "reached": next((result["reached"] for result in results if result["interrupted"]), results[0]["reached"]),
@@ -318,11 +327,10 @@ def _group(
     job: Job, target: Target, colours: list[int], names: list[str], folder: Path, device: torch.device, count: int
 ) -> dict[str, Any]:
     """Compute, save, read back and measure the patterns of colours that are one problem."""
-    part = replace(
-        target, intensity=target.intensity[colours], wavelengths=tuple(target.wavelengths[c] for c in colours)
-    )
-    volume = load_volume(job, part, device)
-    display = display_of(job, part.wavelengths, volume.distances, len(names), device)
+    part = target.of(colours)
+    volume = load_volume(job, part, device) if part.field is None else load_pupils(job, part, device)
+    ends = volume.distances if part.field is None else eyes_of(job)
+    display = display_of(job, part.wavelengths, ends, len(names), device)
     observer, saving = observer_of(job, part), Saving(job, part, volume, [folder / name for name in names], count)
     found = wave.optimise(
         display,
@@ -342,6 +350,7 @@ def _group(
     result: dict[str, Any] = {
         "images": (images * scales * volume.masks).sum(0).cpu(),
         "phases": saving.stored,
+        "maps": [],
         "channels": [
             {"wavelength": wavelength, **channel}
             for wavelength, channel in zip(part.wavelengths, channels, strict=True)
@@ -354,6 +363,9 @@ def _group(
     gain = {} if searched is None else {"gain_over_rounding_db": float(searched)}
     if not _shares_frames(job):
         (channel,) = result["channels"]
+        if part.field is not None:
+            channel["pupils"], seen = judged(job, part, found)
+            result["maps"] = [seen]
         channel |= {"file": names[0], **({"files": names} if len(names) > 1 else {})}
         channel |= {"seconds_per_iteration": result["seconds_per_iteration"], "final_loss": clock.loss}
         channel |= gain
@@ -370,7 +382,7 @@ def _group(
 
 
 def display_of(
-    job: Job, wavelengths: Sequence[float], distances: Sequence[float], frames: int, device: torch.device
+    job: Job, wavelengths: Sequence[float], ends: Sequence[float] | wave.Eyes, frames: int, device: torch.device
 ) -> wave.Display:
     """Return the display that a job describes, without the levels of its modulator.
 
@@ -378,8 +390,10 @@ def display_of(
     ----------
     job : Job
         Settings of the run.
-    wavelengths, distances : sequence of float
-        Wavelengths and distances of the planes in metres; behind a lens, that of the calibration counts.
+    wavelengths : sequence of float
+        Wavelengths in metres.
+    ends : sequence of float or Eyes
+        Distances of the planes in metres, or the eyes; behind a lens, that of the calibration counts.
     frames : int
         Number of patterns. One wavelength lights all of them; of several, each lights its own, and with the method
         "multi-color" all.
@@ -396,7 +410,9 @@ def display_of(
         iris = wave.Iris(max(wavelengths) * math.sqrt(2) / (4 * max(job.pitches)), 1.0)
     bits = job.bits if job.optimizer == "levels" else None
     panel = wave.Modulator(job.resolution, job.pixel_pitch, bits, job.fill_factor or _POINT)
-    space = distances if job.method == "double-phase" else wave.Free(distances, method=job.propagation_type)
+    space: Any = ends
+    if not isinstance(ends, wave.Eyes) and job.method != "double-phase":
+        space = wave.Free(ends, method=job.propagation_type)
     return wave.Display(panel, wavelengths, lens_of(job) or space, frames, powers, profile, iris).to(device)
 
 

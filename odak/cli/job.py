@@ -11,6 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 from odak._call_forms import did_you_mean
 from odak._lengths import COARSEST, likely_length, parse_length
 from odak._warnings import ArgumentWarning, warn
+from odak.cli.eye_settings import EyesSettings
 from odak.cli.options import (
     DeviceSettings,
     InputError,
@@ -58,6 +59,8 @@ SHIPPED_DEPTH_MAPS = {"scene": "scene_depth.png"}
 PITCH = "LENGTH[,LENGTH]"
 LARGEST_PITCH, LARGEST_RANGE = 1e-3, 100.0
 LONGEST_WAVELENGTH = 2e-5
+# At this distance a pupil gets light of all pixels of most modulators.
+TO_EYES = 0.3
 # Points across the longer side of the picture below which a distance is taken for a mistake.
 FEWEST_POINTS = 16
 
@@ -127,7 +130,7 @@ def _propagation_types() -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Job(DeviceSettings):
+class Job(EyesSettings, DeviceSettings):
     """Settings of `odak hologram` for one picture.
 
     Attributes
@@ -149,7 +152,8 @@ class Job(DeviceSettings):
     resolution : tuple of int
         Resolution of the modulator in pixels: rows and columns, or width x height in one word (1920x1080).
     distance : float
-        Distance from modulator to picture, in metres or with a unit (15cm).
+        Distance from modulator to picture, or to the pupils with --views, --mesh and --splats, in metres or with a unit
+        (15cm).
     planes : int
         Number of depth planes, to which the depth map assigns the pixels.
     depth_map : str, optional
@@ -235,7 +239,7 @@ class Job(DeviceSettings):
     linear: bool = option(False)
     pixel_pitch: float | tuple[float, float] = length(8e-6, parse=parse_pitch, metavar=PITCH)
     resolution: tuple[int, int] = option((1080, 1920), metavar="ROWS COLUMNS", check=at_least(SMALLEST_SIDE))
-    distance: float = length(0.15, "-d")
+    distance: float = length(0.15, "-d", shown=f"15cm; {in_units(TO_EYES)} with --views, --mesh and --splats")
     planes: int = option(1, metavar="COUNT", check=at_least(1))
     depth_map: str | None = option(None, metavar="PICTURE", shown="its own for the picture 'scene'")
     volume_depth: float = length(4e-3)
@@ -282,6 +286,9 @@ class Job(DeviceSettings):
     def check(self) -> None:
         """Set what depends on other settings, and check what they say together."""
         self._set("method", self.method or ("multiplane" if self.planes > 1 else "sgd"))
+        self.check_scene()
+        if self.scene is not None and self.distance == Job.distance and "distance" not in self.given:
+            self._set("distance", TO_EYES)
         self._set_volume()
         if self.tiles:
             self._check_tiles()
@@ -294,6 +301,24 @@ class Job(DeviceSettings):
         self._check_wavelengths()
         self._check_response()
         self._check_effects()
+        if self.scene is not None:
+            self._check_eyes()
+
+    def _check_eyes(self) -> None:
+        """Refuse what is not computed for eyes."""
+        without = {
+            f"--method {self.method}": self.method != "sgd",
+            "--planes": self.planes > 1,
+            "--tiles": self.tiles,
+            f"--propagation-type {self.propagation_type}": self.propagation_type != Job.propagation_type,
+            "--fill-factor 0": not self.fill_factor,
+            f"--observer {self.observer}": self.observer == "points",
+            "--initial-phase double-phase": self.initial_phase == "double-phase",
+            "--calibration": self.calibration is not None,
+        }
+        for name, used in without.items():
+            if used:
+                raise InputError(f"{name} cannot be used with --{self.scene}, of which eyes see pictures by sgd")
 
     def _set_fill_factor(self) -> None:
         """Set the usual fill factor of panels, but for what is computed for points alone."""

@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,8 @@ class Target:
         How the values of the picture became light.
     outside : float
         Share of its pixels whose colours no mixture of the sources shows; they are shown less saturated.
+    field : LightField, optional
+        What eyes are to see from other places than the middle.
     """
 
     path: Path
@@ -48,6 +50,16 @@ class Target:
     wavelengths: tuple[float, ...]
     source: str = ""
     outside: float = 0.0
+    field: Any = None
+
+    def of(self, colours: Sequence[int]) -> "Target":
+        """Return some of the colours of the target."""
+        field = self.field
+        if field is not None and field.views.shape[1] > 1:
+            plane = None if field.plane is None else float(field.plane)
+            field = wave.LightField(field.views[:, colours], field.rays, plane)
+        wavelengths = tuple(self.wavelengths[c] for c in colours)
+        return replace(self, intensity=self.intensity[colours], wavelengths=wavelengths, field=field)
 
 
 def load_target(job: Job) -> Target:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from odak.cli import eyebox_views, report
+from odak.cli import eyebox_views, light_field, report
 
 
 @pytest.fixture
@@ -14,5 +14,5 @@ def sheets():
 def no_sheets(request, monkeypatch):
     """Write the first picture of a sheet, which takes as long as the patterns here, unless a test looks at it."""
     if "sheets" not in request.fixturenames:
-        for module in (report, eyebox_views):
+        for module in (report, eyebox_views, light_field):
             monkeypatch.setattr(module, "sheet", lambda rows, *_: rows[0][0].image.convert("RGB"))

@@ -120,6 +120,7 @@ REASONS = {
         perception/pyramids: keep _quadrature_filters
         wave/displays/paths/free: renew
         wave/holograms/scenery: *
+        wave/holograms/views: *
     """,
     "on the CPU only: an extreme that is read spares work there, and the device takes another way": """
         raytracing/boundary: _picked

@@ -150,6 +150,9 @@ from .holograms.solvers.double_phase import DoublePhase as DoublePhase
 from .holograms.solvers.levels import LevelSearch as LevelSearch
 from .holograms.solvers.network import Network as Network
 from .holograms.solvers.projections import AlternatingProjections as AlternatingProjections
+from .holograms.views import Placement as Placement
+from .holograms.views import views_of_mesh as views_of_mesh
+from .holograms.views import views_of_splats as views_of_splats
 from .loss import multiplane_loss as multiplane_loss
 from .loss import perceptual_multiplane_loss as perceptual_multiplane_loss
 from .loss import phase_gradient as phase_gradient

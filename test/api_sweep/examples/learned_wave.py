@@ -9,9 +9,11 @@ from api_sweep.build import Build, tensor, tensor_field
 from odak.learn.wave import (
     Display,
     Eyes,
+    LightField,
     Modulator,
     Observer,
     Run,
+    Splats,
     display_model,
     focal_surface_light_propagation,
     optimise,
@@ -69,6 +71,21 @@ def _squared_error(image, target, *others):
 def _looked_at(folder):
     """Return a display of the size of the picture and the views in these examples."""
     return Display(Modulator((32, 48), 8e-6), COLOUR, Eyes(0.1, diameter=2e-3))
+
+
+def _mesh(folder):
+    from odak.learn.raytracing import triangle_mesh
+
+    return triangle_mesh(tensor(4, 3), torch.tensor([[0, 1, 2], [0, 2, 3]]))
+
+
+def _splats(folder):
+    return Splats(tensor(4, 3), torch.ones(4, 4), torch.full((4, 3), -2.0), torch.ones(4), torch.ones(4, 1, 3))
+
+
+def _views(folder):
+    LightField(torch.rand(2, 32, 48), [(0.0, 0.0), (0.0, 1e-3)]).save(folder / "known")
+    return folder / "known"
 
 
 def _seen_by_eyes(folder):
@@ -329,6 +346,29 @@ BY_CALL = {
     "odak.learn.wave.Display.looked_at": {"eyes": Eyes(0.1)},
     "odak.learn.wave.DepthScene.images": {"display": Build(_looked_at)},
     "odak.learn.wave.LightField.images": {"display": Build(_looked_at)},
+    "odak.learn.wave.LightField.load": {"folder": Build(_views), "rays": None, "plane": 0.1},
+    "odak.learn.wave.LightField.save": {"folder": _in("views")},
+    "odak.learn.wave.Placement": {},
+    "odak.learn.wave.Placement.of": {"points": tensor(4, 3)},
+    "odak.learn.wave.Placement.fitting": {
+        "points": tensor(4, 3),
+        "display": Build(_looked_at),
+        "distance": 0.1,
+        "turned": [10.0, 0.0, 0.0],
+        "share": 0.9,
+    },
+    "odak.learn.wave.views_of_mesh": {
+        "mesh": Build(_mesh),
+        "display": Build(_looked_at),
+        "places": tensor(2, 2) * 1e-3,
+        "light": [0.0, 1e-3],
+        "samples": 1,
+    },
+    "odak.learn.wave.views_of_splats": {
+        "splats": Build(_splats),
+        "display": Build(_looked_at),
+        "places": tensor(2, 2) * 1e-3,
+    },
     "odak.learn.wave.eyebox_map": {
         "hologram": Build(_seen_by_eyes),
         "target": tensor(16, 24),

@@ -272,6 +272,24 @@ def test_views_are_loaded_from_a_folder(tmp_path):
         LightField.load(tmp_path / "empty", rays)
 
 
+@pytest.mark.parametrize("colours", [1, 3])
+def test_views_are_kept_in_a_folder(tmp_path, colours):
+    views, rays = torch.rand(11, colours, 6, 8), torch.randn(11, 2, dtype=torch.float64) * 1e-3
+    LightField(views, rays).save(tmp_path / "field")
+    again = LightField.load(tmp_path / "field", plane=0.2)
+    assert torch.equal(again.rays, rays) and float(again.plane) == 0.2
+    np.testing.assert_allclose(again.views, views, atol=1 / 65535)
+    table = tmp_path / "some.csv"
+    table.write_text("file,y,x\nfield/view_03.png,1e-3,0\n")
+    assert LightField.load(table).rays.tolist() == [[1e-3, 0.0]]
+    for text, words in (("file,y\na.png,1\n", "must have a line file,y,x"), ("file,y,x\n", "a view at least")):
+        table.write_text(text)
+        with pytest.raises(ValueError, match=words):
+            LightField.load(table)
+    with pytest.raises(ValueError, match="must be a table of views"):
+        LightField.load(tmp_path)
+
+
 def test_what_does_not_fit_is_refused(found):
     scene, field, flat = found
     picture, depth = torch.ones(8, 8), torch.full((8, 8), 0.1)

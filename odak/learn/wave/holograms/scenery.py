@@ -3,6 +3,7 @@
 Touches a display by its path, which says which rays form an image and how they shift what they show.
 """
 
+import csv
 import math
 import os
 from collections.abc import Callable, Sequence
@@ -16,13 +17,16 @@ from scipy import ndimage
 from odak import _show, _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import floating, tensor
-from odak.learn.tools import load_image
+from odak.learn.tools import load_image, save_image
 from odak.learn.wave.displays.display import Display
 from odak.learn.wave.displays.paths.base import Path
 from odak.learn.wave.training import checked_intensities
+from odak.tools.paths import replacing, validate_path
 
 # Rays that an aperture is sampled by, at least and at most.
 _RAYS, _MOST = 24, 256
+# Table of the views in a folder.
+TABLE = "views.csv"
 # Pixels by which the picture is continued before it is blurred by diffraction.
 _RIM = 16
 
@@ -199,17 +203,21 @@ class LightField:
 
     @classmethod
     def load(
-        cls, folder: str | os.PathLike[str], rays: torch.Tensor | Sequence[Sequence[float]], plane: float | None = None
+        cls,
+        folder: str | os.PathLike[str],
+        rays: torch.Tensor | Sequence[Sequence[float]] | None = None,
+        plane: float | None = None,
     ) -> "LightField":
-        """Return a light field of the pictures in a folder, in the order of their names.
+        """Return a light field of pictures, in the order of their names or as a table lists them.
 
         Parameters
         ----------
         folder : str or os.PathLike
-            The folder. All of its PNG, JPEG, TIFF and EXR files are views; their values are taken as intensities, see
-            :func:`odak.learn.wave.light_of`.
-        rays : torch.Tensor or sequence of sequence of float
-            Where the views are from, ``[V, 2]``, in the order of the files.
+            A folder, of which all PNG, JPEG, TIFF and EXR files are views; or a table, see `rays`. Values of pictures
+            are taken as intensities, see :func:`odak.learn.wave.light_of`.
+        rays : torch.Tensor or sequence of sequence of float, optional
+            Where the views are from, ``[V, 2]``, in the order of the files. By default as the table says, which is
+            ``views.csv`` in a folder: after a line ``file,y,x`` a line for each view, with its file and its ray.
         plane : float, optional
             Distance of the plane of no parallax in metres.
 
@@ -217,13 +225,41 @@ class LightField:
         -------
         LightField
             The views.
+
+        Raises
+        ------
+        ValueError, OSError
+            If there are no pictures or no table, or a file cannot be read.
         """
-        kinds = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
-        files = sorted(file for file in Files(folder).iterdir() if file.suffix.lower() in kinds)
+        if rays is None:
+            files, rays = listed_views(folder)
+        else:
+            kinds = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
+            files = sorted(file for file in Files(folder).iterdir() if file.suffix.lower() in kinds)
         if not files:
             raise ValueError(f"folder must hold pictures, got none in {os.fspath(folder)!r:.80}")
         views = [load_image(str(file), torch_style=True).float() for file in files]
         return cls(torch.stack([view[:3] if view.ndim == 3 else view[None] for view in views]), rays, plane)
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Write the views as pictures of 16 bits and the table of their rays, as :meth:`load` reads them.
+
+        Parameters
+        ----------
+        folder : str or os.PathLike
+            The folder, which is made if it does not exist. The light of 0 … 1 is stored as it is: with the option
+            --linear the command line takes it so. What is brighter becomes 1.
+        """
+        where = Files(validate_path(folder, name="folder"))
+        where.mkdir(parents=True, exist_ok=True)
+        lines = ["file,y,x"]
+        for number, (view, ray) in enumerate(zip(self.views, self.rays.tolist(), strict=True)):
+            name = f"view_{number:0{len(str(len(self.views)))}d}.png"
+            light = view.movedim(0, -1) if len(view) in (3, 4) else view[0]
+            save_image(str(where / name), light.clamp(0, 1), cmin=0.0, cmax=1.0, color_depth=16)
+            lines.append(f"{name},{ray[0]!r},{ray[1]!r}")
+        with replacing(str(where / TABLE)) as stream:
+            stream.write(("\n".join(lines) + "\n").encode())
 
     def __repr__(self) -> str:
         return f"LightField: {len(self.views)} views of {_size_of(self.views)} pixels"
@@ -261,6 +297,34 @@ class LightField:
         moved = Moved(light[:, None], path.displaced(colour, image, nearness[None], self.rays[seen]).movedim(0, 1))
         views = torch.cat([share * moved(0, view) for view, share in enumerate(shares[seen].tolist())])
         return _diffracted(views.sum(0), path.band(colour, image))
+
+
+def listed_views(table: str | os.PathLike[str]) -> tuple[list[Files], torch.Tensor]:
+    """Return the files and the rays ``[V, 2]`` of the views in a table, or in the table of a folder.
+
+    Parameters
+    ----------
+    table : str or os.PathLike
+        The table, see :meth:`LightField.load`, or the folder that it is in.
+
+    Raises
+    ------
+    ValueError, OSError
+        If it is no such table, or cannot be read.
+    """
+    path = Files(table) / TABLE if Files(table).is_dir() else Files(table)
+    if not path.is_file():
+        raise ValueError(f"{os.fspath(path)!r:.200} must be a table of views, with lines file,y,x, but is no file")
+    with open(path, newline="", encoding="utf-8-sig") as stream:
+        rows = list(csv.DictReader(stream))
+    try:
+        rays = [(float(row["y"]), float(row["x"])) for row in rows]
+        found = [path.parent / row["file"] for row in rows]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{os.fspath(path)!r:.200} must have a line file,y,x and then these of each view") from error
+    if not found:
+        raise ValueError(f"{os.fspath(path)!r:.200} must list a view at least, got none")
+    return found, torch.tensor(rays, dtype=torch.float64, device="cpu")
 
 
 class Moved:
