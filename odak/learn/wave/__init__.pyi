@@ -73,6 +73,7 @@ from .display_models import display_hologram as display_hologram
 from .display_models import display_model as display_model
 from .display_models import fit_display as fit_display
 from .displays.display import Display as Display
+from .displays.mirrors import TiltingMirrors as TiltingMirrors
 from .displays.observers import Observer as Observer
 from .displays.panels import AmplitudePanel as AmplitudePanel
 from .displays.panels import Expander as Expander
