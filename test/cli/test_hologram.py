@@ -495,7 +495,7 @@ def test_few_levels_are_searched_for(picture, grey_file, tmp_path):
     """The saved patterns of one and two bits are better than rounded ones, by about what the report says."""
     for bits, least in ((1, 1.5), (2, 2.0)):
         size = ["--resolution", ROWS, COLUMNS, "--distance", "3mm", "--device", "cpu", "--linear", "--quiet"]
-        options = [*size, "--bits", bits, "--iterations", 40, *POINTS]
+        options = [*size, "--bits", bits, "--iterations", 20, *POINTS]
         seen, gain = {}, None
         for name, more in (("levels", ()), ("lbfgs", ("--optimizer", "lbfgs"))):
             run(grey_file, "-o", tmp_path / f"{name}{bits}", *options, *more)

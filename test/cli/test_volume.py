@@ -45,7 +45,7 @@ def psnr(image, target, mask=True):
 @pytest.mark.usefixtures("sheets")
 def test_report_states_what_the_saved_patterns_show(method, options, files, tmp_path):
     picture, depth = files
-    iterations = [] if method == "network" else ["--iterations", 30]
+    iterations = [] if method == "network" else ["--iterations", 12]
     distance, planes = ("3e-3", [2.5e-3, 3.5e-3]) if method == "network" else ("5e-3", [4e-3, 6e-3])
     volume = ["--distance", distance, "--volume-depth", planes[1] - planes[0]]
     run(picture, "--planes", 2, "--depth-map", depth, "--method", method, *iterations, *options, "--fill-factor", 0,
