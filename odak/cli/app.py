@@ -177,7 +177,6 @@ def hologram(values: dict[str, Any], spread: SpreadSettings) -> None:
 
         odak hologram photo --grey --output output
         odak hologram photo.png --quality good --frames 4
-        odak hologram --mesh bust.ply --eyebox 3mm --frames 3
     """
     from odak.cli.files import completed
     from odak.cli.job import is_film

@@ -1,8 +1,9 @@
 """Settings of `odak hologram` for eyes: views, meshes and splats that are seen through pupils in an eyebox."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 from odak._lengths import parse_length
 from odak.cli.options import InputError, Settings, at_least, length, option, option_name
@@ -75,6 +76,11 @@ class EyesSettings(Settings):
     def scene_path(self) -> Path:
         """File or folder of the scene."""
         return Path(os.path.expanduser(getattr(self, str(self.scene)))).absolute()
+
+    def values(self, *without: str) -> dict[str, Any]:
+        """Return the settings by name, but for some, and but for those of eyes where there is no scene."""
+        of_eyes = [] if self.scene is not None else [item.name for item in fields(EyesSettings)]
+        return super().values(*without, *of_eyes)
 
     def check_scene(self) -> None:
         """Raise InputError unless there is one scene at most, which exists, and options of eyes have an effect."""

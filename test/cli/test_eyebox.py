@@ -13,7 +13,17 @@ from odak.cli import light_field, main
 from odak.cli.job import Job
 from odak.cli.light_field import load_light_field
 from odak.learn.raytracing import triangle_mesh
-from odak.learn.wave import Display, Eyes, LightField, Modulator, Splats, save_splats, views_of_mesh, views_of_splats
+from odak.learn.wave import (
+    Display,
+    Eyes,
+    LightField,
+    Modulator,
+    Placement,
+    Splats,
+    save_splats,
+    views_of_mesh,
+    views_of_splats,
+)
 
 N, PITCH, DISTANCE, WAVELENGTH = 33, 8e-6, 0.03, 532e-9
 SMALL = ["--resolution", str(N), str(N), "--distance", "3cm", "--pupil", "1mm", "--spacing", "0.9mm", "--device", "cpu"]
@@ -184,17 +194,25 @@ def test_a_mesh_and_splats_stand_in_the_picture(tmp_path, monkeypatch):
     mesh.write_PLY(str(tmp_path / "mesh.ply"))
     splats = Splats(corners, torch.ones(7, 4), torch.full((7, 3), -2.0), torch.ones(7), torch.randn(7, 1, 3))
     save_splats(str(tmp_path / "splats.ply"), splats)
-    options = "--pupils", 1, "--sides", 3, "--eyebox", "0.4mm,0.2mm", "--iterations", 1, "-o"
+    options = "--pupils", 1, "--sides", 3, "--eyebox", "0.4mm,0.2mm", "--turned", 0, 20, 0, "--plane", "31mm"
+    options = *options, "--iterations", 1, "-o"
     for kind, wavelengths in (("mesh", (WAVELENGTH,)), ("splats", (638e-9, 520e-9, 450e-9))):
         out = tmp_path / kind
         report = hologram(f"--{kind}", tmp_path / f"{kind}.ply", *options, out)
         assert [channel["wavelength"] for channel in report["channels"]] == list(wavelengths)
         given = {kind: str(tmp_path / f"{kind}.ply"), "eyebox": (0.4e-3, 0.2e-3), "sides": 3, "pupils": 1}
-        target = load_light_field(Job(**given, pupil=1e-3, resolution=(N, N), distance=DISTANCE))
+        given |= {"turned": (0.0, 20.0, 0.0), "plane": 0.031, "resolution": (N, N), "distance": DISTANCE}
+        job = Job(**given, pupil=1e-3)
+        assert {name: report["parameters"][name] for name in ("plane", "sides", kind)} == {
+            name: given[name] for name in ("plane", "sides", kind)
+        }
+        target = load_light_field(job)
         display = on_eyes([(0.0, 0.0)], wavelengths)
         sides = [torch.linspace(-1, 1, 3, dtype=torch.float64) * (1.3 * side + 1e-3) / 2 for side in (0.4e-3, 0.2e-3)]
         places = torch.cartesian_prod(*sides)
-        field = views_of_mesh(mesh, display, places) if kind == "mesh" else views_of_splats(splats, display, places)
+        stands = Placement.fitting(corners, display, 0.031, (0.0, 20.0, 0.0), 1.0 if kind == "mesh" else 0.96)
+        scene, render = (mesh, views_of_mesh) if kind == "mesh" else (splats, views_of_splats)
+        field = render(scene, display, places, stands)
         found = field.images(display)[0]
         torch.testing.assert_close(target.intensity, found.float(), atol=1e-5, rtol=1e-4)
 
