@@ -40,14 +40,15 @@ LAYOUTS = {
 RINGS = 8
 
 
-def materials_of(job: DesignSettings) -> list[str]:
-    """Return the materials of the elements with "stop" among them; InputError for anything else."""
+def materials_of(job: DesignSettings) -> list[Any]:
+    """Return the elements with "stop" among them, cemented ones as tuples; InputError for anything else."""
     text = str(job.elements).strip()
     if text.lstrip("+-").isdigit():
         if int(text) not in LAYOUTS:
             raise InputError(f"--elements must be 1 to {max(LAYOUTS)} or materials, got {text}")
         return list(LAYOUTS[int(text)])
-    return [word.strip() for word in text.split(",")]
+    elements = [tuple(part.strip() for part in word.split("+")) for word in text.split(",")]
+    return [item if len(item) > 1 else item[0] for item in elements]
 
 
 @files.claiming
@@ -222,8 +223,8 @@ def _from_plates(job: DesignSettings, step: Callable[[], Any]):
         advice = "ask for a larger --f-number or a smaller --field, or take another --seed"
         raise InputError(f"no lens was found: {str(error).partition(':')[0]}; {advice}") from None
     lens, start = found.system, found.start
-    start.aperture, start.fields = lens.aperture, lens.fields
-    glasses = [name for name in materials if name != "stop"]
+    start.aperture, start.fields, start.vignetting_factors = lens.aperture, lens.fields, lens.vignetting_factors
+    glasses = ["+".join(item) if isinstance(item, tuple) else item for item in materials if item != "stop"]
     lens.name = f"{len(glasses)} elements, {f:g} mm, f/{speed:g}, {2 * field:g}°"
     lens.source = f"designed by odak {versions()['odak']} from flat plates, seed {job.seed}"
     did = [

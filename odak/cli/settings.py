@@ -281,7 +281,7 @@ class DesignSettings(RunSettings):
     field : float, optional
         Largest field angle; of a near object its height, in the lens's unit.
     elements : str, optional
-        1 to 6, or materials and the stop: N-LAK33B,stop,SF5,N-LAK33B.
+        1 to 6, or materials and the stop: N-LAK33B,stop,SF5,N-LAK33B; + cements, as in N-LAK33B+SF5.
     aspheric_terms : int
         Terms r^4, r^6, ... of curved surfaces.
     track : float, optional
@@ -298,6 +298,8 @@ class DesignSettings(RunSettings):
         Largest distance in the image of chief rays from that of the middle wavelength.
     chief_ray_angle : float, optional
         Largest angle of chief rays in the image.
+    vignetting : float, optional
+        Share of the pupil's height that is vignetted at the edge of the field, of flat plates.
     aim : str
         Pupil that rays are aimed at; the real one with a SYSTEM.
     starts : int, optional
@@ -332,6 +334,7 @@ class DesignSettings(RunSettings):
     axial_color: float | None = length(shown="2·F·c, c = diagonal of the image/1500, or the SYSTEM's if larger")
     lateral_color: float | None = length(shown="c/2, or the SYSTEM's if larger")
     chief_ray_angle: float | None = option(None, metavar="DEGREES", check=positive)
+    vignetting: float | None = option(None, metavar="RATIO", check=not_negative)
     aim: str = option("paraxial", of=AIMS)
     starts: int | None = option(
         None, metavar="COUNT", check=at_least(1), shown="16, with --substitute 32; with a SYSTEM 1"
@@ -365,6 +368,8 @@ class DesignSettings(RunSettings):
             self._check_demands()
         elif self.elements is not None:
             raise InputError("--elements has no effect with a SYSTEM, whose elements are given")
+        elif self.vignetting is not None:
+            raise InputError("--vignetting has no effect with a SYSTEM, whose apertures are given")
 
     def _check_demands(self) -> None:
         """Check what a design from flat plates is asked for."""

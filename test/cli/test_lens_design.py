@@ -248,6 +248,8 @@ DEMANDS = ["--focal-length", "50mm", "--f-number", "4", "--field", "10"]
         ([*DEMANDS[:4], "--field", "95", "--elements", "1"], "--field must be below 80 degrees, got 95"),
         ([*DEMANDS[:2], "--f-number", "0.2", "--field", "1", "--elements", "1"], "--f-number must be at least 0.5"),
         ([*DEMANDS, "--elements", "N-BK7,SF5"], '"stop"'),
+        ([*DEMANDS, "--elements", "stop,N-BK7+SF5", "--vignetting", "1"], "--vignetting must be from 0 to 0.9"),
+        (["singlet", "--vignetting", "0.3"], "--vignetting has no effect with a SYSTEM"),
         (["singlet", "--elements", "2"], "--elements has no effect with a SYSTEM"),
         (["singlet", "--focal-length", "-1mm"], "--focal-length"),
         (["singlet", "--f-number", "0"], "--f-number must be positive"),

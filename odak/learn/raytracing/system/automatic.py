@@ -181,6 +181,9 @@ class LensRequirements:
     lateral_color : float, optional
         Largest distance in the image between chief rays of a wavelength and of the middle one, in `unit`; by default
         c/2, for elements of different glasses.
+    vignetting : float
+        Share of the height of the pupil that is vignetted at the edge of the field, half of it on each side: 0 at half
+        of the field, from where it grows linearly. The semi-diameters are those of the beams that remain.
 
     Raises
     ------
@@ -207,6 +210,7 @@ class LensRequirements:
     chief_ray_angle: float | None = None
     unit: str = "mm"
     lateral_color: float | None = None
+    vignetting: float = 0.0
 
     def __post_init__(self) -> None:
         unit = _validate.one_of("unit", self.unit, MICROMETRES)
@@ -219,6 +223,7 @@ class LensRequirements:
         for name in ("focal_length", "f_number", "distortion", "axial_color", "lateral_color", "chief_ray_angle"):
             _set_number(self, name, positive=True)
         _set_number(self, "half_field", least=0)
+        _set_number(self, "vignetting", least=0, most=0.9)
         if self.half_field >= 80:
             raise ValueError(f"half_field must be below 80 degrees, got {self.half_field}")
 
@@ -259,7 +264,7 @@ class LensRequirements:
         found["air_edge"] = room.edge
         by_diameter = (0.0, 0.0) if molded else given._ground
         found |= dict(zip(("edge_per_diameter", "center_per_diameter"), by_diameter, strict=True))
-        for name in ("distortion", "axial_color", "lateral_color", "chief_ray_angle"):
+        for name in ("distortion", "axial_color", "lateral_color", "chief_ray_angle", "vignetting"):
             found[name] = getattr(wanted, name)
         return {name: limit for name, limit in found.items() if limit}
 
@@ -448,7 +453,7 @@ def automatic_design(
     ----------
     elements : sequence
         Materials of the elements from the object to the image, and once "stop", in front of one of them: the
-        aperture stop.
+        aperture stop. A tuple of materials is a cemented element, each part of which can be ground.
     requirements : LensRequirements
         Focal length, f-number, field and colours, and the aberrations that are limited.
     dimensions : LensDimensions, optional
@@ -519,10 +524,11 @@ def automatic_design(
     f = requirements.focal_length
     ground = (0.0, 0.0) if steep else dimensions._ground  # type: ignore[union-attr]
     dimensions, search = dimensions._around(f), search._filled(steep, makers)  # type: ignore[union-attr]
-    system, curved, spaces = _flat_plates(elements, terms, steep, dimensions, requirements)
+    plates = _flat_plates(elements, terms, steep, dimensions, requirements)
+    system = plates[0]
     start = copy.deepcopy(system)
     requirements = requirements._with_color((bool(makers) and len(system.wavelengths) > 1) or _is_correctable(system))
-    problem = _Problem(requirements, dimensions, ground, terms, makers, system, curved, spaces, search.callback)
+    problem = _Problem(requirements, dimensions, ground, terms, makers, plates, search.callback)
     design = (_designed_aspheres if steep else _designed_spheres)(problem, search)
     if not bool(trace_fields(system, "rings", 8, vignetting=False).arrived.all()):
         raise ValueError("rays are lost at the full aperture and field: try another seed")
@@ -754,17 +760,18 @@ def _checked_makers(makers: Any) -> tuple[str, ...] | None:
 class _Problem:
     """An automatic design in progress: requirements, system, surfaces with variable curvature, and finished stages."""
 
-    def __init__(self, requirements, dimensions, ground, terms, makers, system, curved, spaces, callback):
+    def __init__(self, requirements, dimensions, ground, terms, makers, plates, callback):
+        system, curved, elements, spaces = plates
         self.requirements, self.dimensions, self.terms, self.makers = requirements, dimensions, terms, makers
         self.ground = ground
-        self.system, self.curved, self.callback = system, curved, callback
+        self.system, self.curved, self.elements, self.callback = system, curved, elements, callback
         self.last = len(system.surfaces) - 1
         self.first = min(curved)
         self.free_glasses = bool(makers)
         self.stages: list[DesignStage] = []
         self.thicknesses = [
-            Variable("thickness", [i for i in spaces if i in curved[::2]], *dimensions.glass),
-            Variable("thickness", [i for i in spaces if i not in curved[::2]], *dimensions.air),
+            Variable("thickness", [i for i in spaces if i in elements], *dimensions.glass),
+            Variable("thickness", [i for i in spaces if i not in elements], *dimensions.air),
         ]
 
     def glasses(self) -> list[Variable]:
@@ -772,7 +779,7 @@ class _Problem:
         if not self.free_glasses:
             return []
         known = glass_pool(self.makers or ())[1] / torch.tensor([100.0, 1.0], dtype=torch.float64)
-        return [Variable("glass", self.curved[::2], known.amin(0).tolist(), known.amax(0).tolist())]
+        return [Variable("glass", self.elements, known.amin(0).tolist(), known.amax(0).tolist())]
 
     def take_glasses(self, design: lens_design, values: torch.Tensor, iterations: int, run: Callable) -> torch.Tensor:
         """Replace variable glasses by real ones, beginning with several designs, and return the values ``[1, V]``."""
@@ -795,6 +802,9 @@ class _Problem:
         largest = math.tan(math.radians(self.requirements.half_field)) * field
         fractions = field_fractions if self.requirements.half_field else [0.0]
         self.system.fields = tuple((0.0, math.degrees(math.atan(largest * k))) for k in fractions)
+        if self.requirements.vignetting:
+            cuts = (self.requirements.vignetting * max(0.0, 2 * field * k - 1) for k in fractions)
+            self.system.vignetting_factors = tuple((0.0, 0.0, 0.0, cut) for cut in cuts)
 
     def record(self, aperture: float, field: float) -> None:
         """Append a copy of the system to the stages, and call back."""
@@ -832,10 +842,10 @@ class _Problem:
         ]
         for share, at in zip(self.ground, (beam_fractions, (0.0,)), strict=True):
             if share:
-                options = {"surfaces": self.curved[::2], "shares": at, "per_diameter": share}
+                options = {"surfaces": self.elements, "shares": at, "per_diameter": share}
                 found.append(Operand("edge_thickness", weight=edges, lower=margin, options=options))
         if self.free_glasses:
-            options = {"surfaces": self.curved[::2], "makers": self.makers, "hull": True}
+            options = {"surfaces": self.elements, "makers": self.makers, "hull": True}
             found.append(Operand("glass", weight=GLASS_WEIGHT * f, upper=0.0, options=options))
         if room.track is not None:
             found.append(Operand("total_track", weight=edges, upper=room.track - margin, options={"first": self.first}))
@@ -1144,7 +1154,7 @@ def _pupil_of_fields(fields: int, rings: int) -> torch.Tensor:
 
 
 def _flat_plates(elements, terms: int, paraboloids: bool, dimensions: Any, requirements: LensRequirements):
-    """Return flat plates and a stop, the surfaces that may be curved, and those in front of variable thicknesses."""
+    """Return plates and a stop, surfaces that may be curved, those in front of glass and of variable thicknesses."""
     if isinstance(elements, str) or not any(isinstance(item, str) and item == "stop" for item in elements):
         raise ValueError('elements must be materials and one "stop"')
     elements = list(elements)
@@ -1160,13 +1170,17 @@ def _flat_plates(elements, terms: int, paraboloids: bool, dimensions: Any, requi
     }
     row: list[surface] = []
     curved: list[int] = []
+    glasses: list[int] = []
     for item in elements:
         if isinstance(item, str) and item == "stop":
             row.append(surface(thickness=air[0] if not row else gap, stop=True))
             continue
-        curved += [len(row), len(row) + 1]
-        row.append(surface(**flat, thickness=thick, material=item))
+        # Cemented elements share the surface between them.
+        first = len(row)
+        row += [surface(**flat, thickness=thick, material=glass) for glass in _cemented(item)]
         row.append(surface(**flat, thickness=gap))
+        glasses += range(first, len(row) - 1)
+        curved += range(first, len(row))
     spaces = list(range(len(row) - 1))
     if cover is not None:
         spaces.append(len(row) - 1)
@@ -1174,7 +1188,16 @@ def _flat_plates(elements, terms: int, paraboloids: bool, dimensions: Any, requi
     row[-1].thickness.fill_(f / 4 if paraboloids else f)
     wavelengths, unit = list(requirements.wavelengths), requirements.unit
     system = optical_system(row, 1.0, wavelengths=wavelengths, unit=unit)
-    return system, curved, spaces
+    return system, curved, glasses, spaces
+
+
+def _cemented(item: Any) -> tuple[Any, ...]:
+    """Return the materials of an element, of several where it is cemented."""
+    if not isinstance(item, (tuple, list)):
+        return (item,)
+    if len(item) < 2 or any(isinstance(part, str) and part == "stop" for part in item):
+        raise ValueError(f"cemented elements must be two materials or more, without the stop, got {item!r:.80}")
+    return tuple(item)
 
 
 def _set_next_stage(

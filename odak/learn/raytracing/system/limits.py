@@ -7,7 +7,7 @@ import torch
 
 from odak import _validate
 from odak.learn.raytracing.system.operands import Operand, View, edge_thicknesses, given_heights, values_of
-from odak.learn.raytracing.system.pupils import AIMS
+from odak.learn.raytracing.system.pupils import AIMS, vignetting_factors
 from odak.learn.raytracing.system.surfaces import checked_system, optical_system
 
 # Heights at which the thickness at an edge is taken, as shares of the beam's radius.
@@ -69,6 +69,11 @@ def _track(view: View, places: dict[str, list[int]]) -> torch.Tensor:
     return values_of(Operand("total_track", options={"first": min(places["elements"], default=0)}), view)
 
 
+def _vignetting(view: View, _) -> torch.Tensor:
+    """Return the share of the height of the pupil that apertures cut off, of all fields."""
+    return vignetting_factors(view.system, list(view.system.fields), aim=view.options["aim"])[:, 3]
+
+
 def _operand(name: str, **options: Any):
     """Return a measure that is an operand's."""
     return lambda view, _: values_of(Operand(name, options=options), view)
@@ -88,6 +93,7 @@ LIMITS: dict[str, tuple[tuple[str, ...], Any]] = {
     "axial_color": (("largest",), _operand("axial_color")),
     "lateral_color": (("largest",), _operand("lateral_color")),
     "chief_ray_angle": (("largest",), _operand("chief_ray_angle")),
+    "vignetting": (("largest",), _vignetting),
 }
 
 
@@ -106,7 +112,8 @@ def lens_limits(system: optical_system, limits: Mapping[str, Any], *, aim: str =
         diameters of their beam; "distortion", largest relative one; "axial_color", largest distance between the
         paraxial images of two wavelengths; "lateral_color", largest distance in the image between chief rays of a
         wavelength and of the reference wavelength; "chief_ray_angle", largest angle of chief rays in the image in
-        degrees. Lengths are in the unit of the system.
+        degrees; "vignetting", largest share of the height of the pupil that semi-diameters cut off. Lengths are in the
+        unit of the system.
     aim : str
         "paraxial" or "real", how :func:`launch` aims.
 

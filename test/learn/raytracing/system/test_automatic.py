@@ -80,6 +80,51 @@ def test_elements_can_be_ground_and_colour_is_bounded_by_default():
     assert free._ground == (0.0, 0.1) and LensDimensions(glass=(1.0, 9.0))._ground == (0.05, 0.0)
 
 
+QUICK = {"starts": 1, "stages": 1, "iterations": 2, "polish": 0}
+
+
+def test_cemented_elements_share_their_surface_and_can_be_ground_each():
+    """A doublet has three surfaces; its colour needs both glasses, and the outer wavelengths meet within the bound."""
+    demands, search = LensRequirements(100.0, 8.0, 1.0), DesignSearch(starts=1, stages=1, iterations=6, polish=1)
+    lens = automatic_design(["stop", ("N-BK7", "N-SF2")], demands, search=search).system
+    assert [getattr(item.material, "name", item.material) for item in lens.surfaces] == ["air", "N-BK7", "N-SF2", "air"]
+    images, circle = paraxial_images(lens), 100.0 / 2 / 1500
+    assert max(images) - min(images) < 1.01 * 2 * 8.0 * circle
+    rim = 100.0 / 8 / 2
+    for i in (1, 2):
+        front, rear = (surface_sag(float(lens.surfaces[k].curvature), rim) for k in (i, i + 1))
+        assert float(lens.surfaces[i].thickness) - front + rear > 0.97 * 2 * rim / 20, i
+    with pytest.raises(ValueError, match="cemented elements must be two materials or more"):
+        automatic_design(["stop", ("N-BK7",)], demands, search=search)
+
+
+def test_vignetted_pupils_are_designed_for_and_limit_the_apertures():
+    """At the edge of the field rays of the pupil's upper rim are lost on the rim of a lens far from its stop."""
+    room = LensDimensions(air=(10.0, 15.0))
+    demands = LensRequirements(100.0, 5.0, 15.0, wavelengths=[587.6e-6], vignetting=0.3)
+    lens = automatic_design(["stop", "N-BK7"], demands, dimensions=room, search=DesignSearch(**QUICK)).system
+    fractions = [math.tan(math.radians(y)) / math.tan(math.radians(15.0)) for _, y in lens.fields]
+    wanted = [max(0.0, 0.3 * (2 * k - 1)) for k in fractions]
+    assert [row[3] for row in lens.vignetting_factors] == pytest.approx(wanted, abs=1e-12)
+    gap = float(lens.surfaces[0].thickness)
+    # The first surface is as wide as the widest of twelve rays around the rim of the pupil of each field.
+    heights = []
+    for share, cut in zip(fractions, wanted, strict=True):
+        for turn in range(12):
+            x, y = 10.0 * math.sin(turn * math.pi / 6), 10.0 * (1 - cut) * math.cos(turn * math.pi / 6)
+            height = 0.0
+            for _ in range(30):
+                reach = gap + surface_sag(float(lens.surfaces[1].curvature), height)
+                height = math.hypot(x, y + share * math.tan(math.radians(15.0)) * reach)
+            heights.append(height)
+    assert lens.surfaces[1].semi_diameter == pytest.approx(1.001 * max(heights), rel=1e-9)
+    points = torch.tensor([[0.0, 0.7], [0.0, 0.95]], dtype=F64)
+    arrived = trace_fields(lens, points, fields=[(0.0, 15.0 + 1e-9)], vignetting=True).arrived
+    assert arrived.flatten().tolist() == [True, False]
+    (row,) = lens_limits(lens, {"vignetting": 0.3})
+    assert row.met and 0.05 < row.value < 0.3
+
+
 def paraxial_images(lens):
     """Return the paraxial image distances of all wavelengths, of sums that are not the library's."""
     images = []
@@ -180,6 +225,8 @@ def test_the_usual_design_holds_its_limits():
         (lambda: LensRequirements(50.0, 2.8, 80.0), "half_field must be below 80 degrees, got 80"),
         (lambda: LensRequirements(50.0, -2.8, 20.0), "f_number must be positive"),
         (lambda: LensRequirements(50.0, 2.8, 20.0, axial_color=0.0), "axial_color must be positive"),
+        (lambda: LensRequirements(50.0, 2.8, 20.0, lateral_color=-1.0), "lateral_color must be positive"),
+        (lambda: LensRequirements(50.0, 2.8, 20.0, vignetting=1.0), "vignetting must be from 0 to 0.9"),
         (lambda: LensDimensions(glass=(9.0, 1.5)), "glass must be a least and a larger thickness"),
         (lambda: LensDimensions(cover=("N-BK7", 0.0)), r"cover\[1\] must be positive"),
         (lambda: DesignSearch(stages=7), "stages must be at most 6, got 7"),
