@@ -13,6 +13,9 @@ from odak._array import Array
 from odak.tools.paths import regular_file, temporary_name, validate_path
 
 AXES = "TZCYX"
+# Types of numbers that OME-TIFF has a name for.
+_OME_NUMBERS = ("bool", "int8", "uint8", "int16", "uint16", "int32", "uint32")
+_OME_NUMBERS += ("float32", "float64", "complex64", "complex128")
 TIFF_ENDINGS, NAPARI_ENDINGS = (".tif", ".tiff"), (".ome.tif", ".ome.tiff", ".npy")
 OME_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "µm": 1e-6, "μm": 1e-6, "um": 1e-6, "nm": 1e-9, "pm": 1e-12, "Å": 1e-10}
 MICROMETRE, NANOMETRE = 1e-6, 1e-9
@@ -153,6 +156,8 @@ def save_ome_tiff(
     path = validate_path(filename, TIFF_ENDINGS)
     tifffile = _package("tifffile")
     values = _numbers("field", field, 2, len(AXES))
+    if values.dtype.name not in _OME_NUMBERS:
+        raise TypeError(f"field must be of {', '.join(_OME_NUMBERS)} for OME-TIFF, got {values.dtype.name}")
     axes = "ZYX"[-values.ndim :] if values.ndim < 4 else AXES[-values.ndim :]
     described: dict[str, Any] = {"axes": axes}
     lengths = dict(zip("YX", _pitches(pitch), strict=True))

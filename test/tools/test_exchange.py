@@ -92,6 +92,12 @@ def test_round_trip(tmp_path, shape, dtype):
     assert lengths["wavelength"] == pytest.approx(WAVES if len(shape) > 3 else (532e-9,), rel=1e-15)
 
 
+def test_numbers_without_a_name_in_ome_are_refused(tmp_path):
+    pytest.importorskip("tifffile")
+    with pytest.raises(TypeError, match=r"field must be of bool, int8.* for OME-TIFF, got int64"):
+        save_ome_tiff(tmp_path / "field.ome.tif", np.ones((4, 6), dtype=np.int64), 8e-6)
+
+
 def test_what_other_programs_read(tmp_path):
     tifffile = pytest.importorskip("tifffile")
     path = tmp_path / "field.ome.tif"

@@ -147,7 +147,7 @@ class _StatisticsLoss(nn.Module):
             picture = pad_image_for_pyramid(picture, self.n_pyramid_levels)
         # Half precision would lose the digits of deviations, which are differences of means.
         picture = in_float32(picture)
-        return ycrcb_of(picture) if picture.shape[1] == 3 and colourspace.upper() == "RGB" else picture
+        return ycrcb_of(picture) if picture.shape[1] == 3 and colourspace.strip().casefold() == "rgb" else picture
 
     def _options(self):
         """Return all that the statistics of a picture depend on besides the place."""

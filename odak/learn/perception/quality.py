@@ -1055,8 +1055,8 @@ class _DifferencePredictor(_Wrapper):
         self.device = checked_device("device", device)
         self.viewing = None if viewing is None else checked_viewing(viewing)
         self.encoding = _validate.one_of("encoding", encoding, ENCODINGS)
-        if viewing is None and encoding != ENCODINGS[0]:
-            raise ValueError(f"viewing must be given for pictures in {encoding}, got None")
+        if viewing is None and self.encoding != ENCODINGS[0]:
+            raise ValueError(f"viewing must be given for pictures in {self.encoding}, got None")
         self._predictors = Kept()
         setattr(self, self._name, self._predictor((2160, 3840)) if self.available else None)
 

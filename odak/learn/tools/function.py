@@ -73,6 +73,7 @@ def evaluate_3d_gaussians(
     counts = {len(centers), len(scales), len(angles), len(opacity)} - {1}
     if len(counts) > 1:
         raise ValueError(f"centers, scales, angles and opacity must have as many rows, or one; got {sorted(counts)}")
+    points = points if points.is_floating_point() else points.to(torch.get_default_dtype())
     rest = (value.to(points) for value in (centers, scales, angles, opacity))
     return gaussians(points, *rest)
 

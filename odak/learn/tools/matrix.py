@@ -377,9 +377,9 @@ def circular_binary_mask(
     >>> circular_binary_mask(5, 5, 2.0).sum().item()
     9.0
     """
-    r, offset_x, offset_y = _validate.constants(r=r, offset_x=offset_x, offset_y=offset_y)
-    for name, value in (("r", r), ("offset_x", offset_x), ("offset_y", offset_y)):
-        _validate.real(name, value)
+    r, offset_x, offset_y = (
+        _validate.constant(name, value) for name, value in (("r", r), ("offset_x", offset_x), ("offset_y", offset_y))
+    )
     device = checked_device("device", device)
     rows, columns = (_axis(name, n, device) for name, n in (("px", px), ("py", py)))
     squared = (rows[:, None] - offset_x) ** 2 + (columns - offset_y) ** 2

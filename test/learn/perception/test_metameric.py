@@ -77,6 +77,7 @@ def test_the_loss_is_the_sum_of_its_two_parts():
     assert float(value) == pytest.approx(float(without + 20 * fovea), rel=1e-9)
     converted = loss(rgb_2_ycrcb(image), rgb_2_ycrcb(target), [0.3, 0.6], image_colorspace="YCrCb")
     assert float(converted) == pytest.approx(float(value), rel=1e-9)
+    assert float(loss(image, target, [0.3, 0.6], image_colorspace=" rgb ")) == float(value)
 
 
 def test_detail_counts_more_under_the_gaze_than_away_from_it():

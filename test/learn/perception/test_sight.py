@@ -73,7 +73,7 @@ def test_a_head_mounted_display():
         (lambda: Viewing().pixels_per_degree, "resolution must be given for pixels_per_degree"),
         (lambda: Viewing.head_mounted((10, 10)), "field_of_view or pixels_per_degree must be given, not both"),
         (lambda: Viewing.head_mounted((10, 10), 200), "field_of_view must be below 180 degrees, got 200"),
-        (lambda: FVVDP(encoding="luminance"), "viewing must be given for pictures in luminance"),
+        (lambda: FVVDP(encoding="Luminance"), "viewing must be given for pictures in luminance"),
         (lambda: make_radial_map((4, 4), [[1, 2], [3]]), "gaze must be two finite numbers"),
     ],
 )

@@ -109,6 +109,8 @@ def test_gaussians_are_scipys():
         assert np.allclose(found[:, j], expected, rtol=1e-10)
     assert evaluate_3d_gaussians(points).shape == (6, 1)
     assert evaluate_3d_gaussians(points, centers).shape == (6, 2)
+    whole = torch.tensor([[0, 1, -1]])
+    assert torch.equal(evaluate_3d_gaussians(whole, centers), evaluate_3d_gaussians(whole.float(), centers))
 
 
 @pytest.mark.parametrize(

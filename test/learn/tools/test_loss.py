@@ -160,6 +160,7 @@ def test_refused(call, kind, message):
 def test_circular_mask():
     assert tools.circular_binary_mask(10, 10, 0).sum() == 0
     assert tools.circular_binary_mask(5, 5, 10).all()
+    assert tools.circular_binary_mask(5, 5, np.asarray(2.0)).sum() == 9
     mask = tools.circular_binary_mask(5, 5, 2.0)
     assert mask.shape == (1, 1, 5, 5)
     assert mask.dtype == torch.float32
