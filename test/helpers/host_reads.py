@@ -101,7 +101,7 @@ REASONS = {
         raytracing/surfaces: intersect_parametric
         raytracing/system/eye: _radial_transfer
         raytracing/system/lens_fields: products
-        raytracing/system/pupils: pupil_quadrature
+        raytracing/system/pupils: _clear_parts pupil_quadrature
         raytracing/system/waves: _grid
         tools/transformation: load_voxelized_PLY point_cloud_to_voxel
         wave/slm: turns_of
@@ -142,7 +142,7 @@ REASONS = {
         raytracing/system/design: _take_glasses best_of restarts
         raytracing/system/eye: accommodation_response
         raytracing/system/optimise: _linearly_compensated _seeing_limits least_squares tolerances_for_yield
-        raytracing/system/pupils: _by_chart _chief_rays _continuation _differences _past_ends _search _solve solve_pairs
+        raytracing/system/pupils: _chief_rays _continuation _differences _past_ends _search _solve
         raytracing/system/sequence: axis_signs
         raytracing/system/waves: _peak resolved strehl_ratio
         wave/display_models: _match_brightness _numbers match_gaps misfit

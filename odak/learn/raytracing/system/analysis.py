@@ -1090,14 +1090,22 @@ def wavefront(
     >>> float(wavefront(mirror).rms.max()) < 1e-6
     True
     """
-    vignetting = _validate.flag("vignetting", vignetting)
-    points = pupil_of(pupil, count, system)
     options: dict[str, Any] = {"prescription": prescription, "fields": fields, "aim": aim}
+    return wavefront_with_rays(system, pupil, count, vignetting=vignetting, **options)[0]
+
+
+def wavefront_with_rays(
+    system: optical_system, pupil: Pupil, count: int, *, vignetting: bool = True, **options: Any
+) -> tuple[Wavefront, Traced]:
+    """Return a :func:`wavefront` and its rays in the image; the chief ray comes first and stands for those lost."""
+    vignetting, prescription = _validate.flag("vignetting", vignetting), options.get("prescription")
+    points = pupil_of(pupil, count, system)
     rays = launch(system, torch.cat([torch.zeros_like(points[..., :1, :]), points], -2), **options)
     traced = trace(system, rays, prescription=prescription, vignetting=vignetting)
     if vignetting:
         # The chief ray is the reference even where the centre of the pupil is blocked.
-        alone = trace(system, launch(system, CENTRE.to(points), **options), prescription=prescription, vignetting=False)
+        chief = Rays(*(value[..., :1] for value in rays))
+        alone = trace(system, chief, prescription=prescription, vignetting=False)
         traced = type(traced)(*(torch.cat([a, b[..., 1:]], -1) for a, b in zip(alone, traced, strict=True)))
     status = traced.status[..., 1:]
     kept = status == 0
@@ -1120,7 +1128,7 @@ def wavefront(
     rms = torch.where(number > 0, rms, torch.nan)
     cosines = torch.stack([value[..., 1:] - value[..., :1] for value in (traced.u, traced.v)], -1)
     cosines = torch.where(kept[..., None], cosines, torch.nan)
-    return Wavefront(torch.where(kept, lag, torch.nan), rms, points, cosines, status, weights)
+    return Wavefront(torch.where(kept, lag, torch.nan), rms, points, cosines, status, weights), traced
 
 
 def path_at_start(system: optical_system, rays: Rays, numbers: Prescription) -> float | torch.Tensor:

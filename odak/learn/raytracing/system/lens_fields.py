@@ -491,17 +491,18 @@ class _Characteristic:
         a, b = self.lens[0]
         front, behind = numbers.index[0, 0], numbers.index[0, -1]
 
-        def rays(u, v):
+        def rays(u, v, starts):
             depth = -system.object_distance + 0 * u
-            return Rays(x.expand_as(u), y.expand_as(u), depth, u, v, (1 - u * u - v * v).sqrt())
+            return Rays(*(value.expand_as(u) for value in starts.unbind(-1)), depth, u, v, (1 - u * u - v * v).sqrt())
 
-        def missed(u, v):
-            met = trace(system, rays(u, v), prescription=numbers, vignetting=False)
-            return met.x - p, met.y - q
+        def missed(u, v, goals, starts):
+            met = trace(system, rays(u, v, starts), prescription=numbers, vignetting=False)
+            return met.x - goals[..., 0], met.y - goals[..., 1], met.arrived
 
         with torch.no_grad():
             u, v = ((to - a * at) / (b * front) for at, to in ((x, p), (y, q)))
-        sent = rays(*solve_pairs(missed, u, v, torch.full_like(u, STEP)))
+        goals, starts = (torch.stack([value.expand_as(u) for value in pair], -1) for pair in ((p, q), (x, y)))
+        sent = rays(*solve_pairs(missed, u, v, torch.full((), STEP).to(u), goals, starts), starts)
         met = trace(system, sent, prescription=numbers)
         if is_readable(met.status) and bool((met.status == RayStatus.VIGNETTED).any()):
             warn(

@@ -24,15 +24,14 @@ if TYPE_CHECKING:
 
 PATTERNS = ("rings", "grid", "x", "y", "random", "gauss")
 AIMS = ("paraxial", "real")
-# Steps of Newton's method, and steps along a continuation.
+# Steps of a search, and along a continuation.
 ROUNDS, MARCHES = 8, 60
 # Angle beyond which real rays are looked for across the field's direction, since the plane of the pupil is seen edge
 # on, and distances of the pupil in front of it at which they start.
 WIDE, BEFORE = 80.0, 20.0
-# Newton's method ends with steps this small relative to the step of its differences; one more follows.
-CLOSE = 1e-6
-# The same on the way of a continuation, and steps tried at once there.
-NEAR, SHARES = 1e-2, 16
+# Searches end with steps this small relative to the step of differences. Misses, relative to the radius of the stop,
+# with which a ray is found, and with which it is near enough on the way of a continuation; steps tried at once there.
+CLOSE, FOUND, NEAR, SHARES = 1e-6, 1e-7, 1e-6, 16
 # Chief rays that were found last, and what was found from them, by all that they depend on: an analysis aims the same
 # fields many times. At most so many ends of spokes are kept of each.
 KEPT, ENDS = 8, 4096
@@ -46,6 +45,8 @@ LEAST, SHARP, ALONG, BEYOND = 2e-4, 4e-7, 2e-9, 1e-6
 # Spokes of the Gaussian quadrature for each of its rings. Steps along a spoke in which its clear parts are looked for,
 # and halvings by which their ends are found.
 SPOKES, STEPS, HALVINGS = 4, 48, 13
+# Up to this number of such ends few rays cost what the calls of a trace do.
+FEW = 256
 
 
 def pupil_samples(
@@ -256,17 +257,8 @@ def pupil_quadrature(
     flags = clear(line.expand(len(spoke), -1))
     if bool(flags.all()):
         return whole
-    changes = flags[..., 1:] != flags[..., :-1]
-    # The places of the changes come first, in order; the rest of the slots are empty intervals at the rim.
-    slots = int(changes.sum(-1).max())
-    order = torch.where(changes, torch.arange(STEPS, device=device), STEPS).sort(-1).values[..., :slots]
-    low, high = line[order], line[(order + 1).clamp(max=STEPS)]
-    inside = flags.gather(-1, order)
-    # Without a change each spoke is clear or blocked as a whole.
-    low, high = _changes(clear, low, high, inside, HALVINGS) if slots else (low, high)
-    first = torch.where(flags[..., :1], 0.0, 1.0).to(low)
-    ends = torch.cat([first, (low + high) / 2, first.new_ones(*first.shape[:-1], 1 + slots % 2)], -1)
-    start, stop = ends.sort(-1).values.square().unflatten(-1, (-1, 2))[..., None].unbind(-2)
+    ends = _clear_parts(clear, line, flags, HALVINGS)
+    start, stop = ends.square().unflatten(-1, (-1, 2))[..., None].unbind(-2)
     nodes, parts = _legendre(count, device)
     square = start + (stop - start) * nodes
     weights = ((stop - start) * parts / len(spoke)).flatten(1)
@@ -275,18 +267,38 @@ def pupil_quadrature(
     return PupilQuadrature(points[:, used], weights[:, used])
 
 
-def _changes(clear: Callable, low: torch.Tensor, high: torch.Tensor, inside: Any, halvings: int) -> tuple[Any, ...]:
-    """Return intervals ``[..., R]`` at whose ends rays differ, within those given; a trace does up to 4 halvings."""
-    for left in range(halvings, 0, -4):
-        parts = 2 ** min(4, left)
-        shares = torch.arange(1, parts, device=low.device).to(low) / parts
-        tries = low[..., None] + (high - low)[..., None] * shares
-        here = inside[..., None] if isinstance(inside, torch.Tensor) else inside
-        same = clear(tries.flatten(-2)).unflatten(-1, tries.shape[-2:]) == here
+def _clear_parts(clear: Callable, line: torch.Tensor, flags: torch.Tensor, halvings: int) -> torch.Tensor:
+    """Return where the clear parts of lines begin and end in turn, ``[..., 2K]``; empty parts are at the line's end.
+
+    Parameters
+    ----------
+    clear : callable
+        Takes places ``[..., R]`` along the lines, returns which are clear.
+    line, flags : torch.Tensor
+        Places along each line, and which are clear, ``[..., len(line)]``: at most one end lies between two of them.
+    halvings : int
+        Of the intervals between two places.
+    """
+    count = len(line) - 1
+    changes = flags[..., 1:] != flags[..., :-1]
+    # The places of the changes come first, in order; the rest of the slots are empty intervals at the end.
+    slots = int(changes.sum(-1).max())
+    order = torch.where(changes, torch.arange(count, device=line.device), count).sort(-1).values[..., :slots]
+    low, high = line[order], line[(order + 1).clamp(max=count)]
+    inside = flags.gather(-1, order)[..., None]
+    # A trace does several halvings at once where it is of few rays.
+    most = 4 if low.numel() <= FEW else 2
+    # Without a change each line is clear or blocked as a whole.
+    for left in range(halvings if slots else 0, 0, -most):
+        parts = 2 ** min(most, left)
+        tries = low[..., None] + (high - low)[..., None] * (torch.arange(1, parts).to(low) / parts)
+        same = clear(tries.flatten(-2)).unflatten(-1, tries.shape[-2:]) == inside
         size = (high - low) / parts
         low = low + size * same.long().cumprod(-1).sum(-1)
         high = low + size
-    return low, high
+    first = torch.where(flags[..., :1], line[0], line[-1])
+    last = line[-1].expand(*first.shape[:-1], 1 + slots % 2)
+    return torch.cat([first, (low + high) / 2, last], -1).sort(-1).values
 
 
 def _legendre(count: int, device=None) -> tuple[torch.Tensor, torch.Tensor]:
@@ -426,14 +438,9 @@ def vignetting_factors(
         """Return the outermost clear places of a line, ``[F, 1]`` each."""
         line = torch.linspace(-1, 1, 2 * STEPS + 1, dtype=torch.float64, device=device)
         flags = clear_at(line.expand(len(chosen), -1))
-        found = []
-        for side in (1, -1):
-            first = (flags if side > 0 else flags.flip(-1)).to(torch.uint8).argmax(-1, keepdim=True)
-            low = line[first] if side > 0 else line.flip(0)[first]
-            beyond = (low - side / STEPS).clamp(-1, 1)
-            low, _ = _changes(clear_at, low, beyond, True, HALVINGS + 5)
-            found.append(torch.where(flags.any(-1, keepdim=True), low, torch.nan))
-        return found[0], found[1]
+        start, stop = _clear_parts(clear_at, line, flags, HALVINGS + 5).unflatten(-1, (-1, 2)).unbind(-1)
+        found = start.amin(-1, keepdim=True), torch.where(stop > start, stop, -1.0).amax(-1, keepdim=True)
+        return tuple(torch.where(flags.any(-1, keepdim=True), value, torch.nan) for value in found)  # type: ignore[return-value]
 
     bottom, top = ends(lambda y: clear(torch.zeros_like(y), y))
     middle = (top + bottom) / 2
@@ -635,14 +642,14 @@ def aimed(
     apart = _is_plain(system, *constants)
     with _torch_private.without_derivatives() if apart else torch.no_grad():
         known = _key(system, constants[0], constants[1], constants[3], wide) if apart else None
-        x, y, found, jacobian = _search(system, constants if apart else given, wide, known, graph)
-    if jacobian is not None:
-        # One more step with a graph carries the gradient; its Jacobian has none.
+        x, y, found, slopes = _search(system, constants if apart else given, wide, known, graph)
+    if slopes is not None:
+        # One more step with a graph carries the gradient; its slopes have none.
         errors = _misses(system, numbers, pupil, fields, wide)
         # Another one carries the second derivatives, which gradients of forward derivatives need.
         for _ in range(2 if _torch_private.in_functional_transform() else 1):
             ex, ey, kept = errors(x, y, points)
-            dx, dy = _newton([torch.where(kept & found, value, 0.0) for value in (ex, ey)], jacobian)
+            dx, dy = _step(slopes, [torch.where(kept & found, value, 0.0) for value in (ex, ey)])
             x, y = x - dx, y - dy
     return torch.where(found, x, torch.inf), torch.where(found, y, torch.inf)
 
@@ -687,7 +694,7 @@ def _misses(system, numbers: Prescription, pupil, fields: torch.Tensor, wide: bo
 
 
 def _search(system, given: tuple[Any, ...], wide: bool, known: tuple[Any, ...] | None, graph: bool) -> tuple[Any, ...]:
-    """Return coordinates of rays, which of them were found, and the Jacobian of the misses there if asked for.
+    """Return coordinates of rays, which of them were found, and the inverse Jacobian of the misses if asked for.
 
     Those that were not found have coordinates 0. `given` is prescription, entrance pupil, points and fields; `known`
     the key of the chief rays, None if it has none.
@@ -707,11 +714,13 @@ def _search(system, given: tuple[Any, ...], wide: bool, known: tuple[Any, ...] |
     if charted and held.chart is None:
         nodes = pupil_samples("gauss", CHART_RINGS).to(points)
         ends = nodes.expand(*shape[:-1], *nodes.shape)
-        held = held._replace(chart=_chart(nodes, *_beside(errors, held, places_of(pupil, nodes), step, radius, ends)))
+        held = held._replace(
+            chart=_chart(nodes, *_beside(errors, held, places_of(pupil, nodes), step, radius, ends, fields))
+        )
     if charted:
         x, y, found = _by_chart(errors, held.chart, points, step, radius, goals, fields)
     else:
-        x, y, found = _beside(errors, held, places_of(pupil, points), step, radius, goals)
+        x, y, found = _beside(errors, held, places_of(pupil, points), step, radius, goals, fields)
     lost = held.reached & ~found
     single = known is not None and math.prod(shape[:-2]) == 1
     if single and bool(lost.any()):
@@ -759,12 +768,8 @@ def _search(system, given: tuple[Any, ...], wide: bool, known: tuple[Any, ...] |
     x, y = (torch.where(found, value, 0.0) for value in (x, y))
     if charted and not graph:
         return x, y, found, None
-    sides = _side_by_side(errors, [(x + step, y), (x - step, y), (x, y + step), (x, y - step)], goals)
-    jacobian = [
-        [torch.where(found & a[2] & b[2], (a[i] - b[i]) / (2 * step), 0.0) for i in range(2)]
-        for a, b in (sides[:2], sides[2:])
-    ]
-    return x, y, found, jacobian
+    jacobian, exist = _central(errors, x, y, step, goals)
+    return x, y, found, torch.where(found & exist, _inverse(jacobian), 0.0)
 
 
 def _ends(before: torch.Tensor | None, field, goals, way, stopped) -> torch.Tensor:
@@ -839,7 +844,7 @@ def _key(system, numbers: Prescription, pupil, fields: torch.Tensor, wide: bool)
 def _chief_rays(errors, middle, centre, fields, step, radius):
     """Return coordinates of the rays through the centre of the stop, ``[..., F, 1]``, and which were found."""
     middle = [value.expand(centre.shape[:-1]) for value in middle]
-    x, y, found = _solve(errors, *middle, step, radius, centre)
+    x, y, found, _ = _solve(errors, *middle, step, radius, centre, fields)
     if not bool(found.all()):
         # From the axis to the field.
         px, py, met, _ = _continuation(errors, *middle, step, radius, lambda s: (centre, s[..., None] * fields))
@@ -848,15 +853,15 @@ def _chief_rays(errors, middle, centre, fields, step, radius):
     return x, y, found
 
 
-def _beside(errors, held, places, step, radius, goals):
+def _beside(errors, held, places, step, radius, goals, fields):
     """Return coordinates of rays that start as the chief rays and their derivatives say, and which were found."""
     cx, cy, reached = held[:3]
-    centre = torch.zeros_like(goals[..., :1, :])
-    (ex, ey, _), jacobian = _differences(errors, cx, cy, step, centre)
-    dx, dy = _newton((ex - radius * goals[..., 0], ey - radius * goals[..., 1]), jacobian)
+    (ex, ey, _), jacobian = _differences(errors, cx, cy, step, torch.zeros_like(goals[..., :1, :]), fields)
+    slopes = _inverse(jacobian)
+    dx, dy = _step(slopes, (ex - radius * goals[..., 0], ey - radius * goals[..., 1]))
     near = reached & torch.isfinite(dx + dy)
     x, y = (torch.where(near, c - d, own) for c, d, own in zip((cx, cy), (dx, dy), places, strict=True))
-    return _solve(errors, x, y, step, radius, goals)
+    return _solve(errors, x, y, step, radius, goals, fields, slopes)[:3]
 
 
 def _powers(points: torch.Tensor) -> torch.Tensor:
@@ -882,65 +887,123 @@ def _chart(nodes, x, y, found) -> torch.Tensor:
 
 
 def _by_chart(errors, chart, points, step, radius, goals, fields):
-    """Return coordinates of rays after steps with the derivatives of the chart, and which reach their points."""
-    places = (_powers(points) @ chart).movedim(-1, 0)
-    found = torch.zeros(places.shape[1:], dtype=torch.bool, device=places.device)
-    # Those that are not ended in any system of a batch, as fields of one ray each.
-    some, where = torch.ones_like(found[(0,) * (found.ndim - 2)]), fields.expand(*found.shape[-2:], 2)
-    for _ in range(5):
-        x, y, xx, yx, xy, yy = places[..., some, None]
-        ex, ey, kept = errors(x, y, goals[..., some, None, :], where[some][:, None])
-        dx, dy = (xx * ex + xy * ey) / radius, (yx * ex + yy * ey) / radius
-        usable = kept & torch.isfinite(dx + dy)
-        change = torch.where(usable, torch.stack([dx, dy]), 0.0)
-        places[:2, ..., some] -= change[..., 0]
-        found[..., some] = (usable & (torch.maximum(ex.abs(), ey.abs()) <= 1e-7 * radius))[..., 0]
-        # A ray that is lost stays where it is.
-        moves = (change.abs().amax(0) > CLOSE * step.abs())[..., 0].flatten(0, -2).any(0)
-        some[some.clone()] = moves
+    """Return coordinates of rays that start as the chart and its derivatives say, and which reach their points."""
+    x, y, xx, yx, xy, yy = (_powers(points) @ chart).movedim(-1, 0)
+    return _solve(errors, x, y, step, radius, goals, fields, torch.stack([xx, xy, yx, yy]) / radius)[:3]
+
+
+def _solve(errors, x, y, step, radius, goals, where, slopes=None, fresh=ROUNDS, close: float = 0.0, some=None):
+    """Return coordinates at which rays meet their points, which of them do, and the inverse of the Jacobian there.
+
+    Parameters
+    ----------
+    errors : callable
+        Takes coordinates ``[..., F, P]``, goals and what else belongs to each ray, ``[..., F, P, 2]`` each; returns by
+        how much rays miss, and whether they exist. It is called with some of the rays, as ``[..., N, 1]``.
+    x, y : torch.Tensor
+        First guess, ``[..., F, P]``.
+    step, radius : torch.Tensor
+        Length of differences, and the unit of misses.
+    goals, where : torch.Tensor
+        Of each ray, as `errors` takes them; they broadcast.
+    slopes : torch.Tensor, optional
+        Inverse of the Jacobian near there, ``[4, ..., F, P]``, by rows.
+    fresh : int
+        Steps whose Jacobian is by differences where there are no `slopes`.
+    close : float
+        Misses with which a search ends, if that is before its steps are small.
+    some : torch.Tensor, optional
+        Which rays are looked for, ``[F, P]``.
+
+    Notes
+    -----
+    Newton's method by differences, and then Broyden's, which traces each ray once for a step: C. G. Broyden, "A class
+    of methods for solving nonlinear simultaneous equations", Math. Comp. 19, 577 (1965),
+    doi:10.1090/S0025-5718-1965-0198670-6, its good formula for the inverse. A ray is traced until its search has ended
+    in all systems of a batch; one that is lost stays where it is.
+    """
+    shape = np.broadcast_shapes(x.shape, goals.shape[:-1])
+    state = torch.stack([value.expand(shape) for value in (x, y, *([x] * 4 if slopes is None else slopes))])
+    goals, where = goals.expand(*shape, 2), where.expand(*(shape[-2:] if where.ndim < 4 else shape), 2)
+    found = torch.zeros(shape, dtype=torch.bool, device=x.device)
+    some = torch.ones_like(found[(0,) * (found.ndim - 2)]) if some is None else some.clone()
+    change, before, fresh = state[:2], state[:2], fresh if slopes is None else 0
+    for i in range(ROUNDS):
+        here, ends, which = state[..., some, None], goals[..., some, None, :], where[..., some, None, :]
+        if i >= fresh:
+            *missed, kept = errors(*here[:2], ends, which)
+            inverse = here[2:] if i == 0 else _improved(here[2:], change, torch.stack(missed) - before)
+        else:
+            (*missed, kept), jacobian = _differences(errors, here[0], here[1], step, ends, which)
+            inverse = _inverse(jacobian)
+        missed = torch.stack(missed)
+        change = torch.stack(_step(inverse, missed))
+        usable = kept & torch.isfinite(change).all(0)
+        change, error = torch.where(usable, -change, 0.0), missed.abs().amax(0)
+        state[..., some] = torch.cat([here[:2] + change, inverse])[..., 0]
+        found[..., some] = (usable & (error <= max(close, FOUND) * radius))[..., 0]
+        # Ended are steps that are small, and after some those that come no nearer: at rounding, or astray.
+        ended = ~usable | (change.abs().amax(0) <= CLOSE * step.abs()) | (error <= close * radius)
+        if i > 2:
+            ended = ended | (error > before.abs().amax(0) / 2)
+        moves = (~ended).reshape(-1, ended.shape[-2]).any(0)
         if not bool(moves.any()):
             break
-    return *places[:2], found
+        some[some.clone()] = moves
+        change, before = change[..., moves, :], missed[..., moves, :]
+    return *state[:2], found, state[2:]
 
 
-def _solve(errors, x, y, step, radius, *goals, rounds: int = 8, close: float = CLOSE):
-    """Return coordinates after Newton's method for each ray, and which of them reach their points."""
-    before = torch.inf
-    for i in range(rounds):
-        (ex, ey, kept), jacobian = _differences(errors, x, y, step, *goals)
-        dx, dy = _newton((ex, ey), jacobian)
-        usable = kept & torch.isfinite(dx + dy)
-        x, y = x - torch.where(usable, dx, 0.0), y - torch.where(usable, dy, 0.0)
-        # Ended are steps that are small, and after some those that come no nearer: at rounding, or astray.
-        error = torch.maximum(ex.abs(), ey.abs())
-        ended = (torch.maximum(dx.abs(), dy.abs()) <= close * step.abs()) | ~usable
-        if bool((ended | (error > before / 2) if i > 2 else ended).all()):
-            break
-        before = error
-    ex, ey, kept = errors(x, y, *goals)
-    met = kept & (torch.maximum(ex.abs(), ey.abs()) <= 1e-7 * close / CLOSE * radius)
-    return x, y, met
+def _improved(slopes: torch.Tensor, change: torch.Tensor, gone: torch.Tensor) -> torch.Tensor:
+    """Return an inverse Jacobian after a step and the change of the misses by it, by Broyden's good formula."""
+    by = torch.stack(_step(slopes, gone))
+    along = change[0] * slopes[:2] + change[1] * slopes[2:]
+    size = (change * by).sum(0)
+    share = torch.where(size != 0, (change - by) / torch.where(size != 0, size, 1.0), 0.0)
+    better = slopes + torch.cat([share[0] * along, share[1] * along])
+    return torch.where(torch.isfinite(better).all(0), better, slopes)
 
 
-def _differences(errors, x, y, step, goals, *where):
+def _differences(errors, x, y, step, goals, where):
     """Return the errors, and their derivatives by x and by y, from differences on either side where a ray exists."""
-    here, *ahead = _side_by_side(errors, [(x, y), (x + step, y), (x, y + step)], goals, *where)
+    here, *ahead = _side_by_side(errors, [(x, y), (x + step, y), (x, y + step)], goals, where)
     if all(bool((kept | ~here[2]).all()) for _, _, kept in ahead):
         return here, [[(a - c) / step for a, c in zip(there[:2], here[:2], strict=True)] for there in ahead]
-    behind = _side_by_side(errors, [(x - step, y), (x, y - step)], goals, *where)
+    behind = _side_by_side(errors, [(x - step, y), (x, y - step)], goals, where)
     return here, [
         [torch.where(there[2], a - c, c - b) / step for a, b, c in zip(there[:2], back[:2], here[:2], strict=True)]
         for there, back in zip(ahead, behind, strict=True)
     ]
 
 
-def _side_by_side(errors, places: list[Any], goals, *where) -> list[tuple[Any, ...]]:
+def _side_by_side(errors, places: list[Any], *parts) -> list[tuple[Any, ...]]:
     """Return the errors of several places of each ray from one trace: few rays cost what its calls do."""
-    x, count = places[0][0], len(places)
-    where = tuple(value.expand(*np.broadcast_shapes(value.shape[:-1], x.shape[-2:]), 2) for value in where)
+    shape, count = places[0][0].shape, len(places)
+    parts = tuple(value.expand(*np.broadcast_shapes(value.shape[:-1], shape[-2:]), 2) for value in parts)
     px, py = (torch.cat([place[i] for place in places], -1) for i in range(2))
-    parts = errors(px, py, *(torch.cat([value] * count, -2) for value in (goals.expand(*x.shape, 2), *where)))
-    return list(zip(*(part.chunk(count, -1) for part in parts), strict=True))
+    found = errors(px, py, *(torch.cat([value] * count, -2) for value in parts))
+    return list(zip(*(part.chunk(count, -1) for part in found), strict=True))
+
+
+def _central(errors, x, y, step, *parts) -> tuple[list[list[torch.Tensor]], torch.Tensor]:
+    """Return the derivatives of the errors by x and by y, by central differences, and where they exist."""
+    sides = _side_by_side(errors, [(x + step, y), (x - step, y), (x, y + step), (x, y - step)], *parts)
+    jacobian = [[(sides[i][j] - sides[i + 1][j]) / (2 * step) for j in range(2)] for i in (0, 2)]
+    return jacobian, torch.stack([side[2] for side in sides]).all(0)
+
+
+def _inverse(jacobian) -> torch.Tensor:
+    """Return the inverse of a Jacobian, ``[4, ...]`` by rows, 0 where it is singular."""
+    (ax, ay), (bx, by) = jacobian
+    determinant = ax * by - bx * ay
+    regular = (determinant != 0) & torch.isfinite(determinant)
+    return torch.where(regular, torch.stack([by, -bx, -ay, ax]) / torch.where(regular, determinant, 1.0), 0.0)
+
+
+def _step(slopes, missed) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the product of an inverse Jacobian and misses, a step of Newton's method."""
+    (ex, ey), (xx, xy, yx, yy) = missed, slopes
+    return xx * ex + xy * ey, yx * ex + yy * ey
 
 
 def _continuation(errors, x, y, step, radius, way, least=LEAST):
@@ -950,34 +1013,34 @@ def _continuation(errors, x, y, step, radius, way, least=LEAST):
     fails.
     """
     s, length = torch.zeros_like(x), torch.full_like(x, 0.25)
-    x, y, good = _solve(errors, x, y, step, radius, *way(s))
+    x, y, good, slopes = _solve(errors, x, y, step, radius, *way(s))
     idle = ~good
     shares = torch.arange(1, SHARES + 1).to(x) / SHARES
     # The first march has the tangent.
-    here, jacobian = _differences(errors, x, y, step, *way(s))
-    further = errors(x, y, *way(s + 1e-4))
-    ahead = _newton([(a - b) * 1e4 for a, b in zip(here[:2], further[:2], strict=True)], jacobian)
-    ahead = tuple(torch.where(torch.isfinite(a), a, 0.0) for a in ahead)
+    here, further = (errors(x, y, *way(place)) for place in (s, s + 1e-4))
+    ahead = torch.stack(_step(slopes, [(a - b) * 1e4 for a, b in zip(here[:2], further[:2], strict=True)]))
+    ahead = torch.where(torch.isfinite(ahead), ahead, 0.0)
     for _ in range(MARCHES):
         active = ~idle & (s < 1)
         if not bool(active.any()):
             break
         target = torch.where(active, (s + length * shares).clamp(max=1.0), s)
-        tries = (a + b * (target - s) for a, b in zip((x, y), ahead, strict=True))
+        tries = torch.stack([x, y]) + ahead * (target - s)
+        some = active.reshape(-1, active.shape[-2], 1).any(0).expand(target.shape[-2:])
         # Rays on the way need not be exact; those at its end are solved once more.
-        *tries, met = _solve(errors, *tries, step, radius, *way(target), rounds=3, close=NEAR)
+        *tries, met, _ = _solve(errors, *tries, step, radius, *way(target), fresh=1, close=NEAR, some=some)
         count = torch.where(active, met.long().cumprod(-1).sum(-1, keepdim=True), 0)
-        ways = [torch.cat(pair, -1) for pair in zip((x, y, s), (*tries, target), strict=True)]
-        x, y, s = (value.gather(-1, count) for value in ways)
-        *before, s_before = (value.gather(-1, (count - 1).clamp(min=0)) for value in ways)
-        gone = s - s_before
-        ahead = tuple(torch.where(gone > 0, (a - b) / gone, c) for a, b, c in zip((x, y), before, ahead, strict=True))
+        ways = torch.cat([torch.stack([x, y, s]), torch.stack([*tries, target])], -1)
+        place = count.expand(3, *count.shape)
+        before, (x, y, s) = ways.gather(-1, (place - 1).clamp(min=0)), ways.gather(-1, place)
+        gone = s - before[2]
+        ahead = torch.where(gone > 0, (torch.stack([x, y]) - before[:2]) / gone, ahead)
         rate = torch.where(count == SHARES, 4.0, torch.where(count > 0, 2 / SHARES, 1 / SHARES))
         length = torch.where(active, rate * length, length)
         idle = idle | (length < least)
     done = s >= 1
     if bool(done.any()):
-        x, y, met = _solve(errors, x, y, step, radius, *way(s))
+        x, y, met, _ = _solve(errors, x, y, step, radius, *way(s))
         done = done & met
     return x, y, done, s
 
@@ -989,17 +1052,22 @@ def at_stop(system: optical_system, numbers: Prescription, rays: Any) -> Any:
     return x[..., 0:1, :, :], y[..., 0:1, :, :], hit.arrived
 
 
-def solve_pairs(missed: Any, x: torch.Tensor, y: torch.Tensor, step: Any) -> Any:
-    """Return the pairs (x, y) at which a pair of functions vanishes.
+def solve_pairs(
+    errors: Any, x: torch.Tensor, y: torch.Tensor, step: torch.Tensor, goals: torch.Tensor, where: torch.Tensor
+) -> Any:
+    """Return the pairs (x, y) at which rays meet their points.
 
     Parameters
     ----------
-    missed : callable
-        Takes x and y, returns the values of both functions there.
+    errors : callable
+        Takes x, y, `goals` and `where` of some of the rays, returns by how much they miss in x and in y, and whether
+        they exist.
     x, y : torch.Tensor
-        First guess.
+        First guess, ``[..., F, P]``.
     step : torch.Tensor
         Length along which differences are taken.
+    goals, where : torch.Tensor
+        The points of the rays, and another pair that belongs to each, ``[..., F, P, 2]``.
 
     Notes
     -----
@@ -1007,40 +1075,10 @@ def solve_pairs(missed: Any, x: torch.Tensor, y: torch.Tensor, step: Any) -> Any
     whose Jacobian is by central differences, carries the gradient of the implicit function theorem.
     """
     with torch.no_grad():
-        for _ in range(ROUNDS):
-            here = missed(x, y)
-            change = _newton(here, _jacobian(missed, x, y, step, here))
-            x, y = x - change[0], y - change[1]
-            if x.device.type == "cpu" and bool((torch.maximum(*(v.abs() for v in change)) <= CLOSE * step.abs()).all()):
-                break
-    return newton_step(missed, x, y, step)
-
-
-def newton_step(missed: Any, x: torch.Tensor, y: torch.Tensor, step: Any) -> Any:
-    """Return one step of Newton's method with a graph; its Jacobian, by central differences, has none."""
-    with torch.no_grad():
-        jacobian = _jacobian(missed, x, y, step)
-    change = _newton(missed(x, y), jacobian)
-    return x - change[0], y - change[1]
-
-
-def _jacobian(missed, x, y, step, here=None):
-    """Return the derivatives by x and by y, by central differences unless the values are available."""
-    found = []
-    for ahead, behind in (((x + step, y), (x - step, y)), ((x, y + step), (x, y - step))):
-        before, width = (missed(*behind), 2 * step) if here is None else (here, step)
-        found.append([(a - b) / width for a, b in zip(missed(*ahead), before, strict=True)])
-    return found
-
-
-def _newton(here, jacobian):
-    """Return Newton's step, 0 where the Jacobian is singular."""
-    (ax, ay), (bx, by) = jacobian
-    determinant = ax * by - bx * ay
-    regular = (determinant != 0) & torch.isfinite(determinant)
-    inverse = torch.where(regular, 1 / torch.where(regular, determinant, 1.0), 0.0)
-    ex, ey = here
-    return inverse * (by * ex - bx * ey), inverse * (ax * ey - ay * ex)
+        x, y, *_ = _solve(errors, x, y, step, step, goals, where)
+        slopes = _inverse(_central(errors, x, y, step, goals, where)[0])
+    dx, dy = _step(slopes, errors(x, y, goals, where)[:2])
+    return x - dx, y - dy
 
 
 def trace_fields(

@@ -830,96 +830,78 @@ def fields_of_image_heights(
         if bool((size > 0).any()):
             raise ValueError(f"fields by image height need a finite focal length or magnification, got {scale:g}")
         return tuple((0.0, 0.0) for _ in points)
-    found = size / abs(scale)
-    unit = wanted / torch.where(size > 0, size, 1.0)[:, None]
-    met = torch.full_like(size, not real, dtype=torch.bool) | (size == 0)
+    share, met = torch.full_like(size, math.copysign(1.0, scale))[:, None], (size == 0)[:, None] | (not real)
+    one, step = torch.ones(()).to(share), torch.full((), 1e-6).to(share)
     with torch.no_grad():
-        if real and aim == "paraxial":
-            found, arrived = _by_secants(system, found, size, unit, scale)
-            met = met | arrived
-        found = found * math.copysign(1.0, scale)
-        if not bool(met.all()):
-            found[~met] = _from_axis(system, size[~met], unit[~met], scale, notes)
-    return tuple((float(a) + 0.0, float(b) + 0.0) for a, b in _as_fields(system, found[:, None] * unit))
+        for by_stop in (False, True) if aim == "paraxial" else (True,):
+            left = ~met[:, 0]
+            if bool(left.any()):
+                errors, start = _misses_of_heights(system, scale, by_stop), torch.zeros_like(share[left])
+                goals, rows = _goals(1 + start), wanted[left, None]
+                found, _, met[left], _ = _solve(errors, share[left], start, step, one, goals, rows)
+                share[left] = torch.where(met[left], found, share[left])
+        left = ~met[:, 0]
+        if bool(left.any()):
+            # From the axis outwards.
+            start, rows = torch.zeros_like(share[left]), wanted[left, None]
+            found, _, met[left], there = _continuation(errors, start, start, step, one, lambda s: (_goals(s), rows))
+            share[left] = found
+            far = _fields_at(system, scale, share, wanted[:, None])[0].square().sum(-1).sqrt()[left]
+            for height, field, part, good in zip(size[left], far, there, met[left], strict=True):
+                if notes is not None and not good:
+                    where = f"{float(field):.4g} {'degrees' if system.at_infinity else 'mm'}"
+                    notes.append(
+                        f"a field by real image height, {float(height):g} mm, is out of reach: chief rays arrive up to "
+                        f"{float(part * height):.4g} mm, from {where}, which is taken"
+                    )
+    fields = _fields_at(system, scale, share, wanted[:, None])[0][:, 0]
+    return tuple((float(a) + 0.0, float(b) + 0.0) for a, b in fields)
 
 
-def _by_secants(system, found, size, unit, scale: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return tangents or heights of fields by secant steps from the paraxial field, and which of them arrive."""
-    chief = torch.zeros(1, 2, dtype=torch.float64)
-    before: Any = None
-    error: Any = None
-    change, now = found, found
-    for _ in range(30):
-        place = trace_fields(system, chief, fields=_as_fields(system, found[:, None] * unit), vignetting=False)
-        now = (place.x.square() + place.y.square()).sqrt()[system.reference, :, 0] - size
-        if before is None:
-            change = now / abs(scale)
-        else:
-            slope = (now - error) / torch.where(found != before, found - before, 1.0)
-            change = torch.where(slope != 0, now / torch.where(slope != 0, slope, 1.0), 0.0)
-        before, error, found = found, now, (found - change).clamp(min=0.0)
-        if not bool(torch.isfinite(found).any()) or float(change.abs().nan_to_num().max()) < 1e-13:
-            break
-    met = torch.isfinite(found) & (now.abs() <= 1e-9 * size)
-    return torch.where(met | (size == 0), found.nan_to_num(), 0.0), met
+def _goals(share: torch.Tensor) -> torch.Tensor:
+    """Return where rays are to meet, as shares of the heights and of the radius of the pupil: at its centre."""
+    return torch.stack([share, 0 * share], -1)
 
 
-def _from_axis(system, size, unit, scale: float, notes: list | None) -> torch.Tensor:
-    """Return the tangents or heights of fields whose chief rays land at real heights.
+def _fields_at(system, scale: float, share: torch.Tensor, wanted: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return field points at shares of the paraxial fields of image heights, and whether they exist.
 
-    Field and place in the pupil are solved for together, so that the ray meets both its height and the centre of the
-    stop: from the paraxial field, or followed from the axis outwards. A height out of reach becomes the farthest field
-    from which a ray arrives, which the notes say.
+    The shares are those of angles, which stay finite, where the object is at infinity.
     """
-    # Fields by the paraxial one: as angles, which stay finite, where the object is at infinity.
-    whole = (torch.atan(size / abs(scale)) if system.at_infinity else size / abs(scale))[:, None]
-    start, step, one = torch.zeros_like(whole), torch.full((), 1e-6).to(whole), torch.ones(()).to(whole)
-    errors = _misses_of_heights(system, size, unit, whole)
-    share, _, met = _solve(errors, start + math.copysign(1.0, scale), start, step, one, *_goals(1 + start))
-    for i in (~met).nonzero()[:, 0].tolist():
-        row = slice(i, i + 1)
-        errors = _misses_of_heights(system, size[row], unit[row], whole[row])
-        share[row], _, met, there = _continuation(errors, start[row], start[row], step, one, _goals)
-        if notes is not None and not bool(met):
-            far = float(whole[i, 0] * share[i, 0])
-            where = f"{math.degrees(far):.4g} degrees" if system.at_infinity else f"{far:.4g} mm"
-            notes.append(
-                f"a field by real image height, {float(size[i]):g} mm, is out of reach: chief rays arrive up to "
-                f"{float(there * size[i]):.4g} mm, from {where}, which is taken"
-            )
-    field = (whole * share)[:, 0]
-    return torch.tan(field) if system.at_infinity else field
+    size = wanted.square().sum(-1)[..., None].sqrt()
+    unit = wanted / torch.where(size > 0, size, 1.0)
+    if not system.at_infinity:
+        return share[..., None] * size / abs(scale) * unit, torch.ones_like(share, dtype=torch.bool)
+    angle = share[..., None] * torch.atan(size / abs(scale))
+    exists = angle.abs() < 1.56
+    return torch.rad2deg(torch.atan(torch.tan(torch.where(exists, angle, 0.0)) * unit)), exists[..., 0]
 
 
-def _goals(share: torch.Tensor) -> tuple[torch.Tensor]:
-    """Return where rays are to meet, as shares of the heights and of the radius of the stop: at its centre."""
-    return (torch.stack([share, 0 * share], -1),)
+def _misses_of_heights(system, scale: float, by_stop: bool) -> Callable[..., Any]:
+    """Return the function that gives how far chief rays miss their goals, of shares of fields and of places.
 
-
-def _misses_of_heights(system, size, unit, whole) -> Callable[..., Any]:
-    """Return the function that gives how far chief rays miss their goals, of shares of fields and of places."""
+    Field and place in the pupil are solved for together, so that the ray meets its height and the centre of the stop;
+    without `by_stop` that of the paraxial pupil.
+    """
     numbers = system.prescription().at(system.reference)
     pupil = entrance_pupil(system, prescription=numbers)
 
-    def errors(share, place, goals):
-        field = whole * share
-        exists = field.abs() < (1.56 if system.at_infinity else math.inf)
-        field = torch.where(exists, torch.rad2deg(field) if system.at_infinity else field, 0.0).reshape(-1, 1)
-        ways = unit[:, None].expand(*share.shape, 2).reshape(-1, 2)
+    def errors(share, place, goals, wanted):
+        fields, exists = _fields_at(system, scale, share, wanted)
+        size = wanted.square().sum(-1).sqrt()
+        ways = (wanted / size[..., None]).reshape(-1, 2)
         across = (pupil.middle[i] + pupil.reach * place.reshape(-1, 1) * ways[:, i, None] for i in range(2))
-        rays = through_places(system, (field * ways)[:, None], pupil, *across)
-        *stop, kept = at_stop(system, numbers, rays)
+        rays = through_places(system, fields.reshape(-1, 1, 2), pupil, *across)
         image = trace(system, rays, prescription=numbers, vignetting=False)
-        height, off = (
-            (torch.stack([v.flatten() for v in met], -1) * ways).sum(-1).reshape(share.shape)
-            for met in ((image.x, image.y), stop)
-        )
-        held = exists & (kept & image.arrived).reshape(share.shape)
-        return height / size[:, None] - goals[..., 0], off / float(pupil.stop_radius) - goals[..., 1], held
+        height, held, off = _along(image, ways, share.shape), exists & image.arrived.reshape(share.shape), place
+        if by_stop:
+            *stop, kept = at_stop(system, numbers, rays)
+            off, held = _along(stop, ways, share.shape) / pupil.stop_radius, held & kept.reshape(share.shape)
+        return height / size - goals[..., 0], off - goals[..., 1], held
 
     return errors
 
 
-def _as_fields(system, tangents: torch.Tensor) -> torch.Tensor:
-    """Return field points of tangents (far objects) or heights."""
-    return torch.rad2deg(torch.atan(tangents)) if system.at_infinity else tangents
+def _along(points, ways: torch.Tensor, shape) -> torch.Tensor:
+    """Return the coordinates of points along directions ``[N, 2]`` across the axis."""
+    return (torch.stack([value.flatten() for value in points[:2]], -1) * ways).sum(-1).reshape(shape)

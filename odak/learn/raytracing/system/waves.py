@@ -13,7 +13,7 @@ from odak._array import is_readable, phasor_of_cycles
 from odak._torch_private import forward_derivative
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import floating, takes_constants
-from odak.learn.raytracing.system.analysis import Spread, path_at_start, spot_diagram, wavefront
+from odak.learn.raytracing.system.analysis import Spread, path_at_start, spot_diagram, wavefront, wavefront_with_rays
 from odak.learn.raytracing.system.paraxial import EntrancePupil, check_image_space, entrance_pupil, first_order
 from odak.learn.raytracing.system.prescriptions import Prescription, checked_prescription
 from odak.learn.raytracing.system.pupils import (
@@ -40,6 +40,7 @@ from odak.learn.raytracing.system.surfaces import (
     checked_system,
     numbers_of,
     optical_system,
+    reference_of,
     wavelength_shares,
     wavelengths_of,
 )
@@ -240,12 +241,15 @@ class RayMap:
     def solve(self, target: torch.Tensor, guess: torch.Tensor) -> torch.Tensor:
         """Return the pupil coordinates of the rays through the points `target`, ``[P, 2]``, of the plane."""
 
-        def missed(x, y):
-            met = self(torch.stack([x, y], -1))
+        def missed(x, y, goals, _):
+            met = self(torch.stack([x, y], -1).flatten(-3, -2))
             kept = met.status == RayStatus.HIT
-            return [torch.where(kept, a - b, 0.0) for a, b in zip(met[:2], target.unbind(-1), strict=True)]
+            errors = (torch.where(kept, met[i] - goals[..., i].flatten(-2), 0.0) for i in range(2))
+            return [value.reshape(x.shape) for value in (*errors, kept)]
 
-        return torch.stack(solve_pairs(missed, guess[..., 0], guess[..., 1], torch.full_like(guess[..., 0], STEP)), -1)
+        x, y = (value[..., None, :] for value in guess.unbind(-1))
+        goals = target.expand(*x.shape, 2)
+        return torch.stack(solve_pairs(missed, x, y, torch.full((), STEP).to(x), goals, goals), -1)[..., 0, :, :]
 
     def guess(self, places: torch.Tensor, met: PlaneRays, target: torch.Tensor) -> torch.Tensor:
         """Return estimated starts of the rays through `target`, by polynomials through the samples."""
@@ -545,7 +549,7 @@ def strehl_ratio(
     named = isinstance(pupil, str)
     counts = COUNTS if count is None and named else COUNTS[:1] if count is None else (count,)
     for own in counts:
-        found, coarse, _ = _strehl(system, pupil, own, options)
+        found, coarse, *_ = _strehl(system, pupil, own, options)
         # NaN where no ray of a field arrives.
         share = float(coarse.nan_to_num().max())
         if share <= COARSE:
@@ -559,9 +563,9 @@ def strehl_ratio(
     return found
 
 
-def _strehl(system, pupil, count: int, options: Mapping[str, Any]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return Strehl ratios, the part of the pupil whose wavefront the rays do not resolve, and its RMS."""
-    found = wavefront(system, pupil, count, **options)
+def _strehl(system, pupil, count: int, options: Mapping[str, Any]) -> tuple[torch.Tensor, torch.Tensor, Any, Any]:
+    """Return Strehl ratios, the part of the pupil whose wavefront the rays do not resolve, its RMS, and the rays."""
+    found, traced = wavefront_with_rays(system, pupil, count, **options)
     numbers = numbers_of(system, options.get("prescription"))
     waves = wavelengths_of(system, numbers)[:, None] / numbers.index[..., -1].abs()[..., None]
     kept = found.status == RayStatus.HIT
@@ -570,14 +574,16 @@ def _strehl(system, pupil, count: int, options: Mapping[str, Any]) -> tuple[torc
     wave = phasor_of_cycles(torch.where(kept, found.path, 0.0), torch.complex128) * weight
     slopes = torch.where(kept[..., None], found.cosines, 0.0) / waves[..., None, None]
     with torch.no_grad():
-        spots = spot_diagram(system, pupil, count, **options, reference="chief")
+        # From the chief ray of the reference wavelength.
+        place = reference_of(system, options.get("prescription"))
+        spots = [torch.where(kept, v[..., 1:] - v[..., place : place + 1, :, :1], 0.0) for v in traced[:2]]
         x, y = _peak(wave, slopes, spots, kept)
         # The wavefront about the peak changes by as many waves per radius of the pupil as rays miss it in units of
         # λ/NA; a ray stands for a part of the area of the pupil, whose root is its distance from the next.
-        missed = ((spots.x - x).square() + (spots.y - y).square()).sqrt().nan_to_num()
+        missed = torch.where(kept, ((spots[0] - x).square() + (spots[1] - y).square()).sqrt(), 0.0)
         step = missed * slopes.square().sum(-1).amax(-1, keepdim=True).sqrt() * (math.pi * weight).sqrt()
         coarse = (weight * (step > 0.5)).sum(-1)
-    return _sum_of_waves(wave, slopes, x, y)[..., 0, 0], coarse, found.rms
+    return _sum_of_waves(wave, slopes, x, y)[..., 0, 0], coarse, found.rms, traced
 
 
 def _sum_of_waves(wave: torch.Tensor, slopes: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
@@ -590,14 +596,13 @@ def _sum_of_waves(wave: torch.Tensor, slopes: torch.Tensor, x: torch.Tensor, y: 
 
 
 def _peak(
-    wave: torch.Tensor, slopes: torch.Tensor, spots: Any, kept: torch.Tensor
+    wave: torch.Tensor, slopes: torch.Tensor, spots: list[torch.Tensor], kept: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return where the sum of the waves is largest, from the chief ray, ``[..., 1]`` each."""
     scale = slopes.square().sum(-1).amax(-1, keepdim=True).sqrt().clamp_min(1e-300)
     number = kept.sum(-1, keepdim=True).clamp_min(1)
     centres, spreads = [], []
-    for value in (spots.x, spots.y):
-        value = value.nan_to_num()
+    for value in spots:
         centres.append(value.sum(-1, keepdim=True) / number)
         spreads.append((value.square().sum(-1, keepdim=True) / number - centres[-1].square()).clamp_min(0))
     # Beyond a distance the rays are too few to tell the image from its repetitions.
@@ -693,8 +698,8 @@ def field_quality(system: optical_system, aim: str = "paraxial", *, fields: Fiel
         options: dict[str, Any] = {"fields": fields, "aim": aim}
         points = pupil_quadrature(system, count, **options)
         passed, options["prescription"] = points.weights.sum(-1), numbers
-        spots = _converged_spots(system, count, points, fields, aim)
-        strehl, _, waves = _strehl(system, points, count, options)
+        strehl, _, waves, traced = _strehl(system, points, count, options)
+        spots = _converged_spots(system, count, points, fields, aim, traced)
         values = [spots, waves[0], strehl[0], passed.expand(spots.shape)]
         changes = [(a - b).abs() for a, b in zip(values, before, strict=False)]
         scales = [values[0].clamp_min(1e-12), values[1].clamp_min(1e-2), *map(torch.ones_like, values[2:])]
@@ -708,18 +713,21 @@ def field_quality(system: optical_system, aim: str = "paraxial", *, fields: Fiel
     return FieldQuality(spots, waves, strehl, passed, count, change)
 
 
-def _converged_spots(system, count: int, points: PupilQuadrature, fields, aim: str) -> torch.Tensor:
-    """Return the root mean square of spots, ``[F]``, of wavelengths whose vignetted pupils may differ."""
+def _converged_spots(system, count: int, points: PupilQuadrature, fields, aim: str, traced) -> torch.Tensor:
+    """Return the root mean square of spots, ``[F]``, of wavelengths whose vignetted pupils may differ.
+
+    The rays of the reference wavelength, behind the chief ray, are known.
+    """
     numbers, whole = system.prescription(), points.points.ndim == 2
     shares = wavelength_shares(system, None, points.weights)
     parts, origin = [], None
     for place in range(len(shares)):
         own = numbers.at(place)
         options: dict[str, Any] = {"fields": fields, "aim": aim, "prescription": own}
-        if not whole and place != system.reference:
-            points = pupil_quadrature(system, count, **options)
-        found = trace_fields(system, points, **options)
-        weight = torch.where(found.arrived, shares[place] * points.weights, 0.0)[0]
+        known = place == system.reference
+        own_points = points if whole or known else pupil_quadrature(system, count, **options)
+        found = type(traced)(*(v[..., 1:] for v in traced)) if known else trace_fields(system, own_points, **options)
+        weight = torch.where(found.arrived, shares[place] * own_points.weights, 0.0)[0]
         x, y = (torch.where(found.arrived, value, 0.0)[0] for value in (found.x, found.y))
         origin = (x[:, :1], y[:, :1]) if origin is None else origin
         x, y = x - origin[0], y - origin[1]

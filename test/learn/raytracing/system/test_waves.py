@@ -24,10 +24,12 @@ from odak.learn.raytracing.system import (
     strehl_ratio,
     surface,
     trace,
+    trace_fields,
     wavefront,
     waves,
     zernike_fit,
 )
+from odak.learn.raytracing.system.analysis import wavefront_with_rays
 from odak.learn.wave import propagate_beam
 
 F64 = torch.float64
@@ -353,15 +355,40 @@ def test_the_quality_over_the_field_takes_each_wavefront_once(monkeypatch):
 
     def counted(system, pupil, count=12, **options):
         counts.append(count)
-        return wavefront(system, pupil, count, **options)
+        return wavefront_with_rays(system, pupil, count, **options)
 
-    monkeypatch.setattr(waves, "wavefront", counted)
+    monkeypatch.setattr(waves, "wavefront_with_rays", counted)
     found = field_quality(lens)
     assert len(counts) > 1 and counts == sorted(set(counts)) and counts[-1] == found.count
     nodes, numbers = pupil_quadrature(lens, found.count), lens.prescription().at(lens.reference)
     torch.testing.assert_close(found.wavefront_rms, wavefront(lens, nodes).rms[lens.reference], rtol=1e-9, atol=0)
     alone = strehl_ratio(lens, nodes, prescription=numbers)[0]
     torch.testing.assert_close(found.strehl, alone, rtol=1e-9, atol=0)
+
+
+def test_spots_of_the_quality_take_each_wavelength_in_its_own_pupil():
+    """A rim behind a prism-like lens cuts another part of the pupil of each colour; the reference is the second."""
+    lens = optical_system(
+        [
+            surface(radius=30.0, thickness=4.0, material="N-SF11", stop=True),
+            surface(radius=-200.0, thickness=20.0),
+            surface(thickness=10.0, semi_diameter=3.5),
+        ],
+        aperture=10.0,
+        fields=[8.0],
+        wavelengths=[450e-6, 550e-6, 650e-6],
+        reference=1,
+    )
+    found, parts = field_quality(lens), []
+    for numbers in map(lens.prescription().at, range(3)):
+        points = pupil_quadrature(lens, found.count, prescription=numbers)
+        rays = trace_fields(lens, points, prescription=numbers)
+        parts.append([rays.x[0, 0], rays.y[0, 0], torch.where(rays.arrived[0, 0], points.weights[0], 0.0)])
+    x, y, weights = (torch.cat(values) for values in zip(*parts, strict=True))
+    weights = weights / weights.sum()
+    spread = sum((weights * value.square()).sum() - (weights * value).sum() ** 2 for value in (x, y))
+    assert float(found.passed) < 0.9
+    torch.testing.assert_close(found.rms_spot[0], spread.sqrt(), rtol=1e-9, atol=0)
 
 
 def test_strehl_ratios_take_as_many_rays_as_the_wavefront_needs():

@@ -24,6 +24,7 @@ from odak.learn.raytracing.system import (
     write_zmx,
     zoom_design,
 )
+from odak.learn.raytracing.system.system_files import fields_of_image_heights
 from odak.raytracing.interfaces import IdealLens
 
 FOCAL, GAPS = (60.0, -40.0), (30.0, 38.0, 45.0)
@@ -262,3 +263,13 @@ def test_thin_lenses_become_a_threefold_zoom():
         found = judged(numbers, view.prescription().index.detach(), [y for _, y in view.fields])
         assert found["focal_length"] == pytest.approx(f, rel=5e-3) and found["lost"] == 0 and found["edge"] > 0.25
         assert found["rms"] < 0.025
+
+
+@pytest.mark.parametrize("aim", ["paraxial", "real"])
+def test_chief_rays_of_image_heights_land_there_off_both_axes(aim):
+    """Fields are angles in x and in y: their ratio is not that of the heights, which their tangents have."""
+    lens, heights = load_system("cooke_triplet"), [(0.0, 0.0), (6.0, 12.0), (-14.0, 3.0)]
+    fields = fields_of_image_heights(lens, heights, True, aim)
+    met = trace_fields(lens, torch.zeros(1, 2), fields=fields, aim=aim, vignetting=False)
+    found = torch.stack([met.x, met.y], -1)[lens.reference, :, 0]
+    torch.testing.assert_close(found, torch.tensor(heights, dtype=torch.float64), rtol=0, atol=1e-9)
