@@ -3,12 +3,14 @@
 import itertools
 import math
 import warnings
+from importlib.resources import files
 
 import numpy as np
 import pytest
 import torch
 
 from odak import AccuracyWarning
+from odak.learn.tools import load_image
 from odak.learn.wave import (
     AmplitudePanel,
     Descent,
@@ -19,6 +21,7 @@ from odak.learn.wave import (
     Problem,
     Run,
     Source,
+    light_of,
     optimise,
     spatial_light_modulator,
 )
@@ -305,3 +308,37 @@ def test_contrast_of_speckle_falls_as_the_root_of_the_frames():
         shown = torch.randint(4, (frames, 96, 96), generator=torch.Generator().manual_seed(frames))
         seen = display.recorded_by(Observer.points(), display.modulator.phases_of(shown))[..., 20:-20, 20:-20]
         assert float(seen.std() / seen.mean()) == pytest.approx(frames**-0.5, rel=0.1)
+
+
+@pytest.mark.slow
+def test_frames_that_are_found_together_are_beyond_the_limit_of_those_that_are_found_alone():
+    """The limit is stated by Liu et al., doi:10.3390/app11167729; here it is that of an error A + B/frames."""
+    photo = load_image(str(files("odak") / "assets" / "photo.png"), torch_style=True)
+    target = light_of(photo, 532e-9).targets[:, :, 100:500]
+    target = torch.nn.functional.adaptive_avg_pool2d(target, (48, 48))[0]
+
+    def display(frames):
+        return Display(Modulator((48, 48), 8e-6, bits=1), 532e-9, 2e-3, frames=frames)
+
+    class Kept:
+        def solve(self, problem):
+            return problem.start
+
+    one_by_one = [optimise(display(1), target, start="random", run=quick(100, seed=seed)).phases for seed in range(16)]
+    alone, together, rounded = {}, {}, {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AccuracyWarning)
+        for frames in (1, 4, 16):
+            start = torch.cat(one_by_one[:frames])
+            alone[frames] = float(optimise(display(frames), target, solver=Kept(), start=start, run=quick(1)).psnr)
+            found = optimise(display(frames), target, start="random", run=quick(100, seed=1))
+            together[frames] = float(found.psnr)
+            thrown = optimise(display(frames), target, solver="gs", start="random", run=quick(1, seed=1))
+            rounded[frames] = float(thrown.psnr)
+    for quality in (alone, rounded):
+        one, four = (10 ** (-quality[frames] / 10) for frames in (1, 4))
+        limit = (4 * four - one) / 3
+        assert abs(-10 * math.log10(limit + (one - limit) / 16) - quality[16]) < 0.6
+    one, four = (10 ** (-alone[frames] / 10) for frames in (1, 4))
+    assert together[16] > -10 * math.log10((4 * four - one) / 3) + 1.5
+    assert together[4] > alone[4] + 1.5 and rounded[16] < rounded[1] + 2
