@@ -52,19 +52,21 @@ SLOW = {
 # Of those, what shows numbers of few steps, or rough ones (≈) of what was optimised, learned or drawn.
 EXACT = {
     "guides/a_hologram_in_a_lens.md",
+    "guides/colour.md",
+    "guides/design_a_lens.md",
+    "guides/distributed_computing.md",
+    "guides/light_fields.md",
     "guides/near_eye_display.md",
     "guides/pictures_through_a_lens.md",
     "guides/polarised_light_and_media.md",
     "guides/polarised_rays.md",
     "guides/propagate_light.md",
-    "guides/real_displays.md",
     "guides/see_results.md",
     "guides/stray_light.md",
     "guides/the_eye.md",
     "guides/toolkit.md",
     "guides/windows_and_partial_coherence.md",
     "notes/light_transport.md",
-    "notes/metameric_loss.md",
     "notes/published_results.md",
 }
 NEED_A_BROWSER = {"guides/see_results.md"}

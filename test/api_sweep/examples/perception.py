@@ -11,6 +11,7 @@ from odak.learn.perception import (
     MetamericLoss,
     MetamericLossUniform,
     SpatialSteerablePyramid,
+    Viewing,
     get_steerable_pyramid_filters,
     sample_observers,
 )
@@ -204,7 +205,11 @@ BY_CALL = {
         "target": tensor(2, 1, 8, 8, seed=5),
         "gaze": [[0.5, 0.5], [0.6, 0.5]],
     },
-    f"{HERE}.export_experiment": {"folder": Build(lambda folder: folder)},
+    f"{HERE}.export_experiment": {
+        "metamer": Build(lambda _: Metamer(torch.nn.AvgPool2d(4), tensor(1, 1, 16, 16), samples=2, seed=0)),
+        "folder": Build(lambda folder: folder),
+        "viewing": Viewing(0.4, 0.7),
+    },
     f"{HERE}.Metamer.save": {"path": Build(lambda folder: folder / "run.pt")},
     f"{HERE}.Metamer.resume": {"path": Build(_metamer_file)},
     f"{HERE}.PooledModel.pool": {"picture": tensor(1, 1, 32, 32)},
