@@ -100,7 +100,7 @@ REASONS = {
         raytracing/mesh: _faces init_heights
         raytracing/surfaces: intersect_parametric
         raytracing/system/eye: _radial_transfer
-        raytracing/system/lens_fields: products
+        raytracing/system/lens_fields: _products
         raytracing/system/pupils: _clear_parts pupil_quadrature
         raytracing/system/waves: _grid
         tools/transformation: load_voxelized_PLY point_cloud_to_voxel
@@ -158,7 +158,7 @@ AT_RUN_TIME = {
     "perception/discrimination:__init__",
     "models/gaussians:_improve",
     "models/gaussians:refine",
-    "raytracing/system/lens_fields:products",
+    "raytracing/system/lens_fields:_products",
     "raytracing/system/design:_now",
     "raytracing/system/optimise:tolerances_for_yield",
     "raytracing/system/polarisation:_ghost",

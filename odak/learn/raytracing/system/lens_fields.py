@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch.utils.checkpoint import checkpoint
 
 from odak import _show, _validate
 from odak._array import is_readable, phasor_of_cycles
@@ -28,7 +29,14 @@ from odak.wave.transfer_functions import pitches
 # Step of direction cosines along which differences are taken, and the error of paths in wavelengths that is warned of.
 STEP, LARGE = 1e-4, 0.03
 # Share of the tolerance at which the sum ends where derivatives are needed.
-_FOR_DERIVATIVES = 1e-3
+_FOR_DERIVATIVES = 0.03
+# Samples along an axis of a block of a field, about, whose light is computed together.
+_BLOCK = 512
+# Times the width of a block over which a period of its transform extends at least, and cycles over the block that the
+# system may add.
+_FINER, _TURNS = 1.5, 32
+# Samples on each side of which values between them are made, and the parameter of Kaiser's window: to about 1e-4.
+_TAPS, _KAISER = 8, 8.3
 _CROSSING = (
     "system must send exactly one ray from each point of the field to each point of the image plane that its light may "
     "reach, got lost or crossing rays: take a lens of less aberration, a smaller field, or larger pixels"
@@ -62,7 +70,7 @@ class TracedSystem(_show.Shown):
         power, as in :func:`polarized_trace`; otherwise nothing is lost.
     tolerance : float
         Relative error of the field at which the sum of transforms ends, see below: the time grows with their number.
-        Where a number of the system requires a gradient, it ends at a thousandth of this, for the derivatives.
+        Where a number of the system requires a gradient, it ends at a thirtieth of this, for the derivatives.
     output_center : sequence of float
         Where the middle of the result lies in the image plane, (y, x) in metres: the middle of a pupil beside the axis.
 
@@ -218,7 +226,8 @@ class TracedSystem(_show.Shown):
 class Passage:
     """What a lens system does to fields of one shape, pitch and wavelength: a linear function of them.
 
-    Made by :meth:`TracedSystem.passage`. It holds the short sum of products of functions of both planes, at few points.
+    Made by :meth:`TracedSystem.passage`. For each block of the field it holds the short sum of products of functions of
+    both planes, at few points.
 
     Attributes
     ----------
@@ -235,42 +244,39 @@ class Passage:
         self.error: float = path.error
 
     @functools.cached_property
-    def _products(self) -> list[tuple[torch.Tensor, torch.Tensor]]:
-        # Derivatives of what a sum leaves out are many times larger than what it leaves out.
-        path = self._path
-        tolerance = path.element.tolerance * (_FOR_DERIVATIVES if path.path.requires_grad else 1.0)
-        return list(path.products(tolerance))
+    def _blocks(self) -> list["_Block"]:
+        return [self._path.block(y, x) for y, x in itertools.product(*(range(one.blocks) for one in self._axes))]
 
     def __call__(self, field: torch.Tensor) -> torch.Tensor:
         """Return the field behind the system of a field ``[..., rows, columns]`` in front of it."""
-        axes, path = self._axes, self._path
+        axes = self._axes
+        down, across = axes
         for axis, one in zip((-2, -1), axes, strict=True):
             field = one.finer(field, axis)
-        first, second = path.alone()
-        (before_y, behind_y), (before_x, behind_x) = (one.turns(field.device) for one in axes)
-        source = field * phasor_of_cycles(first + before_y[:, None] + before_x, field.dtype)
+        field = torch.nn.functional.pad(field, [*across.beside(), *down.beside()])
+        field = field.unflatten(-1, (-1, across.block)).unflatten(-3, (-1, down.block))
         total: Any = 0.0
-        for before, behind in path.at_samples(self._products, field.dtype):
-            arrived = source * before
-            for axis, one in zip((-1, -2), axes[::-1], strict=True):
-                arrived = one.transformed(arrived, axis)
-            total = total + arrived * behind
+        for block, (y, x) in zip(self._blocks, itertools.product(*(range(one.blocks) for one in axes)), strict=True):
+            part = field[..., y, :, x, :]
+            # Derivatives of all products need much memory; they are computed again instead.
+            again = {"use_reentrant": False, "preserve_rng_state": False}
+            total = total + (checkpoint(block, part, **again) if block.before.requires_grad else block(part))
         # 1/(iλB) of the integral; the amplitudes are relative to 1/B.
-        scale = axes[0].step * axes[1].step / (path.wavelength * path.lens[0][1])
-        cycles = second + behind_y[:, None] + behind_x - 0.25
-        result = total * phasor_of_cycles(cycles, field.dtype) * scale.to(field.real.dtype)
-        lit = [one.lit().to(result) for one in axes]
+        scale = down.step * across.step / (self._path.wavelength * self._path.lens[0][1]) * -1j
+        lit = [one.lit().to(total) for one in axes]
         # Beyond what is computed, no light of the field arrives.
         sides = [side for n, one in zip(self._counts[::-1], axes[::-1], strict=True) for side in one.around(n)]
-        return torch.nn.functional.pad(result * lit[0][:, None] * lit[1], sides)
+        return torch.nn.functional.pad(total * scale.to(total.dtype) * lit[0][:, None] * lit[1], sides)
 
 
 @dataclass(frozen=True)
 class _Axis:
     """Samples of both planes along one axis, and the transform between them, lengths in the system's unit.
 
-    The sum over samples at n·step of exp(−2πi·n·step·m·out·slope) is a discrete Fourier transform of `size` points, of
-    which every `every`-th is taken: `slope`, 1/(λB) but for the rounding of the size, is what makes it one.
+    The samples in front are cut into blocks. The sum over those of one, at n·step from its middle, of
+    exp(−2πi·n·step·m·coarse·slope) is a discrete Fourier transform of `size` points, of which every `every`-th is
+    taken: `slope`, 1/(λB) but for the rounding of the size, is what makes it one. Behind, light of a block varies
+    slowly: `coarse` is `between` steps of the result.
     """
 
     count: int
@@ -278,10 +284,13 @@ class _Axis:
     double: bool
     counts: int
     out: float
+    block: int
+    blocks: int
+    between: int
     size: int
     every: int
     slope: float
-    near: float
+    reach: float
     far: float
     center: float
 
@@ -293,24 +302,57 @@ class _Axis:
         out = wave * abs(b) / (n * step) if out is None else out
         # Where light of the largest frequency arrives from the middle and from the edge of the field.
         middle, edge = wave * abs(b) / (2 * step), abs(a) * n * step / 2
-        near, far = n * step / 2, min(middle + edge, abs(center) + count * out / 2)
-        count = min(count, 2 * math.ceil((far + abs(center)) / out) + 1)
+        reach = min(middle + edge, abs(center) + count * out / 2)
+        count = min(count, 2 * math.ceil((reach + abs(center)) / out) + 1)
         # The sum repeats itself at λ|B|/step, which light at the edges would reach.
-        double = far > (middle - edge) * (1 + 1e-9)
+        double = reach > (middle - edge) * (1 + 1e-9)
         n, step = (2 * n, step / 2) if double else (n, step)
+        blocks = max(1, round(n / _BLOCK))
+        block = 2 * math.ceil(n / (2 * blocks)) if blocks > 1 else n
         period = wave * abs(b) / (step * out)
-        every = max(1, math.ceil(n / period - 1e-9))
-        size = _fast_size(n, round(period * every))
-        slope = math.copysign(every / (size * step * out), b)
-        return cls(n, step, double, count, out, size, every, slope, near, far, center)
+        between = max(1, math.floor(period / (_FINER * (block + _TURNS))))
+        every = max(1, math.ceil(block / period - 1e-9))
+        size = _fast_size(block, round(period * every / between))
+        slope = math.copysign(every / (size * between * step * out), b)
+        far = reach + (_TAPS * between * out if between > 1 else 0.0)
+        return cls(n, step, double, count, out, block, blocks, between, size, every, slope, reach, far, center)
+
+    @property
+    def near(self) -> float:
+        """How far the blocks reach from the axis."""
+        return self.block * self.blocks * self.step / 2
+
+    def middle_of(self, block: int) -> float:
+        """Return where the middle sample of a block is."""
+        return (block * self.block + self.block // 2 - self.block * self.blocks // 2) * self.step
+
+    def beside(self) -> tuple[int, int]:
+        """Return how many zeros before and after the samples in front fill the blocks."""
+        whole = self.block * self.blocks
+        before = whole // 2 - self.count // 2
+        return before, whole - self.count - before
 
     def places(self) -> np.ndarray:
         """Return where the samples behind are."""
         return (np.arange(self.counts) - self.counts // 2) * self.out + self.center
 
+    def coarse(self) -> np.ndarray:
+        """Return where the samples of transforms are, in steps of theirs from the middle of those behind."""
+        beyond = _TAPS if self.between > 1 else 0
+        first = -math.ceil(self.counts // 2 / self.between) - beyond
+        return np.arange(first, math.ceil((self.counts - 1 - self.counts // 2) / self.between) + beyond + 1)
+
+    def interpolation(self) -> np.ndarray | None:
+        """Return the matrix from the samples of transforms to those behind, by sinc functions in a Kaiser window."""
+        if self.between == 1:
+            return None
+        away = (np.arange(self.counts) - self.counts // 2)[:, None] / self.between - self.coarse()
+        window = np.i0(_KAISER * np.sqrt(np.clip(1 - (away / _TAPS) ** 2, 0, None))) / np.i0(_KAISER)
+        return np.sinc(away) * np.where(abs(away) < _TAPS, window, 0.0)
+
     def lit(self) -> torch.Tensor:
         """Return 1 for the samples behind that light of the field may reach, and 0 for others."""
-        return torch.from_numpy(abs(self.places()) <= self.far + self.out)
+        return torch.from_numpy(abs(self.places()) <= self.reach + self.out)
 
     def around(self, window: int) -> tuple[int, int]:
         """Return how many samples of a window lie in front of those behind the system, and how many after them."""
@@ -324,22 +366,22 @@ class _Axis:
         like = torch.zeros(1, 1, dtype=torch.float64, device=field.device)
         return between_samples(field, like, axis).narrow(axis, self.count // 2, self.count)
 
-    def turns(self, device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
+    def turns(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Return cycles in front and behind that make a transform from the first samples one about the middle ones."""
-        x = torch.arange(self.count, dtype=torch.float64, device=device) - self.count // 2
-        m = torch.arange(self.counts, dtype=torch.float64, device=device) - self.counts // 2
+        m, half = self.coarse(), self.block // 2
+        x = np.arange(self.block) - half
         # As fractions of a period, which whole numbers are of.
         cycle = math.copysign(self.every / self.size, self.slope)
-        before = cycle * (self.counts // 2) * (x + self.count // 2) - self.slope * self.center * self.step * x
-        return before, cycle * (self.count // 2) * m
+        before = -cycle * m[0] * (x + half) - self.slope * self.center * self.step * x
+        return torch.from_numpy(before), torch.from_numpy(cycle * half * m)
 
     def transformed(self, field: torch.Tensor, axis: int) -> torch.Tensor:
-        """Return the sum at the samples behind, but for :meth:`turns`."""
-        options = {"n": self.size, "dim": axis}
+        """Return the sum at the samples of transforms, but for :meth:`turns`."""
+        options, counts = {"n": self.size, "dim": axis}, len(self.coarse())
         found = torch.fft.fft(field, **options) if self.slope > 0 else torch.fft.ifft(field, norm="forward", **options)
-        if self.every == 1 and self.counts <= self.size:
-            return found.narrow(axis, 0, self.counts)
-        places = torch.arange(self.counts, device=field.device)
+        if self.every == 1 and counts <= self.size:
+            return found.narrow(axis, 0, counts)
+        places = torch.arange(counts, device=field.device)
         return found.index_select(axis, (places * self.every) % self.size)
 
 
@@ -399,6 +441,86 @@ def _spread(values: torch.Tensor, along: Sequence[torch.Tensor]) -> torch.Tensor
     return along[0] @ values @ along[1].mT
 
 
+def _products(rest: torch.Tensor, amplitude: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return functions of points of the two planes, ``[K, n, n]``, whose products add up to amplitudes and phases.
+
+    These, at finer Chebyshev points, are a matrix M; its singular vectors U and V are the shortest such sum. It is
+    written as M·V·(Uᴴ·M·V)⁻¹·Uᴴ·M, whose derivatives miss only what is in the span of neither.
+    """
+    sizes = [_enough(rest, axis) for axis in range(4)]
+    finer = [_interpolation(_nodes(m), n).to(rest.device) for m, n in zip(sizes, rest.shape, strict=True)]
+    rest, size = (
+        _spread(_spread(part, finer[2:]).movedim((0, 1), (2, 3)), finer[:2]).movedim((2, 3), (0, 1))
+        for part in (rest, amplitude)
+    )
+    whole = (phasor_of_cycles(rest, torch.complex128) * size).reshape(sizes[0] * sizes[1], -1)
+    # Chebyshev points lie close together at the edges: weights make areas count.
+    near, far = (
+        torch.from_numpy(np.sqrt(np.outer(*(1 - _nodes(n) ** 2 for n in pair))).reshape(-1)).to(whole).sqrt()
+        for pair in (sizes[:2], sizes[2:])
+    )
+    balanced = near[:, None] * whole * far
+    with torch.no_grad():
+        power, vectors = torch.linalg.eigh(balanced @ balanced.mH)
+        left = power.clamp_min(0).cumsum(0)
+        used = vectors[:, left > tolerance**2 * left[-1]]
+        others = balanced.mH @ used
+        others = others / others.norm(dim=0)
+    behind, before = used.mH @ balanced, balanced @ others
+    before = torch.linalg.solve(behind @ others, before, left=False)
+    return (before / near[:, None]).mT.unflatten(-1, sizes[:2]), (behind / far).unflatten(-1, sizes[2:])
+
+
+@dataclass(frozen=True)
+class _Block:
+    """What a system does to the light of one block of samples: phases in either plane, and products of functions.
+
+    Phases are in cycles, at Chebyshev points of the block and of the plane behind.
+    """
+
+    axes: Sequence[_Axis]
+    which: Sequence[int]
+    first: torch.Tensor
+    second: torch.Tensor
+    before: torch.Tensor
+    behind: torch.Tensor
+
+    def __call__(self, field: torch.Tensor) -> torch.Tensor:
+        """Return the light behind the system, but for a factor, of the samples of the block."""
+        dtype, axes = field.dtype, self.axes
+
+        def lines(places, values):
+            return [_interpolation(x, n).to(values) for x, n in zip(places, values.shape[-2:], strict=True)]
+
+        turns = [[turn.to(field.device) for turn in axis.turns()] for axis in axes]
+        near = [(np.arange(axis.block) - axis.block // 2) * 2 / axis.block for axis in axes]
+        far = [(axis.coarse() * axis.between * axis.out + axis.center) / axis.far for axis in axes]
+        (before_y, behind_y), (before_x, behind_x) = turns
+        cycles = _spread(self.first, lines(near, self.first)) + before_y[:, None] + before_x
+        field = field * phasor_of_cycles(cycles, dtype)
+        before, behind = self.before.to(dtype), self.behind.to(dtype)
+        before_at, behind_at = lines(near, before), lines(far, behind)
+        total: Any = 0.0
+        for one, other in zip(before, behind, strict=True):
+            arrived = field * _spread(one, before_at)
+            for axis, along in zip((-1, -2), axes[::-1], strict=True):
+                arrived = along.transformed(arrived, axis)
+            total = total + arrived * _spread(other, behind_at)
+        total = total * phasor_of_cycles(behind_y[:, None] + behind_x, dtype)
+        for dim, axis in zip((-1, -2), axes[::-1], strict=True):
+            matrix = axis.interpolation()
+            if matrix is not None:
+                matrix = torch.from_numpy(matrix).to(total)
+                total = total @ matrix.mT if dim == -1 else matrix @ total
+        places = [axis.places() for axis in axes]
+        down, across = (
+            torch.from_numpy(-axis.slope * axis.middle_of(at) * there).to(field.device)
+            for axis, at, there in zip(axes, self.which, places, strict=True)
+        )
+        there = lines([q / axis.far for q, axis in zip(places, axes, strict=True)], self.second)
+        return total * phasor_of_cycles(_spread(self.second, there) + down[:, None] + across, dtype)
+
+
 class _Characteristic:
     """The optical path from points of one plane to points of another, and the amplitude of its tube of rays.
 
@@ -418,9 +540,6 @@ class _Characteristic:
         if is_readable(density) and not bool((density * density.mean() > 0).all()):
             raise ValueError(_CROSSING)
         self.amplitude = density.abs().sqrt() * lens[0][1].abs() * losses
-        middle = grid[0] // 2, grid[1] // 2, element.points // 2
-        self.first = self.path[:, :, middle[2], middle[2]] - self.path[middle[0], middle[1], middle[2], middle[2]]
-        self.second = self.path[middle[0], middle[1]]
         self.error = self._checked()
 
     def _at(self, points, side: str) -> list[torch.Tensor]:
@@ -430,57 +549,24 @@ class _Characteristic:
             for one, axis in zip(points, self.axes, strict=True)
         ]
 
-    def _lines(self, side: str, sizes: Sequence[int]) -> list[torch.Tensor]:
-        """Return the matrices of the polynomials through values at Chebyshev points, at the samples of a plane."""
-        found = []
-        for axis, n in zip(self.axes, sizes, strict=True):
-            near = (np.arange(axis.count) - axis.count // 2) * axis.step
-            places = near / axis.near if side == "near" else axis.places() / axis.far
-            found.append(_interpolation(places, n).to(self.device))
-        return found
-
-    def alone(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the parts of either plane alone at its samples, in wavelengths; the second includes the axis."""
-        near = self._lines("near", self.element.grid)
-        return _spread(self.first, near), _spread(self.second, self._lines("far", (self.element.points,) * 2))
-
-    def products(self, tolerance: float):
-        """Yield functions of points of the two planes whose products add up to the rest.
-
-        The rest, at finer Chebyshev points, is a matrix; its singular vectors are the shortest such sum.
-        """
-        rest = self.path - self.first[:, :, None, None] - self.second
-        sizes = [_enough(rest, axis) for axis in range(4)]
-        finer = [_interpolation(_nodes(m), n).to(self.device) for m, n in zip(sizes, rest.shape, strict=True)]
-        rest, size = (
-            _spread(_spread(part, finer[2:]).movedim((0, 1), (2, 3)), finer[:2]).movedim((2, 3), (0, 1))
-            for part in (rest, self.amplitude)
-        )
-        whole = (phasor_of_cycles(rest, torch.complex128) * size).reshape(sizes[0] * sizes[1], -1)
-        # Chebyshev points lie close together at the edges: weights make areas count.
-        near, far = (
-            torch.from_numpy(np.sqrt(np.outer(*(1 - _nodes(n) ** 2 for n in pair))).reshape(-1)).to(whole)
-            for pair in (sizes[:2], sizes[2:])
-        )
-        near = near.sqrt()
-        with torch.no_grad():
-            balanced = near[:, None] * whole
-            power, vectors = torch.linalg.eigh((balanced * far) @ balanced.mH)
-            left = power.clamp_min(0).cumsum(0)
-            used = vectors[:, left > tolerance**2 * left[-1]]
-        for vector in used.mT:
-            before = (vector / near).reshape(sizes[:2])
-            yield before, ((vector.conj() * near) @ whole).reshape(sizes[2:])
-
-    def at_samples(self, products, dtype: torch.dtype):
-        """Yield the functions of such products at the samples of the two planes."""
-        (before, behind), *_ = products
+    def block(self, *which: int) -> "_Block":
+        """Return what the system does to the light of one block, of those along both axes."""
         lines = [
-            [one.to(dtype) for one in self._lines(side, values.shape)]
-            for side, values in (("near", before), ("far", behind))
+            _interpolation((axis.middle_of(at) + _nodes(n) * axis.block * axis.step / 2) / axis.near, n).to(self.device)
+            for axis, at, n in zip(self.axes, which, self.element.grid, strict=True)
         ]
-        for product in products:
-            yield (_spread(values.to(dtype), at) for values, at in zip(product, lines, strict=True))
+        path, amplitude = (
+            _spread(values.movedim((0, 1), (2, 3)), lines).movedim((2, 3), (0, 1))
+            for values in (self.path, self.amplitude)
+        )
+        middle = [n // 2 for n in path.shape]
+        first, second = path[:, :, middle[2], middle[3]], path[middle[0], middle[1]]
+        first = first - first[middle[0], middle[1]]
+        rest = path - first[:, :, None, None] - second
+        # Derivatives of what a sum leaves out are several times larger than what it leaves out.
+        tolerance = self.element.tolerance * (_FOR_DERIVATIVES if path.requires_grad else 1.0)
+        before, behind = _products(rest, amplitude, tolerance)
+        return _Block(self.axes, which, first, second, before, behind)
 
     def _traced(self, places, targets):
         """Return the path less the kernel, optical direction cosines in front, and amplitudes that are left."""

@@ -203,18 +203,37 @@ def test_products_add_up_to_phases_of_many_waves():
     lens = optical_system(parts, 1.2, wavelengths=1e3 * WAVE, object_distance=27.9)
     passage = TracedSystem(lens, 4e-6, (720, 720)).passage((668, 1088), 4e-6, WAVE)
     path, random = passage._path, np.random.default_rng(0)
-    places = [random.uniform(-1, 1, 9) for _ in range(4)]
+    assert len(passage._blocks) == 2
 
-    def at(values, places=places):
+    def at(values, places):
         """Return the polynomials through values at the places along each axis."""
         for axis, place in enumerate(places):
             matrix = lens_fields._interpolation(place, values.shape[axis]).to(values.dtype)
             values = torch.tensordot(matrix, values, dims=([1], [axis])).movedim(0, axis)
         return values
 
-    rest = at(path.path - path.first[:, :, None, None] - path.second)
-    assert float(rest.max() - rest.min()) > 2
-    wanted = torch.polar(at(path.amplitude), 2 * math.pi * rest)
-    products = ((at(before, places[:2]), at(behind, places[2:])) for before, behind in passage._products)
-    found = sum(torch.tensordot(before, behind, dims=0) for before, behind in products)
-    assert float((found - wanted).norm() / wanted.norm()) < 5e-3
+    for block, side in zip(passage._blocks, (-0.5, 0.5), strict=True):
+        places = [random.uniform(-1, 1, 9) for _ in range(4)]
+        whole = [places[0], side + places[1] / 2, *places[2:]]
+        rest = at(path.path, whole) - at(block.first, places[:2])[:, :, None, None] - at(block.second, places[2:])
+        assert float(rest.max() - rest.min()) > 0.5
+        wanted = torch.polar(at(path.amplitude, whole), 2 * math.pi * rest)
+        products = (
+            (at(one, places[:2]), at(other, places[2:])) for one, other in zip(block.before, block.behind, strict=True)
+        )
+        found = sum(torch.tensordot(before, behind, dims=0) for before, behind in products)
+        assert float((found - wanted).norm() / wanted.norm()) < 5e-3
+
+
+def test_blocks_of_a_field_add_up_to_it(monkeypatch):
+    """Cut into blocks, and with other samples of their light, a field of points is what it is as a whole."""
+    field = spots(45, 8e-6, (0, 0), (-19, 15), (16, -20))
+    element = TracedSystem(eyepiece(), 4e-6, (90, 135), tolerance=1e-5, output_center=(1e-4, -5e-5))
+    whole, _ = element.apply(field, 8e-6, WAVE)
+    monkeypatch.setattr(lens_fields, "_BLOCK", 15)
+    monkeypatch.setattr(lens_fields, "_TURNS", 8)
+    axes = element.passage(field.shape, 8e-6, WAVE)._axes
+    assert [axis.blocks for axis in axes] == [3, 3]
+    assert min(axis.between for axis in axes) > 1
+    parts, _ = element.apply(field, 8e-6, WAVE)
+    assert (parts - whole).norm() < 1e-3 * whole.norm()

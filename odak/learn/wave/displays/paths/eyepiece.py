@@ -48,9 +48,9 @@ class EyepiecePath(RetinaPath):
         system = self.ends.distance.system
         element, sides, passage = kept(EyepiecePath._traced, self, colour, eye)
         if any(number.requires_grad for number in system.parameters()):
-            passage = self._passage(element, colour)
+            passage = self._passage(element, colour, eye)
         (pupil,) = self._parts(kept, light, colour, eye, (2,))
-        return torch.nn.functional.pad(passage(self._stopped(kept, light)), sides) * pupil
+        return torch.nn.functional.pad(passage(self._stopped(kept, light, colour, eye)), sides) * pupil
 
     def _from_pupil(self, kept, there, light, colour, eye):
         with torch.enable_grad():
@@ -74,13 +74,10 @@ class EyepiecePath(RetinaPath):
         sight, element = self.sight(colour, eye), self.ends.distance
         if element.system.surfaces[0].thickness.device != device:
             element = dataclasses.replace(element, system=copy.deepcopy(element.system).to(device))
-        a, window, sides = sight.ray_matrix()[0], {"output_dx": (), "output_shape": (), "output_center": ()}, []
-        for axis, (n, pitch) in enumerate(zip(self.sizes, self.pitches, strict=True)):
+        window, sides = {"output_dx": (), "output_shape": (), "output_center": ()}, []
+        for axis in (0, 1):
             (points, step), middle = sight.points(axis), sight.pupil()[0][axis]
-            # Beyond what the order of the outermost pixels reaches, the light of which the lens may turn a little more,
-            # the pupil is dark.
-            reach = _BEYOND * (sight.box(axis) / 2 + abs(a) * (n / 2 + _RIM) * pitch)
-            lit = np.flatnonzero(abs(points + middle) <= reach)
+            lit = np.flatnonzero(abs(points + middle) <= self._reach(colour, eye, axis))
             first, count = (int(lit[0]), len(lit)) if len(lit) else (0, 1)
             sides = [first, len(points) - first - count, *sides]
             for name, value in zip(window, (step, count, middle + float(points[first + count // 2])), strict=True):
@@ -88,48 +85,59 @@ class EyepiecePath(RetinaPath):
         element = dataclasses.replace(element, **window)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AccuracyWarning)
-            while self._passage(element, colour).error > _SURE and max(element.grid) < _MOST:
+            while self._passage(element, colour, eye).error > _SURE and max(element.grid) < _MOST:
                 more = {"grid": tuple(n + 2 for n in element.grid), "points": element.points + 2}
                 element = dataclasses.replace(element, **more)
-        return element, sides, self._passage(element, colour)
+        return element, sides, self._passage(element, colour, eye)
 
-    def _passage(self, element, colour):
+    def _passage(self, element, colour, eye):
         """Return what a traced system does to light behind the stop."""
-        shape, halves = [2 * (n + 2 * _RIM) for n in self.sizes], [pitch / 2 for pitch in self.pitches]
-        return element.passage(shape, halves, self.wavelengths[colour])
+        counts, steps = zip(*(self._samples(colour, eye, axis) for axis in (0, 1)), strict=True)
+        return element.passage(counts, steps, self.wavelengths[colour])
 
-    def _stopped(self, kept, light):
-        """Return the light of square pixels behind the stop, at two samples of each along both axes.
+    def _reach(self, colour, eye, axis):
+        """Return how far from the axis light of the panel reaches in the plane of the pupil, in metres.
 
-        A sharp stop spreads light far. What is cut off of it blurs the ends of its frequencies; fading blurs evenly.
+        Beyond what the order of the outermost pixels reaches, the light of which the lens may turn a little more, the
+        pupil is dark.
         """
-        for axis, n in zip((-2, -1), self.sizes, strict=True):
-            count = 2 * (n + 2 * _RIM)
-            first = count // 2 - n // 2 * 2
-            # As many zeros that the ends of a period do not meet.
-            comb = light.new_zeros([count + 2 * n if k == axis else light.shape[k] for k in range(-light.ndim, 0)])
-            comb.narrow(axis, first, 2 * n).unfold(axis, 2, 2)[..., 0].copy_(light)
-            fade, passed = (part if axis == -1 else part[:, None] for part in self._stop(kept, axis, light.dtype))
-            comb = torch.fft.ifft(torch.fft.fft(comb, dim=axis) * passed, dim=axis)
-            light = comb.narrow(axis, 0, count) * fade
-        return light
+        sight, n, pitch = self.sight(colour, eye), self.sizes[axis], self.pitches[axis]
+        return _BEYOND * (sight.box(axis) / 2 + abs(sight.ray_matrix()[0]) * (n / 2 + _RIM) * pitch)
 
-    def _stop(self, kept, axis, dtype):
-        """Return how light fades beside the panel, and what pixels and stop pass of the frequencies of its samples."""
-        return kept(EyepiecePath._fade, self, axis, dtype), kept(EyepiecePath._passed, self, axis, dtype)
+    def _samples(self, colour, eye, axis):
+        """Return how many samples along an axis the light behind the stop gets, and how far apart they are in metres.
 
-    def _fade(self, device, axis, dtype):
-        n = self.sizes[axis]
-        count = 2 * (n + 2 * _RIM)
-        beside = (np.abs(np.arange(count) - count // 2) - n) / 2
-        return torch.from_numpy(0.5 + 0.5 * np.cos(np.pi * np.clip(beside / _RIM, 0, 1))).to(device, dtype)
+        One for each pixel holds it. Where the pupil reaches beyond the order of a pixel, more of them keep the next
+        order of the samples, which the stop does not pass, away from the pupil.
+        """
+        sight, n, pitch = self.sight(colour, eye), self.sizes[axis] + 2 * _RIM, self.pitches[axis]
+        points, middle = sight.points(axis)[0], sight.pupil()[0][axis]
+        far = min(abs(middle) + points[-1], self._reach(colour, eye, axis))
+        furthest = _BEYOND * (far + abs(sight.ray_matrix()[0]) * n / 2 * pitch) / sight.box(axis)
+        finer = max(1.0, 2 * furthest)
+        return math.ceil(n * finer), pitch / finer
 
-    def _passed(self, device, axis, dtype):
-        # A pixel is a sinc function about each of its points behind the stop.
-        count = 4 * (self.sizes[axis] + _RIM)
+    def _stopped(self, kept, light, colour, eye):
+        """Return the light of square pixels behind the stop."""
+        down, across = (kept(EyepiecePath._stop, self, colour, eye, axis, light.dtype) for axis in (0, 1))
+        return down @ light @ across.mT
+
+    def _stop(self, device, colour, eye, axis, dtype):
+        """Return the matrix from pixels to samples behind the stop along an axis.
+
+        The stop turns a pixel, of even light, into sinc functions about each of its points. A sharp stop spreads light
+        far. What is cut off of it blurs the ends of its frequencies; fading blurs evenly.
+        """
+        n, pitch = self.sizes[axis], self.pitches[axis]
+        count, step = self._samples(colour, eye, axis)
+        places = (np.arange(count) - count // 2)[:, None] * (step / pitch)
         nodes, weights = np.polynomial.legendre.leggauss(8)
-        places = np.fft.fftfreq(count, 1 / count)[:, None] / 2 - math.sqrt(self.fill) / 2 * nodes
-        return torch.from_numpy(np.fft.fft(np.sinc(places) @ (weights / 2))).to(device, dtype)
+        pixel = sum(
+            weight / 2 * np.sinc(places - (np.arange(n) - n // 2) - math.sqrt(self.fill) / 2 * node)
+            for node, weight in zip(nodes, weights, strict=True)
+        )
+        fade = 0.5 + 0.5 * np.cos(np.pi * np.clip((abs(places) - n / 2) / _RIM, 0, 1))
+        return torch.from_numpy(pixel * fade).to(device, dtype)
 
 
 def _without_curvature(sight: Sight) -> np.ndarray:
