@@ -3,9 +3,11 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
+from odak.catalog.materials import refractive_index
 from odak.instruments import Lens
 from odak.learn.raytracing.system import TracedSystem, optical_system, surface, trace_fields
 from odak.learn.wave import Display, Expander, Eyes, Modulator, Run, optimise
@@ -152,3 +154,91 @@ def test_what_a_traced_eyepiece_cannot_have_is_refused():
         Display(Modulator((12, 16), PITCH, expander=Expander.random((12, 16), 2)), GREEN, Eyes(lens), iris=None)
     words = {Display(panel, GREEN, Eyes(one)).path.words() for one in (lens, eyepiece(), eyepiece(1 / 16))}
     assert len(words) == 2
+
+
+def sent(places, slopes, numbers):
+    """Return where rays from points of the panel meet the pupil, ``[..., 2]``, and their optical paths.
+
+    Two spheres by vectors alone: of the package it takes only the refractive index.
+    """
+    curvatures, index, (before, thickness, after) = numbers
+    at = np.concatenate([places, np.full((*places.shape[:-1], 1), -before)], -1)
+    way = np.concatenate([slopes, np.sqrt(1 - (slopes**2).sum(-1, keepdims=True))], -1)
+    path, n = 0.0, 1.0
+    for curvature, behind, gap in zip(curvatures, (index, 1.0), (thickness, after), strict=True):
+        f, g = curvature * (at**2).sum(-1) - 2 * at[..., 2], way[..., 2] - curvature * (at * way).sum(-1)
+        length = f / (g + np.sqrt(g**2 - curvature * f))
+        at, path = at + length[..., None] * way, path + n * length
+        normal = np.array([0.0, 0.0, 1.0]) - curvature * at
+        cosine = (way * normal).sum(-1)
+        turned = np.sqrt(1 - (n / behind) ** 2 * (1 - cosine**2))
+        way, n = n / behind * way + (turned - n / behind * cosine)[..., None] * normal, behind
+        at = at - np.array([0.0, 0.0, gap])
+    length = -at[..., 2] / way[..., 2]
+    return (at + length[..., None] * way)[..., :2], path + n * length
+
+
+def seen_by_rays(pixels, light, image, diameter, numbers):
+    """Return the intensity of pixels of an image of few lit pixels: a sum over rays to points of the pupil, in mm.
+
+    Waves from each pixel have the optical paths of its rays, and the amplitudes of tubes of rays.
+    """
+    wave, pitch, (curvatures, index, (before, thickness, after)) = 1e3 * GREEN, 1e3 * PITCH, numbers
+    nodes, weights = np.polynomial.legendre.leggauss(32)
+    radii, angles = diameter / 4 * (1 + nodes), 2 * np.pi * np.arange(112) / 112
+    pupil = np.stack([np.outer(radii, part(angles)).ravel() for part in (np.cos, np.sin)], -1)
+    areas = np.repeat(radii * weights * diameter / 4, 112) * 2 * np.pi / 112
+    first = np.array([[1.0, before], [0.0, 1.0]])
+    for curvature, power, gap in zip(curvatures, (index - 1, 1 - index), (thickness / index, after), strict=True):
+        first = np.array([[1.0, gap], [0.0, 1.0]]) @ np.array([[1.0, 0.0], [-power * curvature, 1.0]]) @ first
+    (a, b), (_, d) = first
+    places = np.broadcast_to(pitch * np.array(pixels)[:, None, :], (len(pixels), len(pupil), 2))
+    slopes, steps = (pupil - a * places) / b, 1e-6 * np.eye(2)
+    for _ in range(2):
+        met, paths = sent(places, slopes, numbers)
+        turns = [(sent(places, slopes + step, numbers)[0] - sent(places, slopes - step, numbers)[0]) for step in steps]
+        turns = np.stack(turns, -1) / 2e-6
+        slopes = slopes + np.linalg.solve(turns, (pupil - met)[..., None])[..., 0]
+    # A square pixel, and a tube of rays; the stop passes all of the pupil.
+    sizes = np.sinc(math.sqrt(0.9) * pitch * slopes / wave).prod(-1) / np.sqrt(abs(np.linalg.det(turns)))
+    cycles = (paths - paths.min() - d / (2 * b) * (pupil**2).sum(-1)) / wave
+    waves = light[:, None] * sizes * np.exp(2j * np.pi * cycles)
+    # Means over the areas of pixels.
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    found = []
+    for middle in image:
+        points = np.stack(np.meshgrid(*(pitch * (one + nodes / 2) for one in middle), indexing="ij"), -1).reshape(-1, 2)
+        field = np.exp(2j * np.pi * points @ pupil.T / (wave * b)) @ (areas * waves.sum(0))
+        found.append(np.outer(weights / 2, weights / 2).ravel() @ abs(field) ** 2)
+    return np.array(found) * (pitch**2 / (wave**2 * b)) ** 2
+
+
+def test_images_are_sums_over_rays_of_other_code():
+    """Of a few lit pixels, near the axis and far from it; a lens without aberrations has another image.
+
+    The pupil lies in the focal plane of the lens, where it is within the order of each pixel, as the sum takes it.
+    """
+    shape, diameter, relief = (48, 64), 4e-4, 13.975
+    parts = [surface(15.05, thickness=3.0, material="N-BK7"), surface(-15.05, thickness=relief)]
+    lens = TracedSystem(optical_system(parts, 1.2, wavelengths=1e3 * GREEN, object_distance=14.0))
+    pixels, around = [(-23, 29), (-22, 31), (19, -31), (20, -29), (1, 2)], [(-22, 30), (20, -30), (1, 2)]
+    shown = [(y + i, x + j) for y, x in around for i in (-1, 0) for j in (0, 1)]
+
+    def at(values, places):
+        return torch.stack([values[shape[0] // 2 + y, shape[1] // 2 + x] for y, x in places])
+
+    panel, phases = torch.zeros(shape, dtype=torch.float64), pattern(1, *shape)
+    for y, x in pixels:
+        panel[shape[0] // 2 + y, shape[1] // 2 + x] = 1.0
+    numbers = (1 / 15.05, -1 / 15.05), float(refractive_index("N-BK7", GREEN)), (14.0, 3.0, relief)
+    light = np.exp(1j * at(phases[0], pixels).numpy())
+    wanted = torch.from_numpy(seen_by_rays(pixels, light, shown, 1e3 * diameter, numbers))
+    real = display(shape, Eyes(lens, diameter=diameter), profile=panel)
+    (a, _), (c, d) = ([float(value) for value in row] for row in lens.matrix())
+    ideal = Lens(-1 / c, before=(d - 1) / c, after=(a - 1) / c)
+    thin = display(shape, Eyes(ideal, diameter=diameter), profile=panel)
+    found = (real(phases)[0, 0], real.judge(phases).areas[0, 0], thin(phases)[0, 0])
+    own, judged, other = (apart(at(image, shown), wanted) for image in found)
+    assert own < 1e-3
+    assert judged < 2e-4
+    assert other > 5e-3
