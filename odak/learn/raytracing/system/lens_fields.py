@@ -250,23 +250,29 @@ class Passage:
     def __call__(self, field: torch.Tensor) -> torch.Tensor:
         """Return the field behind the system of a field ``[..., rows, columns]`` in front of it."""
         axes = self._axes
-        down, across = axes
         for axis, one in zip((-2, -1), axes, strict=True):
             field = one.finer(field, axis)
-        field = torch.nn.functional.pad(field, [*across.beside(), *down.beside()])
+        field = _centred(field, [one.block * one.blocks for one in axes])
+        down, across = axes
         field = field.unflatten(-1, (-1, across.block)).unflatten(-3, (-1, down.block))
         total: Any = 0.0
         for block, (y, x) in zip(self._blocks, itertools.product(*(range(one.blocks) for one in axes)), strict=True):
             part = field[..., y, :, x, :]
             # Derivatives of all products need much memory; they are computed again instead.
-            again = {"use_reentrant": False, "preserve_rng_state": False}
+            again: dict[str, Any] = {"use_reentrant": False, "preserve_rng_state": False}
             total = total + (checkpoint(block, part, **again) if block.before.requires_grad else block(part))
         # 1/(iλB) of the integral; the amplitudes are relative to 1/B.
         scale = down.step * across.step / (self._path.wavelength * self._path.lens[0][1]) * -1j
-        lit = [one.lit().to(total) for one in axes]
+        lit = [torch.from_numpy(abs(one.places()) <= one.reach + one.out).to(total) for one in axes]
         # Beyond what is computed, no light of the field arrives.
-        sides = [side for n, one in zip(self._counts[::-1], axes[::-1], strict=True) for side in one.around(n)]
-        return torch.nn.functional.pad(total * scale.to(total.dtype) * lit[0][:, None] * lit[1], sides)
+        return _centred(total * scale.to(total.dtype) * lit[0][:, None] * lit[1], self._counts)
+
+
+def _centred(field: torch.Tensor, counts: Sequence[int]) -> torch.Tensor:
+    """Return a field of so many rows and columns, by zeros around it, whose middle sample stays its middle."""
+    before = [count // 2 - n // 2 for n, count in zip(field.shape[-2:], counts, strict=True)]
+    after = [count - n - one for n, count, one in zip(field.shape[-2:], counts, before, strict=True)]
+    return torch.nn.functional.pad(field, (before[1], after[1], before[0], after[0]))
 
 
 @dataclass(frozen=True)
@@ -326,12 +332,6 @@ class _Axis:
         """Return where the middle sample of a block is."""
         return (block * self.block + self.block // 2 - self.block * self.blocks // 2) * self.step
 
-    def beside(self) -> tuple[int, int]:
-        """Return how many zeros before and after the samples in front fill the blocks."""
-        whole = self.block * self.blocks
-        before = whole // 2 - self.count // 2
-        return before, whole - self.count - before
-
     def places(self) -> np.ndarray:
         """Return where the samples behind are."""
         return (np.arange(self.counts) - self.counts // 2) * self.out + self.center
@@ -349,15 +349,6 @@ class _Axis:
         away = (np.arange(self.counts) - self.counts // 2)[:, None] / self.between - self.coarse()
         window = np.i0(_KAISER * np.sqrt(np.clip(1 - (away / _TAPS) ** 2, 0, None))) / np.i0(_KAISER)
         return np.sinc(away) * np.where(abs(away) < _TAPS, window, 0.0)
-
-    def lit(self) -> torch.Tensor:
-        """Return 1 for the samples behind that light of the field may reach, and 0 for others."""
-        return torch.from_numpy(abs(self.places()) <= self.reach + self.out)
-
-    def around(self, window: int) -> tuple[int, int]:
-        """Return how many samples of a window lie in front of those behind the system, and how many after them."""
-        before = window // 2 - self.counts // 2
-        return before, window - self.counts - before
 
     def finer(self, field: torch.Tensor, axis: int) -> torch.Tensor:
         """Return the band-limited interpolation of a field at half its pitch, if this is what the axis needs."""
@@ -379,8 +370,6 @@ class _Axis:
         """Return the sum at the samples of transforms, but for :meth:`turns`."""
         options, counts = {"n": self.size, "dim": axis}, len(self.coarse())
         found = torch.fft.fft(field, **options) if self.slope > 0 else torch.fft.ifft(field, norm="forward", **options)
-        if self.every == 1 and counts <= self.size:
-            return found.narrow(axis, 0, counts)
         places = torch.arange(counts, device=field.device)
         return found.index_select(axis, (places * self.every) % self.size)
 
@@ -436,9 +425,9 @@ def _slopes(n: int) -> torch.Tensor:
     return torch.from_numpy(chebyshev.chebvander(_nodes(n), n - 2) @ chebyshev.chebder(_coefficients(n)))
 
 
-def _spread(values: torch.Tensor, along: Sequence[torch.Tensor]) -> torch.Tensor:
-    """Return the polynomials through values ``[..., n, n]`` at the places of a plane."""
-    return along[0] @ values @ along[1].mT
+def _spread(values: torch.Tensor, along: Sequence[torch.Tensor], axes: tuple[int, int] = (-2, -1)) -> torch.Tensor:
+    """Return the polynomials through values at the places of a plane, whose axes are the last two or others."""
+    return (along[0] @ values.movedim(axes, (-2, -1)) @ along[1].mT).movedim((-2, -1), axes)
 
 
 def _products(rest: torch.Tensor, amplitude: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
@@ -449,11 +438,8 @@ def _products(rest: torch.Tensor, amplitude: torch.Tensor, tolerance: float) -> 
     """
     sizes = [_enough(rest, axis) for axis in range(4)]
     finer = [_interpolation(_nodes(m), n).to(rest.device) for m, n in zip(sizes, rest.shape, strict=True)]
-    rest, size = (
-        _spread(_spread(part, finer[2:]).movedim((0, 1), (2, 3)), finer[:2]).movedim((2, 3), (0, 1))
-        for part in (rest, amplitude)
-    )
-    whole = (phasor_of_cycles(rest, torch.complex128) * size).reshape(sizes[0] * sizes[1], -1)
+    rest, amplitude = (_spread(_spread(part, finer[2:], (2, 3)), finer[:2], (0, 1)) for part in (rest, amplitude))
+    whole = (phasor_of_cycles(rest, torch.complex128) * amplitude).reshape(sizes[0] * sizes[1], -1)
     # Chebyshev points lie close together at the edges: weights make areas count.
     near, far = (
         torch.from_numpy(np.sqrt(np.outer(*(1 - _nodes(n) ** 2 for n in pair))).reshape(-1)).to(whole).sqrt()
@@ -555,10 +541,7 @@ class _Characteristic:
             _interpolation((axis.middle_of(at) + _nodes(n) * axis.block * axis.step / 2) / axis.near, n).to(self.device)
             for axis, at, n in zip(self.axes, which, self.element.grid, strict=True)
         ]
-        path, amplitude = (
-            _spread(values.movedim((0, 1), (2, 3)), lines).movedim((2, 3), (0, 1))
-            for values in (self.path, self.amplitude)
-        )
+        path, amplitude = (_spread(values, lines, (0, 1)) for values in (self.path, self.amplitude))
         middle = [n // 2 for n in path.shape]
         first, second = path[:, :, middle[2], middle[3]], path[middle[0], middle[1]]
         first = first - first[middle[0], middle[1]]
@@ -620,7 +603,7 @@ class _Characteristic:
             [_interpolation(t, n).to(self.device) for t, n in zip(points, sizes, strict=True)]
             for points, sizes in ((between, self.element.grid), (inside, (self.element.points,) * 2))
         )
-        found = _spread(_spread(self.path, far).movedim((0, 1), (2, 3)), near)[..., 0, 0]
+        found = _spread(_spread(self.path, far), near, (0, 1))[0, 0]
         error = float((found - wanted[0, 0]).abs().max())
         if error > LARGE:
             warn(
