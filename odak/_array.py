@@ -138,7 +138,15 @@ def namespace(*values) -> ModuleType:
             import array_api_compat.torch as torch_namespace
 
             return torch_namespace
-    return array_api_compat.array_namespace(*arrays) if arrays else numpy_namespace
+    if not arrays:
+        return numpy_namespace
+    libraries = sorted({type(value).__module__.partition(".")[0] for value in arrays})
+    if {"numpy", "torch"} <= set(libraries):
+        raise TypeError(
+            f"arrays must be of one library, got arrays of {' and '.join(libraries)}: give the arrays of NumPy by "
+            "torch.as_tensor(…), or the tensors by ….numpy()"
+        )
+    return array_api_compat.array_namespace(*arrays)
 
 
 def broadcast(*arrays):

@@ -54,7 +54,7 @@ def cheap(monkeypatch):
     monkeypatch.setattr(trace.lenses, "lens_report", lambda system, path, *_: path.write_text("report"))
     described = {"system": {"unit": "mm"}, "first_order": {"focal_length": None}, "fields": []}
     monkeypatch.setattr(trace, "describe", lambda *_: described)
-    monkeypatch.setattr(lens_design, "_from_system", lambda *_: (lens, lens, [], []))
+    monkeypatch.setattr(lens_design, "_from_system", lambda *_: (lens, lens, [], [], {}))
     monkeypatch.setattr(lens_design, "_judged", lambda *_: [])
     monkeypatch.setattr(lens_design, "_drawing", lambda *_: Figure(figsize=(1, 1)))
 

@@ -4,6 +4,7 @@ import array_api_strict as strict
 import hits
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -303,3 +304,8 @@ def test_batches_of_one_length_meet_and_others_are_named(function, names, argume
     together = rf"cannot be broadcast together: {first} \[2\].*{last} \[3\]"
     with pytest.raises(ValueError, match=rf"{together}|^{last} must be one .* each of the rays \[2\], got \[3\]"):
         function(arguments[0][:2], *arguments[1:])
+
+
+def test_arrays_of_two_libraries_are_named():
+    with pytest.raises(TypeError, match=r"arrays must be of one library, got arrays of numpy and torch: give the"):
+        rt.reflect(np.ones((2, 3)), torch.ones(2, 3))

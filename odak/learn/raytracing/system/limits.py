@@ -37,7 +37,7 @@ class LensLimit(NamedTuple):
     >>> from odak.learn.raytracing.system import lens_limits, load_system
     >>> row = lens_limits(load_system("cooke_triplet"), {"track": 50.0})[0]
     >>> row.kind, round(row.value, 1), row.met
-    ('largest', 60.2, False)
+    ('largest', 60.7, False)
     """
 
     name: str
@@ -132,7 +132,7 @@ def lens_limits(system: optical_system, limits: Mapping[str, Any], *, aim: str =
     >>> from odak.learn.raytracing.system import lens_limits, load_system
     >>> rows = lens_limits(load_system("cooke_triplet"), {"edge": 0.5, "axial_color": 0.1, "glass": (1.0, 5.0)})
     >>> [(row.name, row.kind, row.met) for row in rows]
-    [('edge', 'least', True), ('axial_color', 'largest', True), ('glass', 'least', True), ('glass', 'largest', True)]
+    [('edge', 'least', True), ('axial_color', 'largest', True), ('glass', 'least', False), ('glass', 'largest', True)]
     """
     checked_system(system)
     _validate.instance("limits", limits, Mapping, "a mapping")

@@ -71,7 +71,7 @@ class Placement:
 
     scale: float = 1.0
     shift: Sequence[float] = (0.0, 0.0, 0.0)
-    rotation: Any = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    rotation: torch.Tensor | Sequence[Sequence[float]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scale", float(_validate.real("scale", self.scale, positive=True)))

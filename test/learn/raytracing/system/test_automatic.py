@@ -58,10 +58,10 @@ def test_glass_becomes_real_and_stays_good():
 def test_elements_can_be_ground_and_colour_is_bounded_by_default():
     """Rims and centres by diameter, of sags and rays that are computed here; an asked edge replaces the rule.
 
-    Without its bound, axial colour is 1.8 times as large as the depth of focus of a circle of confusion.
+    Without its bound, axial colour is seven times as large as the depth of focus of a circle of confusion.
     """
     plates, demands = ["N-LAK33B", "stop", "SF5", "N-LAK33B"], LensRequirements(50.0, 2.8, 20.0)
-    search = DesignSearch(starts=2, stages=2, iterations=4, polish=1)
+    search = DesignSearch(starts=1, stages=1, iterations=5, polish=1)
     lens = automatic_design(plates, demands, search=search).system
     heights = ray_paths(lens, launch(lens, "rings", 12))[..., 1:, :2].norm(dim=-1).amax((0, 1, 2))
     for i in (0, 3, 5):
@@ -85,7 +85,7 @@ QUICK = {"starts": 1, "stages": 1, "iterations": 2, "polish": 0}
 
 def test_cemented_elements_share_their_surface_and_can_be_ground_each():
     """A doublet has three surfaces; its colour needs both glasses, and the outer wavelengths meet within the bound."""
-    demands, search = LensRequirements(100.0, 8.0, 1.0), DesignSearch(starts=1, stages=1, iterations=6, polish=1)
+    demands, search = LensRequirements(100.0, 8.0, 1.0), DesignSearch(starts=1, stages=1, iterations=3, polish=0)
     lens = automatic_design(["stop", ("N-BK7", "N-SF2")], demands, search=search).system
     assert [getattr(item.material, "name", item.material) for item in lens.surfaces] == ["air", "N-BK7", "N-SF2", "air"]
     images, circle = paraxial_images(lens), 100.0 / 2 / 1500
@@ -180,9 +180,12 @@ def test_single_design_begins_as_best_of_several_bendings():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("terms", "size"), [(0, 0.0145), (2, 0.01)])
+@pytest.mark.parametrize(("terms", "size"), [(0, 0.0145), (2, 0.011)])
 def test_glasses_that_vary_from_start_correct_colour_and_spots(terms, size):
-    """A triplet of 50 mm, f/2.8 and 20 degrees, judged by rays and paraxial sums that are not the library's."""
+    """A triplet of 50 mm, f/2.8 and 20 degrees, judged by rays and paraxial sums that are not the library's.
+
+    Without the bound of lateral colour, aspheres have spots of 9.3 micrometres; with it, of 10.
+    """
     options = {"glass": (1.5, 9.0), "air": (0.3, 15.0), "edge": 0.6, "back": 20.0, "track": 80.0, "polish": 1}
     lens = automatic_design(
         ["N-LAK33B", "stop", "SF5", "N-LAK33B"],
