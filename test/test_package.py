@@ -325,7 +325,7 @@ def test_stubs_are_part_of_the_package():
 
 
 # Code lines of the package: what is new takes the place of what it is better than.
-MOST_LINES = 63_384
+MOST_LINES = 63_390
 
 
 def test_the_package_does_not_grow():

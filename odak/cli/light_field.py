@@ -14,6 +14,7 @@ from odak.cli.report import picture_panel, sheet
 from odak.cli.target import Target, Volume, light_of, mixed_sources, on_screen, read_picture
 from odak.learn import wave
 from odak.learn.raytracing import triangle_mesh
+from odak.learn.wave.gaussians.sets import is_antialiased
 from odak.learn.wave.holograms.scenery import listed_views
 from odak.learn.wave.pictures import fitting_size, on_frame
 
@@ -145,5 +146,6 @@ def _rendered(job: Job, path: Path) -> tuple[wave.LightField, tuple, tuple[float
             raise InputError("--wavelength must be given once, or be three that mix to white, for colours of --splats")
         splats = wave.load_splats(str(path))
         stands = wave.Placement.fitting(splats.means, display, job.plane, job.turned, 0.96)
-        field, source = wave.views_of_splats(splats, display, places, stands), "sRGB"
+        trained = is_antialiased(str(path))
+        field, source = wave.views_of_splats(splats, display, places, stands, antialiased=trained), "sRGB"
     return field, (slice(0, job.resolution[0]), slice(0, job.resolution[1])), wavelengths, source, 0.0

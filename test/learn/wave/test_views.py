@@ -202,6 +202,20 @@ def test_splats_are_those_of_the_renderer_of_complex_ones(eyes):
     np.testing.assert_allclose(field.views[0], expected, atol=2e-3)
 
 
+def test_splats_of_antialiased_training_keep_the_sum_of_their_opacity():
+    """A round one of variance v square pixels has v/(v + 0.3) of its opacity, and all of it where it is not said."""
+    display, opacity, size = display_of(), 0.6, 3e-6
+    _, b, _ = display.path.sight(0, 0).ray_matrix()
+    variance = (size * b / DISTANCE / PITCH) ** 2
+    at = (0.0, 0.0, DISTANCE)
+    found = views_of_splats(splat(at, scale=size, opacity=opacity), display, PLACES, Placement(), antialiased=True)
+    dimmer = splat(at, scale=size, opacity=opacity * variance / (variance + 0.3))
+    expected = views_of_splats(dimmer, display, PLACES, Placement()).views
+    torch.testing.assert_close(found.views, expected, rtol=1e-4, atol=0)
+    plain = views_of_splats(splat(at, scale=size, opacity=opacity), display, PLACES, Placement()).views
+    assert float(plain.max()) > 2 * float(found.views.max()) > 0
+
+
 def test_near_splats_cover_far_ones():
     both = splat((0.0, 0.0, 0.11), (0.0, 0.0, 0.09), scale=2e-4, opacity=0.6)
     both.harmonics[1] = -math.sqrt(math.pi)

@@ -12,7 +12,7 @@ from odak.learn._tensors import rows_of, shaped, tensor
 from odak.learn.tools.transformation import PerspectiveCamera
 from odak.learn.wave.fields import disc
 from odak.learn.wave.gaussians import sets as shared
-from odak.learn.wave.gaussians.sets import complex_3d_gaussians
+from odak.learn.wave.gaussians.sets import complex_3d_gaussians, shown_opacities
 from odak.learn.wave.gaussians.splatting import FAINTEST, Tiling, composite_gaussians, finer_tiling
 from odak.learn.wave.propagation import propagate_beam
 
@@ -198,7 +198,7 @@ class Scene:
         covariance = self._project(points, fx, fy, quats, scales, (width, height), camera)
         means, conics = self.gaussians.compute_means_2D(*rays), self.gaussians.invert_cov_2D(covariance)
         self.mean_2D_for_planeprob = means.detach()
-        opacities = self.gaussians._shown_opacities(opacities, covariance)
+        opacities = shown_opacities(opacities, covariance, self.gaussians.antialiased)
         shown = (z_vals, means, conics, colours, phase, opacities, plane_probs)
         fields = _plane_fields(*shown, Tiling(height, width, down, across, planes))
         return self._propagate(fields, wavelengths), fields
@@ -288,7 +288,7 @@ class Scene:
         some = chosen(gaussian_indices, len(cam_means_3D), cam_means_3D.device)
         cam_means_3D, quats, scales = cam_means_3D[some], quats[some], scales[some]
         covariance = self.gaussians.compute_cov_2D(cam_means_3D, quats, scales, fx, fy, R, img_size)
-        opacities = self.gaussians._shown_opacities(opacities[some], covariance)
+        opacities = shown_opacities(opacities[some], covariance, self.gaussians.antialiased)
         means = self.gaussians.compute_means_2D(cam_means_3D, fx, fy, px, py)
         tiling = Tiling(sizes[1], sizes[0], sizes[1], sizes[0], plane_probs.shape[-1])
         shown: list[Any] = [

@@ -1185,29 +1185,7 @@ class complex_3d_gaussians(nn.Module):
         rows = torch.stack([fx / z, nothing, -fx * side / z, nothing, fy / z, -fy * up / z], dim=-1)
         slope = rows.where(inside[:, None], 0.0).unflatten(-1, (2, 3))
         axes = slope @ R.to(slope) @ (quaternion_to_rotation_matrix(quats) * scales[:, None])
-        return axes @ axes.mT + _SOFTNESS * torch.eye(2, dtype=axes.dtype, device=axes.device)
-
-    def _shown_opacities(self, opacities: torch.Tensor, covariance: torch.Tensor) -> torch.Tensor:
-        """Return opacities as they count in a picture: less by the root of the ratio of areas, if antialiased.
-
-        Parameters
-        ----------
-        opacities : torch.Tensor
-            ``[N]``.
-        covariance : torch.Tensor
-            Square pixels ``[N, 2, 2]``, as :meth:`compute_cov_2D` returns them.
-
-        Notes
-        -----
-        Yu et al., *Mip-Splatting*, CVPR (2024): √(|Σ|/|Σ + 0.3|), so that a Gaussian keeps the sum of its opacity.
-        """
-        if not self.antialiased:
-            return opacities
-        a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
-        own = (a - _SOFTNESS) * (c - _SOFTNESS) - b * b
-        ratio = own / (a * c - b * b)
-        # The slope of the root is infinite where a Gaussian has no area.
-        return opacities * ratio.clamp_min(1e-12).sqrt()
+        return softened(axes)
 
     def compute_means_2D(
         self,
@@ -1350,6 +1328,36 @@ def _rotation(R) -> torch.Tensor:
     R = floating("R", R)
     _validate.shaped("R", R, "[3, 3] or [1, 3, 3]")
     return R.reshape(3, 3)
+
+
+def softened(axes: torch.Tensor) -> torch.Tensor:
+    """Return covariances ``[N, 2, 2]`` in square pixels of axes on the picture ``[N, 2, 3]``, wider as in training."""
+    return axes @ axes.mT + _SOFTNESS * torch.eye(2, dtype=axes.dtype, device=axes.device)
+
+
+def shown_opacities(opacities: torch.Tensor, covariance: torch.Tensor, antialiased: bool) -> torch.Tensor:
+    """Return opacities as they count in a picture: less by the root of the ratio of areas, if antialiased.
+
+    Parameters
+    ----------
+    opacities : torch.Tensor
+        ``[N]``.
+    covariance : torch.Tensor
+        Square pixels ``[N, 2, 2]``, as :func:`softened` returns them.
+    antialiased : bool
+        Whether the Gaussians were trained so.
+
+    Notes
+    -----
+    Yu et al., *Mip-Splatting*, CVPR (2024): √(|Σ|/|Σ + 0.3|), so that a Gaussian keeps the sum of its opacity.
+    """
+    if not antialiased:
+        return opacities
+    a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    own = (a - _SOFTNESS) * (c - _SOFTNESS) - b * b
+    ratio = own / (a * c - b * b)
+    # The slope of the root is infinite where a Gaussian has no area.
+    return opacities * ratio.clamp_min(1e-12).sqrt()
 
 
 def _clipped(slope, bound):

@@ -14,15 +14,13 @@ from odak._torch_private import in_own_precision
 from odak.learn._tensors import tensor
 from odak.learn.tools.transformation import get_rotation_matrix, quaternion_to_rotation_matrix
 from odak.learn.wave.displays.display import Display
-from odak.learn.wave.gaussians.sets import Splats, complex_3d_gaussians, view_colours
+from odak.learn.wave.gaussians.sets import Splats, complex_3d_gaussians, shown_opacities, softened, view_colours
 from odak.learn.wave.gaussians.splatting import Tiling, composite_gaussians, finer_tiling
 from odak.learn.wave.holograms.scenery import LightField
 from odak.learn.wave.pictures import light_of
 
 # Points of the boxes around triangles at a time, and pixels along the sides of the tiles that splats are composed in.
 _POINTS, _TILE = 2**20, 64
-# Square pixels that the picture of each splat is wider than its projection, as they are trained.
-_SOFTNESS = 0.3
 # Splats nearer than this share of the distance of the scene are left out, and slopes beyond so many views are limited.
 _NEAREST, _MARGIN = 0.05, 1.3
 # From the axes of graphics, y up and z towards the viewer, to those of displays.
@@ -261,6 +259,8 @@ def views_of_splats(
     display: Display,
     places: torch.Tensor | Sequence[Sequence[float]],
     placement: Placement | None = None,
+    *,
+    antialiased: bool = False,
 ) -> LightField:
     """Return the views of Gaussian splats from places of the pupil: a target with the parallax of a captured scene.
 
@@ -274,6 +274,8 @@ def views_of_splats(
         Where the views are from, (y, x) in the plane of the pupils in metres, ``[V, 2]``.
     placement : Placement, optional
         Where the scene stands; by default 96 % of the centres fill the picture, see :meth:`Placement.fitting`.
+    antialiased : bool
+        Whether the splats were trained so, see :class:`complex_3d_gaussians`; small ones come out too bright otherwise.
 
     Returns
     -------
@@ -302,6 +304,7 @@ def views_of_splats(
     LightField: 2 views of 32 × 48 pixels
     """
     _validate.instance("splats", splats, Splats, "odak.learn.wave.Splats")
+    antialiased = _validate.flag("antialiased", antialiased)
     stands = _placed(placement, splats.means, display, 0.96)
     b, d = _seen_along(display)
     pitches, sizes = display.path.pitches, display.path.sizes
@@ -324,15 +327,15 @@ def views_of_splats(
         bounded = slopes.clamp(-limits, limits)
         jacobian = torch.diag_embed((factors / depth).expand_as(slopes))
         jacobian = torch.cat([jacobian, -(factors * bounded / depth)[..., None]], -1)
-        spread = jacobian @ axes
-        covariance = spread @ spread.mT + _SOFTNESS * torch.eye(2, dtype=means.dtype, device=means.device)
+        covariance = softened(jacobian @ axes)
+        shown = shown_opacities(opacities, covariance, antialiased)
         conics = complex_3d_gaussians.invert_cov_2D(covariance)[:, [0, 0, 1], [0, 1, 1]]
         directions = torch.nn.functional.normalize(away @ turned, dim=-1)
         colours = view_colours(splats.harmonics[chosen], directions.to(splats.harmonics))
         given = (middles.to(colours), conics.to(colours))
         tiling = Tiling(*sizes, *(min(_TILE, n) for n in sizes))
         tiling = finer_tiling(tiling, *given) if len(chosen) else tiling
-        (picture,) = composite_gaussians(*given, opacities.to(colours), colours, layers, tiling)
+        (picture,) = composite_gaussians(*given, shown.to(colours), colours, layers, tiling)
         views.append(light_of(picture.clamp(0, 1), display).targets)
     return LightField(torch.stack(views), places)
 
